@@ -1,0 +1,101 @@
+# Ferrite. `make demo` prints a part on the simulated printer, `make test` runs everything that must hold.
+# All that is made goes to out/ and .venv/.
+
+OUT    := out
+PYTHON := .venv/bin/python
+JOBS   ?= 2
+
+.DEFAULT_GOAL := help
+.PHONY: help setup setup-test sim chelper demo test check format bench fuzz clean distclean
+
+help:
+	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
+	@echo "make test    all checks and tests"
+	@echo "make check   the checks only: lint, types, layers, message formats, cross compilation"
+	@echo "make bench   print the 5 MB benchy in closed loop and report speed and memory (QUICK=1: the short file)"
+	@echo "make fuzz    fuzz the firmware's message parser (FUZZ_SECONDS=600)"
+	@echo "make sim     build the simulated MCU and the world it lives in"
+	@echo "make clean   remove $(OUT); make distclean also removes .venv"
+
+setup:
+	@scripts/setup.sh demo
+
+setup-test:
+	@scripts/setup.sh test
+
+# Set-up comes first, and what it brings is needed by what follows: one thing at a time, also with -j.
+.NOTPARALLEL:
+fuzz: setup-test
+
+# The firmware's rules (any port, simulator included) and the simulated world's.
+-include src/build.mk
+-include src/simulator/world.mk
+
+# --- build ---------------------------------------------------------------------------------------
+# src/build.mk makes libferrite_mcu.so and ferrite.dict, world.mk (SIM_TARGETS) the machine around them.
+sim: $(SIM_MCU_LIB) $(SIM_TARGETS)
+
+chelper: setup
+	@$(PYTHON) -c "import sys; sys.path.insert(0, 'klippy'); import chelper; chelper.get_ffi()"
+
+# --- run -----------------------------------------------------------------------------------------
+demo: setup sim chelper
+	@$(PYTHON) scripts/demo.py --out $(OUT)/demo
+
+bench: setup sim chelper
+	@$(PYTHON) scripts/bench.py --out $(OUT)/bench $(if $(QUICK),--quick)
+
+# --- test ----------------------------------------------------------------------------------------
+test: setup-test sim chelper check
+	$(PYTHON) -m pytest -n $(JOBS) --dist worksteal $(TEST_ARGS)
+
+CHECKS := check-format check-lint check-types check-c check-layers check-paths check-formats check-cross
+.PHONY: $(CHECKS)
+check: setup-test sim $(CHECKS)
+	@echo "check: all passed"
+
+check-format:
+	$(PYTHON) -m ruff format --check --quiet .
+
+check-lint:
+	$(PYTHON) -m ruff check --quiet .
+
+check-types:
+	$(PYTHON) -m mypy --no-error-summary
+
+# DICTIONARY_PASS is for scripts/build_dictionary.py; cppcheck 2.10 knows noreturn only as an attribute.
+# The firmware's own files meet four compilers in check-cross. (The C helper is not compiled with -Isrc: the
+# system's headers would find the firmware's sched.h.)
+check-c:
+	for compiler in gcc clang; do \
+	    $$compiler $(STRICT_C) -Iklippy/chelper klippy/chelper/*.c && \
+	    $$compiler $(STRICT_C) -D_GNU_SOURCE -Isrc -Isrc/simulator src/simulator/*.c || exit 1; done
+	cppcheck --quiet --std=c11 --error-exitcode=1 --inline-suppr -j $(JOBS) \
+	    --enable=warning,performance,portability --suppress=missingIncludeSystem \
+	    -U DICTIONARY_PASS -U OVERSAMPLE_KERNEL '-D_Noreturn=__attribute__((noreturn))' \
+	    -I src -I src/simulator -I klippy/chelper src klippy/chelper
+
+STRICT_C := -std=gnu11 -O2 -Wall -Wextra -Werror -fsyntax-only
+
+check-layers:
+	$(PYTHON) scripts/check_layers.py
+
+check-paths:
+	$(PYTHON) scripts/check_paths.py
+
+check-formats: sim
+	$(PYTHON) scripts/check_formats.py $(OUT)/simulator/ferrite.dict
+
+# The portable part of the firmware must compile for the chips it is meant for.
+check-cross: compile-check
+
+format:
+	$(PYTHON) -m ruff format .
+	$(PYTHON) -m ruff check --fix .
+
+clean:
+	rm -rf $(OUT) .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find klippy scripts test -name __pycache__ -type d -prune -exec rm -rf {} +
+
+distclean: clean
+	rm -rf .venv

@@ -1,0 +1,36 @@
+#ifndef CHELPER_MESSAGE_H
+#define CHELPER_MESSAGE_H
+// One command on its way to an MCU: already encoded, waiting for its turn.
+//
+// Whoever makes a message fills `len`, `data` and the two clocks, links messages through `next` and hands the list to
+// serialqueue_send_batch(), which then owns (and frees) it.
+
+#include <stdint.h>
+
+enum {
+    MESSAGE_DATA_MAX = 64,    // room in struct queue_message; the wire takes at most MESSAGE_CONTENT_MAX of it
+    MESSAGE_CONTENT_MAX = 59, // a block of 64 bytes less length, sequence, crc (2) and sync
+};
+
+// req_clock of something that may wait until the line has nothing better to do (displays, LEDs)
+#define MESSAGE_BACKGROUND_CLOCK 0x7fffffff00000000ULL
+
+struct queue_message {
+    struct queue_message *next;
+    int len;                        // bytes used in data
+    uint8_t data[MESSAGE_DATA_MAX]; // VLQ message id, then the parameters
+    uint64_t min_clock;             // MCU clock: not sent before it (a place in the move queue comes free then); 0 = any time
+    uint64_t req_clock;             // MCU clock: the MCU needs it by then; 0 = at once
+    uint64_t notify_id;             // non-zero: tell the host when the MCU has acknowledged it
+};
+
+struct queue_message *message_alloc(void); // everything zero except `data`; aborts the program when memory is out
+void message_free(struct queue_message *m);
+void message_free_list(struct queue_message *list);
+
+// Append one integer parameter in the wire's variable length form. Takes the value as the firmware declares it:
+// signed ones sign-extended, unsigned ones zero-extended to 64 bits. Returns the byte after the last one written
+// (1 to 5 bytes).
+uint8_t *vlq_encode(uint8_t *p, int64_t value);
+
+#endif

@@ -1,0 +1,174 @@
+// Thread that owns the I/O of one port. All decisions are serialqueue's; here bytes are only moved.
+
+#define _GNU_SOURCE
+#include "portthread.h"
+#include "serialqueue.h"
+#include <errno.h>
+#include <fcntl.h>
+#include <poll.h>
+#include <pthread.h>
+#include <stdatomic.h>
+#include <stdint.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+#include <unistd.h>
+
+enum {
+    READ_SIZE = 4096,
+    POLL_MAX_MS = 1000, // look around at least once a second
+};
+
+struct portthread {
+    struct serialqueue *sq;
+    int fd, notify_fd;
+    int wake_read, wake_write;
+    pthread_t thread;
+    atomic_int stopping, error;
+    uint8_t out[SERIALQUEUE_TRANSMIT_MIN]; // bytes the port has not taken yet
+    int out_start, out_end;
+};
+
+static double
+monotonic_now(void)
+{
+    struct timespec ts;
+    clock_gettime(CLOCK_MONOTONIC, &ts);
+    return (double)ts.tv_sec + (double)ts.tv_nsec * 1e-9;
+}
+
+static void
+poke(int fd)
+{
+    ssize_t ignored = write(fd, "", 1); // a full pipe has woken the reader already
+    (void)ignored;
+}
+
+static void
+fail(struct portthread *pt, int code)
+{
+    atomic_store(&pt->error, code);
+    poke(pt->notify_fd);
+}
+
+static void
+read_port(struct portthread *pt)
+{
+    uint8_t data[READ_SIZE];
+    ssize_t n = read(pt->fd, data, sizeof(data));
+    if (n > 0) {
+        if (serialqueue_receive(pt->sq, data, (int)n, monotonic_now()))
+            poke(pt->notify_fd);
+    } else if (!n) {
+        fail(pt, -1);
+    } else if (errno != EAGAIN && errno != EINTR) {
+        fail(pt, errno);
+    }
+}
+
+// Send what is due. Returns when to look again.
+static double
+write_port(struct portthread *pt)
+{
+    double next_wake = SERIALQUEUE_NEVER;
+    for (;;) {
+        if (pt->out_start == pt->out_end) {
+            pt->out_start = 0;
+            pt->out_end = serialqueue_transmit(pt->sq, pt->out, sizeof(pt->out), monotonic_now(), &next_wake);
+            if (!pt->out_end)
+                return next_wake;
+        }
+        ssize_t n = write(pt->fd, pt->out + pt->out_start, (size_t)(pt->out_end - pt->out_start));
+        if (n < 0) {
+            if (errno != EAGAIN && errno != EINTR)
+                fail(pt, errno);
+            return next_wake; // poll() tells when there is room
+        }
+        pt->out_start += (int)n;
+    }
+}
+
+static int
+poll_timeout_ms(double next_wake)
+{
+    double wait_s = next_wake - monotonic_now();
+    if (wait_s <= 0.0)
+        return 0;
+    return wait_s * 1000.0 < POLL_MAX_MS ? (int)(wait_s * 1000.0) + 1 : POLL_MAX_MS;
+}
+
+static void *
+port_loop(void *arg)
+{
+    struct portthread *pt = arg;
+    while (!atomic_load(&pt->stopping)) {
+        int broken = atomic_load(&pt->error);
+        double next_wake = broken ? SERIALQUEUE_NEVER : write_port(pt);
+        int has_output = pt->out_start != pt->out_end;
+        struct pollfd fds[2] = {
+            {.fd = pt->wake_read, .events = POLLIN},
+            {.fd = pt->fd, .events = (short)(POLLIN | (has_output ? POLLOUT : 0))},
+        };
+        int watched = atomic_load(&pt->error) ? 1 : 2;
+        if (poll(fds, (nfds_t)watched, poll_timeout_ms(next_wake)) <= 0)
+            continue;
+        if (fds[0].revents) {
+            uint8_t drain[64];
+            ssize_t ignored = read(pt->wake_read, drain, sizeof(drain));
+            (void)ignored;
+        }
+        if (watched == 2 && fds[1].revents & (POLLIN | POLLHUP | POLLERR | POLLNVAL))
+            read_port(pt);
+    }
+    return NULL;
+}
+
+static void
+release(struct portthread *pt)
+{
+    close(pt->wake_read);
+    close(pt->wake_write);
+    free(pt);
+}
+
+struct portthread *
+portthread_start(struct serialqueue *sq, int fd, int notify_fd)
+{
+    struct portthread *pt = calloc(1, sizeof(*pt));
+    int wake[2];
+    if (!pt || pipe2(wake, O_NONBLOCK | O_CLOEXEC)) {
+        free(pt);
+        return NULL;
+    }
+    pt->sq = sq;
+    pt->fd = fd;
+    pt->notify_fd = notify_fd;
+    pt->wake_read = wake[0];
+    pt->wake_write = wake[1];
+    if (pthread_create(&pt->thread, NULL, port_loop, pt)) {
+        release(pt);
+        return NULL;
+    }
+    return pt;
+}
+
+void
+portthread_kick(struct portthread *pt)
+{
+    poke(pt->wake_write);
+}
+
+int
+portthread_error(struct portthread *pt)
+{
+    return atomic_load(&pt->error);
+}
+
+void
+portthread_stop(struct portthread *pt)
+{
+    atomic_store(&pt->stopping, 1);
+    poke(pt->wake_write);
+    pthread_join(pt->thread, NULL);
+    release(pt);
+}

@@ -1,0 +1,50 @@
+#ifndef CHELPER_RTOCLOCK_H
+#define CHELPER_RTOCLOCK_H
+// How long to wait for an acknowledgement before sending again: RFC 6298 with the bounds this wire calls for.
+
+// RFC 6298 wants one second at least; a printer's link is short and its MCU answers within milliseconds.
+#define RTO_MIN_S 0.025
+#define RTO_MAX_S 5.0
+#define RTO_START_S 0.1 // before the first measurement
+
+struct rtoclock {
+    double srtt_s, rttvar_s, rto_s;
+    int has_sample;
+};
+
+static inline double
+rto_clamp(double rto_s)
+{
+    return rto_s < RTO_MIN_S ? RTO_MIN_S : rto_s > RTO_MAX_S ? RTO_MAX_S : rto_s;
+}
+
+static inline void
+rtoclock_init(struct rtoclock *r)
+{
+    *r = (struct rtoclock) {.rto_s = RTO_START_S};
+}
+
+// A block sent exactly once was acknowledged after rtt_s (Karn: never call it for one sent twice). Section 2.2, 2.3.
+static inline void
+rtoclock_sample(struct rtoclock *r, double rtt_s)
+{
+    if (!r->has_sample) {
+        r->has_sample = 1;
+        r->srtt_s = rtt_s;
+        r->rttvar_s = rtt_s / 2.0;
+    } else {
+        double deviation_s = r->srtt_s > rtt_s ? r->srtt_s - rtt_s : rtt_s - r->srtt_s;
+        r->rttvar_s += (deviation_s - r->rttvar_s) / 4.0;
+        r->srtt_s += (rtt_s - r->srtt_s) / 8.0;
+    }
+    r->rto_s = rto_clamp(r->srtt_s + 4.0 * r->rttvar_s);
+}
+
+// The timer expired. Section 5.5.
+static inline void
+rtoclock_backoff(struct rtoclock *r)
+{
+    r->rto_s = rto_clamp(2.0 * r->rto_s);
+}
+
+#endif

@@ -1,0 +1,189 @@
+// The receiving half of a serialqueue: blocks, acknowledgements, and messages for the host.
+
+#include "serialqueue_internal.h"
+#include <stdlib.h>
+#include <string.h>
+
+static void
+deliver(struct serialqueue *sq, const struct pull_message *message)
+{
+    struct rx_node *node = sq_checked_alloc(NULL, sizeof(*node));
+    node->message = *message;
+    node->next = NULL;
+    if (sq->rx_first)
+        sq->rx_last->next = node;
+    else
+        sq->rx_first = node;
+    sq->rx_last = node;
+    sq->rx_waiting++;
+}
+
+static void
+acknowledge_oldest(struct serialqueue *sq, double now)
+{
+    struct tx_block *b = &sq->window[sq->ack_seq % WINDOW_SLOTS];
+    sq->ack_sent_time = b->times_sent == 1 ? b->sent_time : 0.0;
+    sq->unacked_bytes -= sq_block_length(&b->content);
+    for (int i = 0; i < b->content.notify_count; i++) {
+        struct pull_message notice = {
+            .sent_time = sq->ack_sent_time, .receive_time = now, .notify_id = b->content.notify[i]};
+        deliver(sq, &notice);
+    }
+    sq->ack_seq++;
+}
+
+// The MCU expects `acked` next: all before it has arrived.
+static void
+take_progress(struct serialqueue *sq, uint64_t acked, double now)
+{
+    while (sq->ack_seq != acked)
+        acknowledge_oldest(sq, now);
+    if (sq->next_tx < acked)
+        sq->next_tx = acked; // a retransmission in preparation turned out needless
+    sq->progress_time = now;
+    if (sq->ack_sent_time)
+        rtoclock_sample(&sq->rto, now > sq->ack_sent_time ? now - sq->ack_sent_time : 0.0);
+}
+
+// The MCU stands at a sequence that we never reached: continue from there (only while nothing is settled).
+static void
+take_numbering(struct serialqueue *sq, uint64_t expected)
+{
+    struct tx_block old[WINDOW_SLOTS];
+    uint64_t count = sq->send_seq - sq->ack_seq;
+    memcpy(old, sq->window, sizeof(old));
+    for (uint64_t i = 0; i < count; i++)
+        sq->window[(expected + i) % WINDOW_SLOTS] = old[(sq->ack_seq + i) % WINDOW_SLOTS];
+    sq->ack_seq = expected;
+    sq->send_seq = expected + count;
+    sq_go_back(sq);
+}
+
+// Four bits can not tell an acknowledgement of 9..12 blocks from a late one, 7..4 blocks old. Acknowledgements come
+// one for each block, so such a leap means that many were lost, or that the line reorders. Truth is repeated after the
+// next retransmission; a stray is not.
+static int
+is_doubtful(struct serialqueue *sq, int wire_seq, uint64_t ahead)
+{
+    if (ahead <= SURE_LEAP) {
+        if (ahead)
+            sq->doubted_seq = -1;
+        return 0;
+    }
+    if (sq->doubted_seq == wire_seq && sq->resends != sq->doubted_resend) {
+        sq->doubted_seq = -1;
+        return 0;
+    }
+    if (sq->doubted_seq != wire_seq) {
+        sq->doubted_seq = wire_seq;
+        sq->doubted_resend = sq->resends;
+    }
+    return 1;
+}
+
+static void
+take_sequence(struct serialqueue *sq, int wire_seq, int is_empty, double now)
+{
+    uint64_t ahead = ((uint64_t)wire_seq - sq->ack_seq) & MSGBLOCK_SEQ_MASK;
+    uint64_t expected = sq->ack_seq + ahead;
+    if (expected > sq->send_seq) {
+        // a late duplicate from before, or (at the start) where the MCU stands
+        if (!sq->numbering_settled)
+            take_numbering(sq, expected);
+        return;
+    }
+    if (is_doubtful(sq, wire_seq, ahead))
+        return;
+    int is_duplicate = is_empty && !ahead && sq->last_empty == wire_seq;
+    if (is_empty)
+        sq->last_empty = wire_seq;
+    if (ahead) {
+        take_progress(sq, expected, now);
+        if (!is_empty)
+            sq->numbering_settled = 1;
+    } else if (is_duplicate && sq->ack_seq != sq->next_tx && sq->ack_seq != sq->resent_from
+               && sq->ack_seq != sq->resent_to) {
+        sq_go_back(sq);
+    }
+}
+
+static void
+take_block(struct serialqueue *sq, const uint8_t *block, int len, double now)
+{
+    int content_len = len - MSGBLOCK_HEAD - MSGBLOCK_TAIL;
+    take_sequence(sq, block[1] & MSGBLOCK_SEQ_MASK, !content_len, now);
+    if (!content_len)
+        return;
+    struct pull_message message = {
+        .len = content_len, .sent_time = sq->ack_sent_time, .receive_time = now - len * sq->byte_time};
+    memcpy(message.data, block + MSGBLOCK_HEAD, (size_t)content_len);
+    deliver(sq, &message);
+}
+
+// Take whole blocks out of rx; keeps the beginning of an unfinished one.
+static void
+parse_rx(struct serialqueue *sq, double now)
+{
+    int pos = 0;
+    while (pos < sq->rx_len) {
+        int verdict = msgblock_check(sq->rx + pos, sq->rx_len - pos);
+        if (!verdict)
+            break;
+        if (verdict > 0) {
+            take_block(sq, sq->rx + pos, verdict, now);
+            pos += verdict;
+        } else {
+            if (sq->rx[pos] != MSGBLOCK_SYNC)
+                sq->stats.bytes_invalid += (uint64_t)-verdict;
+            pos -= verdict;
+        }
+    }
+    sq->rx_len -= pos;
+    memmove(sq->rx, sq->rx + pos, (size_t)sq->rx_len);
+}
+
+int
+serialqueue_receive(struct serialqueue *sq, const uint8_t *data, int len, double now)
+{
+    pthread_mutex_lock(&sq->lock);
+    sq->stats.bytes_read += (uint64_t)len;
+    while (len > 0) {
+        int room = (int)sizeof(sq->rx) - sq->rx_len; // an unfinished block leaves at least 3/4 of it free
+        int part = len < room ? len : room;
+        memcpy(sq->rx + sq->rx_len, data, (size_t)part);
+        sq->rx_len += part;
+        data += part;
+        len -= part;
+        parse_rx(sq, now);
+    }
+    int waiting = sq->rx_waiting;
+    pthread_mutex_unlock(&sq->lock);
+    return waiting;
+}
+
+int
+serialqueue_pull(struct serialqueue *sq, struct pull_message *out, int max)
+{
+    int count = 0;
+    pthread_mutex_lock(&sq->lock);
+    while (count < max && sq->rx_first) {
+        struct rx_node *node = sq->rx_first;
+        sq->rx_first = node->next;
+        out[count++] = node->message;
+        free(node);
+    }
+    sq->rx_waiting -= count;
+    pthread_mutex_unlock(&sq->lock);
+    return count;
+}
+
+void
+sq_drop_received(struct serialqueue *sq)
+{
+    while (sq->rx_first) {
+        struct rx_node *node = sq->rx_first;
+        sq->rx_first = node->next;
+        free(node);
+    }
+    sq->rx_waiting = sq->rx_len = 0;
+}

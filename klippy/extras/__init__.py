@@ -1,0 +1,1 @@
+"""Modules of the config sections: `[name ...]` is made by `extras/name.py`."""

@@ -1,0 +1,254 @@
+"""[gcode_macro NAME]: commands made of G-code templates (Jinja2), and templates for other modules.
+
+Templates are rendered completely before their first line runs. They run in Jinja's sandbox: they read printer status
+and compute, nothing else.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import logging
+from collections.abc import Iterator
+from typing import Any
+
+import jinja2
+import jinja2.sandbox
+
+from gcode import is_traditional
+
+
+class StatusView:
+    """`printer` inside a template: status of any object, read once per rendering."""
+
+    def __init__(self, printer: Any, eventtime: float | None = None) -> None:
+        self._printer = printer
+        self._eventtime = eventtime
+        self._seen: dict[str, Any] = {}
+
+    def __getitem__(self, name: str) -> Any:
+        key = str(name).strip()
+        if key not in self._seen:
+            found = self._printer.lookup_object(key, None)
+            report = getattr(found, "get_status", None)
+            if report is None:
+                raise KeyError(name)
+            if self._eventtime is None:
+                self._eventtime = self._printer.get_reactor().monotonic()
+            self._seen[key] = dict(report(self._eventtime))
+        return self._seen[key]
+
+    def __contains__(self, name: object) -> bool:
+        return hasattr(self._printer.lookup_object(str(name).strip(), None), "get_status")
+
+    def __iter__(self) -> Iterator[str]:
+        return (name for name, obj in self._printer.lookup_objects() if hasattr(obj, "get_status"))
+
+
+class TemplateWrapper:
+    """One compiled template."""
+
+    def __init__(
+        self, printer: Any, environment: jinja2.Environment, name: str, script: str, where: str = ""
+    ) -> None:
+        self.printer = printer
+        self.name = name
+        self._gcode = printer.lookup_object("gcode")
+        self._macros = printer.lookup_object("gcode_macro")
+        try:
+            self._template = environment.from_string(script)
+        except jinja2.TemplateError as e:
+            line = f" line {e.lineno}" if isinstance(e, jinja2.TemplateSyntaxError) else ""
+            raise printer.config_error(f"Error loading template '{name}'{where}:{line} {e}") from None
+
+    def create_template_context(self, eventtime: float | None = None) -> dict[str, Any]:
+        """Names a template may use."""
+        return self._macros.create_template_context(eventtime)
+
+    def render(self, context: dict[str, Any] | None = None) -> str:
+        """The text; problems of the template come out as command errors."""
+        try:
+            return self._template.render(self.create_template_context() if context is None else context)
+        except self._gcode.error:
+            raise
+        except Exception as e:
+            reason = str(e).replace(f"'{StatusView.__module__}.{StatusView.__name__} object'", "'printer'")
+            message = f"Error evaluating '{self.name}': {type(e).__name__}: {reason}"
+        logging.info(message)
+        raise self._gcode.error(message)
+
+    def run_gcode_from_command(self, context: dict[str, Any] | None = None) -> None:
+        """Render and run, inside a command."""
+        self._gcode.run_script_from_command(self.render(context))
+
+
+class PrinterGCodeMacro:
+    """The object `gcode_macro`: makes templates."""
+
+    def __init__(self, printer: Any) -> None:
+        self.printer = printer
+        self._environment = jinja2.sandbox.SandboxedEnvironment(
+            block_start_string="{%",
+            block_end_string="%}",
+            variable_start_string="{",
+            variable_end_string="}",
+            extensions=["jinja2.ext.do", "jinja2.ext.loopcontrols"],
+        )
+
+    def load_template(self, config: Any, option: str, default: str | None = None) -> TemplateWrapper:
+        """The template written in an option."""
+        script = config.get(option) if default is None else config.get(option, default)
+        return TemplateWrapper(
+            self.printer,
+            self._environment,
+            f"{config.get_name()}:{option}",
+            script,
+            f" ({config.where(option)})",
+        )
+
+    def create_template_context(self, eventtime: float | None = None) -> dict[str, Any]:
+        """Names every template may use."""
+        return {
+            "printer": StatusView(self.printer, eventtime),
+            "action_emergency_stop": self._action_emergency_stop,
+            "action_respond_info": self._action_respond_info,
+            "action_log": self._action_log,
+            "action_raise_error": self._action_raise_error,
+            "action_call_remote_method": self._action_call_remote_method,
+        }
+
+    def _action_emergency_stop(self, msg: str = "action_emergency_stop") -> str:
+        self.printer.invoke_shutdown(f"Shutdown due to {msg}")
+        return ""
+
+    def _action_respond_info(self, msg: str) -> str:
+        self.printer.lookup_object("gcode").respond_info(str(msg))
+        return ""
+
+    def _action_log(self, msg: str) -> str:
+        logging.info(msg)
+        return ""
+
+    def _action_raise_error(self, msg: str) -> str:
+        raise self.printer.command_error(str(msg))
+
+    def _action_call_remote_method(self, method: str, **kwargs: Any) -> str:
+        self.printer.lookup_object("webhooks").call_remote_method(method, **kwargs)
+        return ""
+
+
+def parse_literal(text: str) -> Any:
+    """A Python literal that JSON can express; ValueError otherwise."""
+    try:
+        value = ast.literal_eval(text)
+        json.dumps(value)
+    except (SyntaxError, TypeError, ValueError, RecursionError, MemoryError) as e:
+        raise ValueError(str(e)) from None
+    return value
+
+
+class GCodeMacro:
+    """One macro; its status is its variables."""
+
+    def __init__(self, printer: Any, name: str, template: TemplateWrapper, variables: dict[str, Any]) -> None:
+        self.printer = printer
+        self.name = name
+        self.alias = name.upper()
+        self.gcode = printer.lookup_object("gcode")
+        self.template = template
+        self.variables = variables
+        self._running = False
+
+    def register(self, description: str, rename_existing: str | None) -> None:
+        """Become a command, now, or instead of an existing one once all of those are known."""
+        self.gcode.register_mux_command(
+            "SET_GCODE_VARIABLE",
+            "MACRO",
+            self.name,
+            self.cmd_SET_GCODE_VARIABLE,
+            desc="Set the value of a G-Code macro variable",
+        )
+        if rename_existing is None:
+            self.gcode.register_command(self.alias, self.cmd, desc=description)
+            return
+        new_name = rename_existing.upper()
+        if is_traditional(self.alias) != is_traditional(new_name):
+            raise self.printer.config_error(
+                f"G-code macro rename of different types ('{self.alias}' vs '{rename_existing}'): "
+                "either both are a letter and a number, or none"
+            )
+        self.printer.register_event_handler("klippy:connect", lambda: self._take_over(new_name, description))
+
+    def _take_over(self, new_name: str, description: str) -> None:
+        previous = self.gcode.register_command(self.alias, None)
+        if previous is None:
+            raise self.printer.config_error(
+                f"Existing command '{self.alias}' not found in gcode_macro rename"
+            )
+        self.gcode.register_command(new_name, previous, desc=f"Renamed builtin of '{self.alias}'")
+        self.gcode.register_command(self.alias, self.cmd, desc=description)
+
+    def get_status(self, eventtime: float) -> dict[str, Any]:
+        """The variables."""
+        return self.variables
+
+    def cmd_SET_GCODE_VARIABLE(self, gcmd: Any) -> None:
+        """Give a variable a new value."""
+        variable, text = gcmd.get("VARIABLE"), gcmd.get("VALUE")
+        if variable not in self.variables:
+            raise gcmd.error(f"Unknown gcode_macro variable '{variable}'")
+        try:
+            value = parse_literal(text)
+        except ValueError as e:
+            raise gcmd.error(f"Unable to parse '{text}' as a literal: {e}") from None
+        self.variables = {**self.variables, variable: value}
+
+    def cmd(self, gcmd: Any) -> None:
+        """Run the macro."""
+        if self._running:
+            raise gcmd.error(f"Macro {self.alias} called recursively")
+        context = {
+            **self.variables,
+            **self.template.create_template_context(),
+            "params": gcmd.get_command_parameters(),
+            "rawparams": gcmd.get_raw_command_parameters(),
+        }
+        self._running = True
+        try:
+            self.template.run_gcode_from_command(context)
+        finally:
+            self._running = False
+
+
+def load_config(config: Any) -> PrinterGCodeMacro:
+    """Loaded by whoever has templates."""
+    return PrinterGCodeMacro(config.get_printer())
+
+
+def _read_variables(config: Any) -> dict[str, Any]:
+    prefix = "variable_"
+    variables: dict[str, Any] = {}
+    for option in config.get_prefix_options(prefix):
+        text = config.get(option)
+        try:
+            variables[option[len(prefix) :]] = parse_literal(text)
+        except ValueError as e:
+            raise config.error(
+                f"Option '{option}' in section '{config.get_name()}' is not a valid literal: {e} "
+                f"({config.where(option)})"
+            ) from None
+    return variables
+
+
+def load_config_prefix(config: Any) -> GCodeMacro:
+    """Section [gcode_macro NAME]."""
+    words = config.get_name().split()
+    if len(words) != 2:
+        raise config.error(
+            f"Name of section '{config.get_name()}' contains illegal whitespace ({config.where()})"
+        )
+    printer = config.get_printer()
+    template = printer.load_object(config, "gcode_macro").load_template(config, "gcode")
+    macro = GCodeMacro(printer, words[1], template, _read_variables(config))
+    macro.register(config.get("description", "G-Code macro"), config.get("rename_existing", None))
+    return macro

@@ -1,0 +1,352 @@
+"""Modal G-code state: what G0/G1 mean, given units of modes, offsets and factors.
+
+    G1 X10  --absolute/relative, G92 origin, SET_GCODE_OFFSET, M221-->  toolhead position  --move_with_transform-->
+
+A command is checked completely before anything of it takes effect: a bad parameter leaves the state as it was.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from toolhead import Coord
+
+MM_PER_MIN = 1.0 / 60.0
+DEFAULT_SPEED_MM_S = 25.0
+AXES = "XYZE"
+
+
+@dataclass(slots=True)
+class SavedState:
+    """What SAVE_GCODE_STATE keeps."""
+
+    absolute_coord: bool
+    absolute_extrude: bool
+    base_position: list[float]
+    last_position: list[float]
+    homing_position: list[float]
+    speed: float
+    speed_factor: float
+    extrude_factor: float
+
+
+@dataclass(slots=True)
+class _Modes:
+    """Interpretation of coordinates."""
+
+    absolute_coord: bool = True
+    absolute_extrude: bool = True
+    speed: float = DEFAULT_SPEED_MM_S  # mm/s, before the speed factor
+    speed_factor: float = 1.0
+    extrude_factor: float = 1.0
+    base_position: list[float] = field(default_factory=lambda: [0.0] * 4)  # toolhead position of G-code zero
+    homing_position: list[float] = field(default_factory=lambda: [0.0] * 4)  # its value after G28
+
+
+class GCodeMove:
+    """Printer object 'gcode_move'."""
+
+    def __init__(self, printer: Any) -> None:
+        self.printer = printer
+        self.toolhead: Any = None
+        self.transform: Any = None
+        self.modes = _Modes()
+        self.last_position = [0.0] * 4  # toolhead coordinates after the last command
+        self.saved_states: dict[str, SavedState] = {}
+        self.is_printer_ready = False
+        self._move: Any = None
+
+    # -- set-up --
+
+    def register_commands(self) -> None:
+        gcode = self.printer.lookup_object("gcode")
+        for name in ("G20", "G21", "M82", "M83", "G90", "G91", "G92", "M220", "M221", "M114", "G1"):
+            early = name not in ("G1", "M114", "G92")
+            gcode.register_command(name, getattr(self, f"cmd_{name}"), when_not_ready=early)
+        gcode.register_command("G0", self.cmd_G1)
+        for name, text in (
+            ("SET_GCODE_OFFSET", "Set a virtual offset to g-code positions"),
+            ("SAVE_GCODE_STATE", "Save G-Code coordinate state"),
+            ("RESTORE_GCODE_STATE", "Restore a previously saved G-Code state"),
+            ("GET_POSITION", "Return information on the current location of the toolhead"),
+        ):
+            gcode.register_command(name, getattr(self, f"cmd_{name}"), desc=text)
+        for event, handler in (
+            ("klippy:ready", self._handle_ready),
+            ("klippy:shutdown", self._handle_shutdown),
+            ("toolhead:set_position", self.reset_last_position),
+            ("toolhead:manual_move", self.reset_last_position),
+            ("gcode:command_error", self.reset_last_position),
+            ("extruder:activate_extruder", self._handle_activate_extruder),
+            ("homing:home_rails_end", self._handle_home_rails_end),
+        ):
+            self.printer.register_event_handler(event, handler)
+
+    def _handle_ready(self) -> None:
+        self.is_printer_ready = True
+        self.toolhead = self.printer.lookup_object("toolhead")
+        if self.transform is None:
+            self.transform = self.toolhead
+        self._move = self.transform.move
+        self.reset_last_position()
+
+    def _handle_shutdown(self) -> None:
+        self.is_printer_ready = False
+
+    def _handle_activate_extruder(self) -> None:
+        self.reset_last_position()
+        self.modes.extrude_factor = 1.0
+        self.modes.base_position[3] = self.last_position[3]
+
+    def _handle_home_rails_end(self, homing_state: Any, rails: Any) -> None:
+        self.reset_last_position()
+        for axis in homing_state.get_axes():
+            self.modes.base_position[axis] = self.modes.homing_position[axis]
+
+    def set_move_transform(self, transform: Any, force: bool = False) -> Any:
+        """Put an object with move() and get_position() between G-code and toolhead; returns the one before."""
+        if self.transform is not None and not force:
+            raise self.printer.config_error("G-Code move transform already specified")
+        old = self.transform
+        if old is None:
+            old = self.printer.lookup_object("toolhead", None)
+        self.transform = transform
+        self._move = transform.move
+        return old
+
+    # -- state --
+
+    def reset_last_position(self) -> None:
+        """Take over where the toolhead is."""
+        if self.is_printer_ready:
+            self.last_position = list(self.transform.get_position())
+
+    def get_gcode_position(self) -> Coord:
+        """The position as G-code would name it."""
+        modes = self.modes
+        p = [last - base for last, base in zip(self.last_position, modes.base_position, strict=False)]
+        p[3] /= modes.extrude_factor
+        return Coord(*p[:4])
+
+    def get_status(self, eventtime: float | None = None) -> dict[str, Any]:
+        modes = self.modes
+        return {
+            "speed_factor": modes.speed_factor,
+            "speed": modes.speed,
+            "extrude_factor": modes.extrude_factor,
+            "absolute_coordinates": modes.absolute_coord,
+            "absolute_extrude": modes.absolute_extrude,
+            "homing_origin": Coord(*modes.homing_position),
+            "position": Coord(*self.last_position[:4]),
+            "gcode_position": self.get_gcode_position(),
+        }
+
+    # -- moves --
+
+    def cmd_G1(self, gcmd: Any) -> None:
+        """G0, G1 [X] [Y] [Z] [E] [F]."""
+        params = gcmd.get_command_parameters()
+        modes, target = self.modes, self.last_position[:]
+        base = modes.base_position
+        speed = modes.speed
+        try:
+            if "X" in params:
+                value = float(params["X"])
+                target[0] = value + base[0] if modes.absolute_coord else value + target[0]
+            if "Y" in params:
+                value = float(params["Y"])
+                target[1] = value + base[1] if modes.absolute_coord else value + target[1]
+            if "Z" in params:
+                value = float(params["Z"])
+                target[2] = value + base[2] if modes.absolute_coord else value + target[2]
+            if "E" in params:
+                value = float(params["E"]) * modes.extrude_factor
+                absolute = modes.absolute_coord and modes.absolute_extrude
+                target[3] = value + base[3] if absolute else value + target[3]
+            if "F" in params:
+                speed = float(params["F"]) * MM_PER_MIN
+        except ValueError:
+            raise self._bad_number(gcmd) from None
+        # a sum is finite exactly if all its parts are (coordinates far below overflow)
+        if not math.isfinite(target[0] + target[1] + target[2] + target[3] + speed):
+            raise self._bad_number(gcmd)
+        if speed <= 0.0:
+            raise gcmd.error(f"Invalid speed in '{gcmd.get_commandline()}': F must be above zero")
+        self._move(target, speed * modes.speed_factor)
+        modes.speed = speed
+        self.last_position = target
+
+    @staticmethod
+    def _bad_number(gcmd: Any) -> Exception:
+        """The error that names the parameter at fault."""
+        for letter, text in gcmd.get_command_parameters().items():
+            try:
+                if letter not in "XYZEF" or math.isfinite(float(text)):
+                    continue
+            except ValueError:
+                pass
+            return gcmd.error(
+                f"Unable to parse move '{gcmd.get_commandline()}': {letter} is '{text}', which is not a finite number"
+            )
+        return gcmd.error(f"Unable to parse move '{gcmd.get_commandline()}': the position is not finite")
+
+    # -- modes --
+
+    def cmd_G20(self, gcmd: Any) -> None:
+        """Inches are not supported."""
+        raise gcmd.error("Machine does not support G20 (inches) command")
+
+    def cmd_G21(self, gcmd: Any) -> None:
+        """Millimetres: always."""
+
+    def cmd_M82(self, gcmd: Any) -> None:
+        """Absolute extrusion."""
+        self.modes.absolute_extrude = True
+
+    def cmd_M83(self, gcmd: Any) -> None:
+        """Relative extrusion."""
+        self.modes.absolute_extrude = False
+
+    def cmd_G90(self, gcmd: Any) -> None:
+        """Absolute coordinates."""
+        self.modes.absolute_coord = True
+
+    def cmd_G91(self, gcmd: Any) -> None:
+        """Relative coordinates."""
+        self.modes.absolute_coord = False
+
+    def cmd_G92(self, gcmd: Any) -> None:
+        """G92 [X] [Y] [Z] [E]: the place where the head is gets these coordinates; all zero without any."""
+        offsets = [gcmd.get_float(axis, None) for axis in AXES]
+        if all(offset is None for offset in offsets):
+            self.modes.base_position = list(self.last_position[:4])
+            return
+        for axis, offset in enumerate(offsets):
+            if offset is not None:
+                scaled = offset * self.modes.extrude_factor if axis == 3 else offset
+                self.modes.base_position[axis] = self.last_position[axis] - scaled
+
+    def cmd_M114(self, gcmd: Any) -> None:
+        """Report the position."""
+        gcmd.respond_raw("X:{:.3f} Y:{:.3f} Z:{:.3f} E:{:.3f}".format(*self.get_gcode_position()))
+
+    def cmd_M220(self, gcmd: Any) -> None:
+        """M220 S<percent>: speed factor."""
+        self.modes.speed_factor = gcmd.get_float("S", 100.0, above=0.0) / 100.0
+
+    def cmd_M221(self, gcmd: Any) -> None:
+        """M221 S<percent>: extrusion factor."""
+        factor = gcmd.get_float("S", 100.0, above=0.0) / 100.0
+        modes = self.modes
+        e_value = (self.last_position[3] - modes.base_position[3]) / modes.extrude_factor
+        modes.base_position[3] = self.last_position[3] - e_value * factor
+        modes.extrude_factor = factor
+
+    def cmd_SET_GCODE_OFFSET(self, gcmd: Any) -> None:
+        """SET_GCODE_OFFSET [X|X_ADJUST|Y|…=mm] [MOVE=1 [MOVE_SPEED=mm/s]]."""
+        modes = self.modes
+        deltas = [0.0] * 4
+        for axis, letter in enumerate(AXES):
+            offset = gcmd.get_float(letter, None)
+            if offset is None:
+                adjust = gcmd.get_float(f"{letter}_ADJUST", None)
+                if adjust is None:
+                    continue
+                offset = modes.homing_position[axis] + adjust
+            deltas[axis] = offset - modes.homing_position[axis]
+        move = gcmd.get_int("MOVE", 0)
+        speed = gcmd.get_float("MOVE_SPEED", modes.speed, above=0.0)
+        if move:
+            target = [p + d for p, d in zip(self.last_position, deltas, strict=False)]
+            self._move(target, speed)
+            self.last_position = target
+        for axis, delta in enumerate(deltas):
+            modes.base_position[axis] += delta
+            modes.homing_position[axis] += delta
+
+    def cmd_SAVE_GCODE_STATE(self, gcmd: Any) -> None:
+        """SAVE_GCODE_STATE [NAME=]."""
+        modes = self.modes
+        self.saved_states[gcmd.get("NAME", "default")] = SavedState(
+            modes.absolute_coord,
+            modes.absolute_extrude,
+            list(modes.base_position),
+            list(self.last_position),
+            list(modes.homing_position),
+            modes.speed,
+            modes.speed_factor,
+            modes.extrude_factor,
+        )
+
+    def cmd_RESTORE_GCODE_STATE(self, gcmd: Any) -> None:
+        """RESTORE_GCODE_STATE [NAME=] [MOVE=1 [MOVE_SPEED=mm/s]]."""
+        name = gcmd.get("NAME", "default")
+        state = self.saved_states.get(name)
+        if state is None:
+            raise gcmd.error(f"Unknown g-code state: {name}")
+        move = gcmd.get_int("MOVE", 0)
+        speed = gcmd.get_float("MOVE_SPEED", state.speed, above=0.0)
+        target = [*state.last_position[:3], *self.last_position[3:]]
+        if move:
+            self._move(target, speed)
+        # the extruder is not moved back: its origin moves with what has been extruded since
+        e_diff = self.last_position[3] - state.last_position[3]
+        self.modes = _Modes(
+            state.absolute_coord,
+            state.absolute_extrude,
+            state.speed,
+            state.speed_factor,
+            state.extrude_factor,
+            [*state.base_position[:3], state.base_position[3] + e_diff],
+            list(state.homing_position),
+        )
+        if move:
+            self.last_position = target
+
+    # -- report --
+
+    def cmd_GET_POSITION(self, gcmd: Any) -> None:
+        """Positions at every stage from steps to G-code."""
+        toolhead = self.printer.lookup_object("toolhead", None)
+        if toolhead is None:
+            raise gcmd.error("Printer not ready")
+        toolhead.flush_step_generation()
+        kin = toolhead.get_kinematics()
+        steppers = kin.get_steppers()
+        spos = {s.get_name(): s.get_commanded_position() for s in steppers}
+        modes = self.modes
+
+        def row(names: Sequence[str], values: Sequence[float], form: str = "{}:{:.6f}") -> str:
+            return " ".join(form.format(name, value) for name, value in zip(names, values, strict=False))
+
+        gcmd.respond_info(
+            "\n".join(
+                (
+                    "mcu: " + row([s.get_name() for s in steppers], [s.get_mcu_position() for s in steppers], "{}:{}"),
+                    "stepper: " + row(list(spos), list(spos.values())),
+                    "kinematic: " + row(AXES[:3], kin.calc_position(spos)),
+                    "toolhead: " + row(AXES, toolhead.get_position()),
+                    "gcode: " + row(AXES, self.last_position),
+                    "gcode base: " + row(AXES, modes.base_position),
+                    "gcode homing: " + row(AXES[:3], modes.homing_position),
+                )
+            )
+        )
+
+    # -- names that other modules read --
+
+    @property
+    def Coord(self) -> type[Coord]:  # noqa: N802 (public name)
+        return Coord
+
+
+def load_config(config: Any) -> GCodeMove:
+    move = GCodeMove(config.get_printer())
+    move.register_commands()
+    return move
+
+
+__all__: Sequence[str] = ("GCodeMove", "load_config")

@@ -1,0 +1,137 @@
+"""The induction unit's border: SI and print time on this side, ticks and clocks on the wire. Decides nothing.
+
+    queue_phase(print_time, phase) ──> queue_induction_phase clock= phase=
+    on_blocks([SampleBlock])       <── induction_block sequence= clock= data=
+
+The MCU turns the bridge off by itself when it hears no phase command for `max_duration`, and trips on its own
+table of raw limits, which is sent here once at configuration.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from thermal import convert
+from thermal.limits import LimitRow
+from thermal.records import PHASE_MAX_TICKS, PhaseCommand, SampleBlock
+
+# Phase commands that may wait on the MCU at one time: two for a sensing pulse and one refresh, twice over.
+MOVE_QUEUE_SLOTS = 6
+
+OnBlocks = Callable[[list[SampleBlock]], None]
+
+
+@dataclass(frozen=True, slots=True)
+class UnitSettings:
+    """How one induction unit is wired and sampled; plain values."""
+
+    bridge: int  # index of the full bridge on its MCU
+    frequency_hz: float
+    oversample: int  # y: 4^y samples a block
+    settle_samples: int  # discarded after a phase step
+    ema_shift: int  # 0 = no filter on the MCU
+    max_duration_s: float  # the bridge's own watchdog
+    trip_blocks: int  # consecutive blocks beyond a limit before the guard trips
+
+
+class InductionUnit:
+    """One bridge with its synchronous ADC on one MCU."""
+
+    def __init__(self, mcu: Any, sense_pin: str, settings: UnitSettings, limits: Sequence[LimitRow]) -> None:
+        self.mcu = mcu
+        self.settings = settings
+        self._sense_pin = sense_pin
+        self._limits = list(limits)
+        self._oid = mcu.create_oid()
+        self._on_blocks: OnBlocks | None = None
+        self._queue_phase: Any = None
+        self._report: Any = None
+        self._converter: convert.ConvertParameters | None = None
+        self.counters = convert.ConvertState()
+        self._last_clock = 0
+        mcu.register_config_callback(self._build_config)
+        mcu.register_response(self._handle_block, "induction_block", self._oid)
+
+    def setup_callback(self, on_blocks: OnBlocks) -> None:
+        """`on_blocks(blocks)` in the reactor's thread, for every message with news."""
+        self._on_blocks = on_blocks
+
+    def _build_config(self) -> None:
+        mcu, settings, oid = self.mcu, self.settings, self._oid
+        clock_hz = mcu.get_constant_float("CLOCK_FREQ")
+        period_ticks = round(clock_hz / settings.frequency_hz)
+        phase_max = int(mcu.get_constants().get("BRIDGE_PHASE_MAX", PHASE_MAX_TICKS))
+        self._converter = convert.ConvertParameters(settings.oversample, period_ticks, clock_hz)
+        for _ in range(MOVE_QUEUE_SLOTS):
+            mcu.request_move_queue_slot()
+        mcu.add_config_cmd(
+            f"config_induction oid={oid} bridge={settings.bridge} adc_pin={self._sense_pin}"
+            f" period_ticks={period_ticks} phase_max={phase_max}"
+            f" max_duration={mcu.seconds_to_clock(settings.max_duration_s)}"
+        )
+        mcu.add_config_cmd(
+            f"config_induction_sense oid={oid} oversample={settings.oversample}"
+            f" settle_samples={settings.settle_samples} ema_shift={settings.ema_shift}"
+        )
+        for row in self._limits:
+            mcu.add_config_cmd(
+                f"config_induction_limit oid={oid} phase={row.phase_ticks} low={row.low_raw}"
+                f" high={row.high_raw} trip_blocks={settings.trip_blocks}"
+            )
+        mcu.add_config_cmd(f"induction_report oid={oid} enable=1", is_init=True)
+        queue = mcu.alloc_command_queue()
+        self._queue_phase = mcu.lookup_command("queue_induction_phase oid=%c clock=%u phase=%hu", cq=queue)
+        self._report = mcu.lookup_command("induction_report oid=%c enable=%c", cq=queue)
+
+    # Samples up
+
+    def _handle_block(self, params: dict[str, Any]) -> None:
+        if self._converter is None or self._on_blocks is None:
+            return
+        clock = self.mcu.clock32_to_clock64(params["clock"])
+        try:
+            blocks = convert.convert_message(
+                self._converter,
+                self.counters,
+                params["sequence"],
+                clock,
+                params["data"],
+                self.mcu.clock_to_print_time,
+            )
+        except convert.ConvertError as e:
+            logging.warning("induction unit on mcu '%s': %s; message ignored", self.mcu.get_name(), e)
+            return
+        if blocks:
+            self._on_blocks(blocks)
+
+    # Phases down
+
+    def queue_phase(self, command: PhaseCommand) -> None:
+        """Send one time-stamped phase; commands must come in order of time."""
+        clock = self.mcu.print_time_to_clock(command.time_s)
+        # Rounding must never make a command earlier than the one before it.
+        clock = max(clock, self._last_clock + 1)
+        self._last_clock = clock
+        self._queue_phase.send([self._oid, clock, command.phase_ticks], minclock=0, reqclock=clock)
+
+    def set_report(self, enable: bool) -> None:
+        """Start or stop sampling and reports."""
+        self._report.send([self._oid, int(enable)])
+        self.counters.next_sequence = -1  # the MCU counts from 0 again
+
+    def print_time_now(self, eventtime: float) -> float:
+        """Estimated present print time of this MCU."""
+        return self.mcu.estimated_print_time(eventtime)
+
+    def get_status(self) -> dict[str, int]:
+        """Counters of the stream of blocks."""
+        counters = self.counters
+        return {
+            "blocks": counters.blocks,
+            "blocks_lost": counters.missing_blocks,
+            "samples_lost": counters.lost_samples,
+            "samples_discarded": counters.discarded_samples,
+        }

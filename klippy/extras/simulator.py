@@ -1,0 +1,263 @@
+"""The simulated printer's sections of printer.cfg: read and checked here, acted upon only by a simulation.
+
+    [simulator]                 how the run is recorded
+    [simulator mcu NAME]        the line to one MCU and the error of its clock
+    [simulator nozzle NAME]     an induction-heated nozzle on an MCU's bridge: preset and plant parameters
+    [simulator load NAME]       a bed or a conventional hotend: heater pin, sensor pin, parameters
+    [simulator axis NAME]       what a stepper moves, and the switch at its end
+    [simulator fan NAME]        a fan
+
+These describe the machine as it *is*; the other sections say what the host believes. Whatever is left out
+here is taken from the host's section of the same thing (stepper_NAME, NAME, heater_bed, ...), so that belief
+and machine agree unless a test wants them not to. A host without a simulation reads and checks these sections
+too and does nothing with them, so the same file serves both.
+
+The plant's parameters have one home, the C tables plant_params and thermal_load_params. A simulation hands
+them in as start_args["simulator_parameters"]; without them names and ranges of parameters are not checked.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+TRACE_RATE_HZ = 100.0
+LINE_BAUD = 250000.0
+LINE_LATENCY_S = 0.0005  # a USB serial adapter's turn-round, both directions alike
+FAN_SPIN_UP_S = 0.2
+FILAMENT_DIAMETER_MM = 1.75
+
+
+class ParameterRow(Protocol):
+    """One plant parameter, as the C table has it."""
+
+    name: str
+    unit: str
+    min: float
+    max: float
+
+
+ParameterTables = Mapping[str, Mapping[str, ParameterRow]]  # "nozzle" and "load" → name → row
+
+
+@dataclass(frozen=True, slots=True)
+class SimulatorSettings:
+    """[simulator]: trace rows a simulated second."""
+
+    trace_rate_hz: float = TRACE_RATE_HZ
+
+
+@dataclass(frozen=True, slots=True)
+class McuSettings:
+    """[simulator mcu NAME]. Probabilities are per byte and direction; with baud 0 bytes take no time."""
+
+    name: str
+    clock_ppm: float = 0.0
+    baud: float = LINE_BAUD
+    latency_s: float = LINE_LATENCY_S
+    jitter_s: float = 0.0
+    corrupt: float = 0.0
+    drop: float = 0.0
+    duplicate: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class FeedSettings:
+    """Which axis pushes filament through; None: none."""
+
+    axis: str | None
+    filament_diameter_mm: float = FILAMENT_DIAMETER_MM
+
+
+@dataclass(frozen=True, slots=True)
+class NozzleSettings:
+    """[simulator nozzle NAME]"""
+
+    name: str
+    mcu: str
+    preset: str  # reference or strong
+    feed: FeedSettings
+    fan: str | None
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSettings:
+    """[simulator load NAME]; pins None: as in the heater's own section."""
+
+    name: str
+    kind: str  # bed or hotend
+    section: str
+    heater_pin: str | None
+    sensor_pin: str | None
+    feed: FeedSettings
+    fan: str | None
+    parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class AxisSettings:
+    """[simulator axis NAME]; None: as in the stepper's own section."""
+
+    name: str
+    section: str
+    step_pin: str | None
+    dir_pin: str | None
+    endstop_pin: str | None
+    mm_per_step: float | None
+    position_min_mm: float | None
+    position_max_mm: float | None
+    endstop_mm: float | None
+    start_mm: float | None
+    both_edges: bool
+
+
+@dataclass(frozen=True, slots=True)
+class FanSettings:
+    """[simulator fan NAME]; pin None: as in the fan's own section."""
+
+    name: str
+    section: str
+    pin: str | None
+    spin_up_s: float
+
+
+def _read_mcu(config: Any, name: str) -> McuSettings:
+    def chance(option: str) -> float:
+        return float(config.getfloat(option, 0.0, minval=0.0, maxval=0.5))
+
+    return McuSettings(
+        name=name or "mcu",
+        clock_ppm=config.getfloat("clock_ppm", 0.0, minval=-5000.0, maxval=5000.0),
+        baud=config.getfloat("baud", LINE_BAUD, minval=0.0),
+        latency_s=config.getfloat("latency", LINE_LATENCY_S, minval=0.0, maxval=0.1),
+        jitter_s=config.getfloat("jitter", 0.0, minval=0.0, maxval=0.1),
+        corrupt=chance("corrupt"),
+        drop=chance("drop"),
+        duplicate=chance("duplicate"),
+    )
+
+
+def _read_feed(config: Any, default_axis: str | None) -> FeedSettings:
+    return FeedSettings(
+        axis=config.get("filament_axis", default_axis) or None,
+        filament_diameter_mm=config.getfloat("filament_diameter", FILAMENT_DIAMETER_MM, above=0.0),
+    )
+
+
+def _read_parameters(config: Any, table_name: str, own: set[str]) -> dict[str, float]:
+    """Every option that is not one of `own` is a plant parameter."""
+    tables: ParameterTables | None = config.get_printer().get_start_args().get("simulator_parameters")
+    names = [name for name in config.get_prefix_options("") if name not in own]
+    if tables is None:
+        return {name: config.getfloat(name) for name in names}
+    table = tables[table_name]
+    values = {}
+    for name in names:
+        row = table.get(name)
+        if row is None:
+            near = difflib.get_close_matches(name, [*table, *own], n=3)
+            hint = f" Did you mean {' or '.join(near)}?" if near else ""
+            raise config.error(
+                f"Option '{name}' in section '{config.get_name()}' is not a parameter of the simulated "
+                f"{table_name} ({config.where(name)}).{hint}"
+            )
+        values[name] = config.getfloat(name, minval=row.min, maxval=row.max)
+    return values
+
+
+def _read_nozzle(config: Any, name: str) -> NozzleSettings:
+    own = {"mcu", "preset", "filament_axis", "filament_diameter", "fan"}
+    return NozzleSettings(
+        name=name,
+        mcu=config.get("mcu", "mcu"),
+        preset=config.getchoice("preset", {"reference": "reference", "strong": "strong"}, "reference"),
+        feed=_read_feed(config, "extruder"),
+        fan=config.get("fan", None),
+        parameters=_read_parameters(config, "nozzle", own),
+    )
+
+
+def _read_load(config: Any, name: str) -> LoadSettings:
+    own = {"kind", "section", "heater_pin", "sensor_pin", "filament_axis", "filament_diameter", "fan"}
+    is_bed = name in ("bed", "heater_bed")
+    kind = config.getchoice("kind", {"bed": "bed", "hotend": "hotend"}, "bed" if is_bed else "hotend")
+    return LoadSettings(
+        name=name,
+        kind=kind,
+        section=config.get("section", "heater_bed" if is_bed else name),
+        heater_pin=config.get("heater_pin", None),
+        sensor_pin=config.get("sensor_pin", None),
+        feed=_read_feed(config, None if kind == "bed" else "extruder"),
+        fan=config.get("fan", None),
+        parameters=_read_parameters(config, "load", own),
+    )
+
+
+def _read_axis(config: Any, name: str) -> AxisSettings:
+    def number(option: str) -> float | None:
+        value = config.getfloat(option, None)
+        return None if value is None else float(value)
+
+    edges = config.getchoice("step_edges", {"one": "one", "both": "both"}, "one")
+    return AxisSettings(
+        name=name,
+        section=config.get("section", f"stepper_{name}" if len(name) == 1 else name),
+        step_pin=config.get("step_pin", None),
+        dir_pin=config.get("dir_pin", None),
+        endstop_pin=config.get("endstop_pin", None),
+        mm_per_step=config.getfloat("mm_per_step", None, above=0.0),
+        position_min_mm=number("position_min"),
+        position_max_mm=number("position_max"),
+        endstop_mm=number("endstop_position"),
+        start_mm=number("start_position"),
+        both_edges=edges == "both",
+    )
+
+
+def _read_fan(config: Any, name: str) -> FanSettings:
+    return FanSettings(
+        name=name,
+        section=config.get("section", name),
+        pin=config.get("pin", None),
+        spin_up_s=config.getfloat("spin_up_time", FAN_SPIN_UP_S, minval=0.0),
+    )
+
+
+_READERS: dict[str, Callable[[Any, str], Any]] = {
+    "mcu": _read_mcu,
+    "nozzle": _read_nozzle,
+    "load": _read_load,
+    "axis": _read_axis,
+    "fan": _read_fan,
+}
+
+
+class SimulatorSection:
+    """The printer object of one such section: holds what was read, for whoever simulates."""
+
+    def __init__(self, settings: Any) -> None:
+        self.settings = settings
+
+
+def load_config(config: Any) -> SimulatorSection:
+    """[simulator]"""
+    return SimulatorSection(
+        SimulatorSettings(config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0))
+    )
+
+
+def load_config_prefix(config: Any) -> SimulatorSection:
+    """[simulator KIND NAME]"""
+    kind, _, name = config.get_name().partition(" ")[2].partition(" ")
+    reader = _READERS.get(kind)
+    if reader is None:
+        raise config.error(
+            f"Section '{config.get_name()}': '{kind}' is nothing a simulated machine has; it has "
+            f"{', '.join(_READERS)}."
+        )
+    if not name.strip() and kind != "mcu":
+        raise config.error(f"Section '{config.get_name()}' needs a name: [simulator {kind} NAME].")
+    return SimulatorSection(reader(config, name.strip()))

@@ -1,0 +1,339 @@
+"""[virtual_sdcard]: prints G-code files from a folder of this computer.
+
+The file is read in chunks by a greenlet of its own, which runs whole lines while it holds the G-code lock and lets go
+whenever a command from elsewhere waits for it. The position counts bytes of the file; it always points at the first
+line that was not carried out completely.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+from typing import Any, BinaryIO
+
+_CHUNK = 8192  # bytes between looks at the rest of the host: about 10 ms of parsing
+_SUFFIXES = ("gcode", "g", "gco")
+_DEFAULT_ON_ERROR = "{% if 'heaters' in printer %}\nTURN_OFF_HEATERS\n{% endif %}"
+_UNSUPPORTED = ("M28", "M29", "M30")
+
+
+class VirtualSD:
+    """The object `virtual_sdcard`."""
+
+    def __init__(self, printer: Any, folder: str, on_error: Any) -> None:
+        self.printer = printer
+        self.reactor = printer.get_reactor()
+        self.gcode = printer.lookup_object("gcode")
+        self.print_stats = printer.lookup_object("print_stats")
+        self.sdcard_dirname = os.path.normpath(os.path.expanduser(folder))
+        self._on_error = on_error
+        self.current_file: BinaryIO | None = None
+        self.file_position = 0
+        self.file_size = 0
+        self._next_position = 0
+        self._working = False
+        self._in_line = False
+        self._must_pause = False
+        self._generation = 0  # a greenlet of an older generation ends as soon as it gets the lock
+
+    def register(self) -> None:
+        """Make commands and events known."""
+        self.printer.register_event_handler("klippy:shutdown", self._handle_shutdown)
+        self.printer.register_event_handler("klippy:disconnect", self._close)
+        for name in ("M20", "M21", "M23", "M24", "M25", "M26", "M27"):
+            self.gcode.register_command(name, getattr(self, f"cmd_{name}"))
+        for name in _UNSUPPORTED:
+            self.gcode.register_command(name, self.cmd_error)
+        for name in ("SDCARD_RESET_FILE", "SDCARD_PRINT_FILE"):
+            self.gcode.register_command(
+                name, getattr(self, f"cmd_{name}"), desc=getattr(self, f"cmd_{name}_help")
+            )
+
+    # --- for others ---
+    def get_status(self, eventtime: float) -> dict[str, Any]:
+        """Progress (0..1) and position of the file being printed."""
+        return {
+            "file_path": self.file_path(),
+            "progress": self.progress(),
+            "is_active": self.is_active(),
+            "file_position": self.file_position,
+            "file_size": self.file_size,
+        }
+
+    def stats(self, eventtime: float) -> tuple[bool, str]:
+        """For the statistics line."""
+        return self._working, f"sd_pos={self.file_position}" if self._working else ""
+
+    def file_path(self) -> str | None:
+        """The loaded file."""
+        return None if self.current_file is None else str(self.current_file.name)
+
+    def progress(self) -> float:
+        """Share of the file that was carried out."""
+        return self.file_position / self.file_size if self.file_size else 0.0
+
+    def is_active(self) -> bool:
+        """Whether a file is being printed."""
+        return self._working and not self._must_pause
+
+    def is_cmd_from_sd(self) -> bool:
+        """Whether the running command came from the file."""
+        return self._in_line
+
+    def get_file_position(self) -> int:
+        """Where the line after the running one starts (bytes)."""
+        return self._next_position
+
+    def set_file_position(self, pos: int) -> None:
+        """Go on elsewhere in the file after the running line."""
+        self._next_position = pos
+        if not self._in_line:
+            self.file_position = pos
+
+    def do_pause(self) -> None:
+        """Stop after the running line of the file."""
+        if not self._working:
+            return
+        self._must_pause = True
+        # A pause from outside waits for the running line; one in the file itself (a PAUSE macro) is that line
+        while self._in_line and not self.gcode.get_mutex().is_mine():
+            self.reactor.pause(self.reactor.monotonic() + 0.001)
+
+    def do_resume(self) -> None:
+        """Go on printing."""
+        if self.is_active():
+            raise self.gcode.error("SD busy")
+        if self.current_file is None:
+            raise self.gcode.error("No file is selected to be printed")
+        self._must_pause = False
+        self._working = True
+        self._generation = generation = self._generation + 1
+        self.reactor.register_callback(lambda eventtime: self._work(generation))
+
+    def do_cancel(self) -> None:
+        """Give up the print."""
+        if self.current_file is not None:
+            self.do_pause()
+            self._close()
+            self.print_stats.note_cancel()
+        self.file_position = self.file_size = 0
+
+    # --- files ---
+    def get_file_list(self, check_subdirs: bool = False) -> list[tuple[str, int]]:
+        """Names relative to the folder, and sizes."""
+        found: list[tuple[str, int]] = []
+        for folder, subfolders, names in os.walk(self.sdcard_dirname, followlinks=True):
+            subfolders[:] = [name for name in subfolders if check_subdirs and not name.startswith(".")]
+            for name in names:
+                path = os.path.join(folder, name)
+                if name.startswith(".") or (
+                    name.rpartition(".")[2].lower() not in _SUFFIXES and check_subdirs
+                ):
+                    continue
+                if os.path.isfile(path):
+                    found.append((os.path.relpath(path, self.sdcard_dirname), os.path.getsize(path)))
+        return sorted(found, key=lambda entry: entry[0].lower())
+
+    def _close(self) -> None:
+        if self.current_file is not None:
+            self.current_file.close()
+            self.current_file = None
+
+    def _reset_file(self) -> None:
+        if self.current_file is not None:
+            self.do_pause()
+            self._close()
+        self.file_position = self.file_size = 0
+        self.print_stats.reset()
+        self.printer.send_event("virtual_sdcard:reset_file")
+
+    def _load_file(self, gcmd: Any, name: str, check_subdirs: bool = False) -> None:
+        name = name.lstrip("/")
+        known = {entry.lower(): entry for entry, _ in self.get_file_list(check_subdirs)}
+        path = os.path.join(self.sdcard_dirname, known.get(name.lower(), name))
+        inside = os.path.realpath(self.sdcard_dirname)
+        if name.lower() not in known and not os.path.realpath(path).startswith(inside + os.sep):
+            raise gcmd.error(f"Unable to open file '{name}': it is outside of {self.sdcard_dirname}")
+        try:
+            file = open(path, "rb")  # noqa: SIM115  (stays open while it is printed)
+            size = file.seek(0, os.SEEK_END)
+            file.seek(0)
+        except OSError as e:
+            raise gcmd.error(f"Unable to open file '{name}' in {self.sdcard_dirname}: {e.strerror}") from None
+        gcmd.respond_raw(f"File opened:{name} Size:{size}")
+        gcmd.respond_raw("File selected")
+        self.current_file, self.file_position, self.file_size = file, 0, size
+        self.print_stats.set_current_file(name)
+
+    # --- commands ---
+    cmd_SDCARD_RESET_FILE_help = "Clears a loaded SD File. Stops the print if necessary"
+
+    def cmd_SDCARD_RESET_FILE(self, gcmd: Any) -> None:
+        """Unload the file."""
+        if self._in_line:
+            raise gcmd.error("SDCARD_RESET_FILE cannot be run from the sdcard")
+        self._reset_file()
+
+    cmd_SDCARD_PRINT_FILE_help = "Loads a SD file and starts the print.  May include files in subdirectories."
+
+    def cmd_SDCARD_PRINT_FILE(self, gcmd: Any) -> None:
+        """Load a file and print it."""
+        self._check_idle(gcmd)
+        self._reset_file()
+        self._load_file(gcmd, gcmd.get("FILENAME"), check_subdirs=True)
+        self.do_resume()
+
+    def cmd_error(self, gcmd: Any) -> None:
+        """Writing to the card."""
+        raise gcmd.error("SD write not supported")
+
+    def _check_idle(self, gcmd: Any) -> None:
+        if self.is_active() or self._in_line:
+            raise gcmd.error("SD busy")
+
+    def cmd_M20(self, gcmd: Any) -> None:
+        """List files."""
+        gcmd.respond_raw("Begin file list")
+        for name, size in self.get_file_list():
+            gcmd.respond_raw(f"{name} {size}")
+        gcmd.respond_raw("End file list")
+
+    def cmd_M21(self, gcmd: Any) -> None:
+        """Initialise: always done."""
+        gcmd.respond_raw("SD card ok")
+
+    def cmd_M23(self, gcmd: Any) -> None:
+        """Select a file."""
+        self._check_idle(gcmd)
+        self._reset_file()
+        self._load_file(gcmd, gcmd.get_raw_command_parameters().strip())
+
+    def cmd_M24(self, gcmd: Any) -> None:
+        """Start or go on."""
+        self.do_resume()
+
+    def cmd_M25(self, gcmd: Any) -> None:
+        """Pause."""
+        self.do_pause()
+
+    def cmd_M26(self, gcmd: Any) -> None:
+        """Set the position."""
+        self._check_idle(gcmd)
+        self.set_file_position(gcmd.get_int("S", minval=0))
+
+    def cmd_M27(self, gcmd: Any) -> None:
+        """Report the position."""
+        if self.current_file is None:
+            gcmd.respond_raw("Not SD printing.")
+        else:
+            gcmd.respond_raw(f"SD printing byte {self.file_position}/{self.file_size}")
+
+    # --- the print ---
+    def _handle_shutdown(self) -> None:
+        if not self._working:
+            return
+        self._must_pause = True
+        if self.current_file is None:
+            return
+        try:
+            start = max(self.file_position - 1024, 0)
+            self.current_file.seek(start)
+            before = self.current_file.read(self.file_position - start)
+            after = self.current_file.read(128)
+        except (OSError, ValueError):
+            logging.exception("virtual_sdcard: unable to read the file again")
+            return
+        logging.info("Virtual sdcard (%d): %r\nUpcoming (%d): %r", start, before, self.file_position, after)
+
+    def _work(self, generation: int) -> None:
+        """Greenlet of one print, from start or resume to pause, end or error."""
+        logging.info("Starting SD card print (position %d)", self.file_position)
+        self.print_stats.note_start()
+        failure: str | None = None
+        finished = False
+        try:
+            finished = self._feed(generation)
+        except self.gcode.error as e:
+            failure = str(e)
+        except OSError as e:
+            failure = f"Unable to read the G-code file: {e.strerror}"
+            self.gcode.respond_error(failure)
+        except Exception as e:  # a bug in a command: the dispatcher has logged it and shut the printer down
+            failure = f"Internal error: {e}"
+        logging.info("Exiting SD card print (position %d)", self.file_position)
+        if generation == self._generation:
+            self._working = self._must_pause = False
+            self._note_end(finished, failure)
+
+    def _note_end(self, finished: bool, failure: str | None) -> None:
+        if failure is not None:
+            self.print_stats.note_error(failure)
+            self._run_on_error()
+        elif finished:
+            self._close()
+            self.gcode.respond_raw("Done printing file")
+            self.print_stats.note_complete()
+        elif self.current_file is not None:
+            self.print_stats.note_pause()
+
+    def _run_on_error(self) -> None:
+        try:
+            self.gcode.run_script(self._on_error.render())
+        except Exception:
+            logging.exception("virtual_sdcard on_error")
+
+    def _feed(self, generation: int) -> bool:
+        """Run lines until paused (False) or the end of the file (True)."""
+        mutex = self.gcode.get_mutex()
+        lines: list[bytes] = []
+        rest = b""
+        reading = -1  # file position behind `lines` and `rest`; -1: seek first
+        while True:
+            with mutex:
+                # Whoever pauses or cancels holds the lock: look only now
+                if self._must_pause or self.current_file is None or generation != self._generation:
+                    return False
+                if reading < 0:
+                    self.current_file.seek(self.file_position)
+                    lines, rest, reading = [], b"", self.file_position
+                if not lines:
+                    chunk = self.current_file.read(_CHUNK)
+                    if not chunk and not rest:
+                        return True
+                    reading += len(chunk)
+                    *lines, rest = (rest + chunk).split(b"\n") if chunk else [rest, b""]
+                    lines.reverse()
+                if not self._run_lines(lines, mutex):
+                    reading = -1
+            self.reactor.pause(self.reactor.NOW)
+
+    def _run_lines(self, lines: list[bytes], mutex: Any) -> bool:
+        """Run lines from the end of the (reversed) list; False if the position was moved."""
+        run_line = self.gcode.run_line
+        limit = self.file_size
+        while lines:
+            line = lines.pop()
+            expected = min(self.file_position + len(line) + 1, limit)
+            self._next_position = expected
+            self._in_line = True
+            try:
+                run_line(line.decode("utf-8", "replace"))
+            finally:
+                self._in_line = False
+            self.file_position = self._next_position
+            if self._next_position != expected:
+                return False
+            if self._must_pause or mutex.contended():
+                return True
+        return True
+
+
+def load_config(config: Any) -> VirtualSD:
+    """Section [virtual_sdcard]."""
+    printer = config.get_printer()
+    printer.load_object(config, "print_stats")
+    templates = printer.load_object(config, "gcode_macro")
+    on_error = templates.load_template(config, "on_error_gcode", _DEFAULT_ON_ERROR)
+    card = VirtualSD(printer, config.get("path"), on_error)
+    card.register()
+    return card

@@ -1,0 +1,571 @@
+"""G-code: parsing of command lines and their dispatch to registered handlers.
+
+Two syntaxes: *traditional* commands are a letter and a number with one-letter parameters (`G1 X1.5 Y2`, also
+`G1X1.5Y2`); *extended* commands are a name with `KEY=value` parameters quoted as in a shell
+(`SET_X A=1 B="two words"`).
+
+A print is mostly G1 lines, so `run_line` is short for them: one partition, one look-up, one regular expression.
+Lines that do not have the plain form go through `_parse_slow`, which understands line numbers, checksums, lower
+case, comments and quotes.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Any
+
+OutputHandler = Callable[[str], None]
+
+
+class CommandError(Exception):
+    """A command could not be carried out; the text is for the user."""
+
+
+class _Required:
+    """Marks a parameter without default."""
+
+
+REQUIRED: Any = _Required()
+_WORD = re.compile(r"([A-Z])([^A-Z]*)")
+_TRADITIONAL_NAME = re.compile(r"[A-Z][0-9]+(?:\.[0-9]+)?")
+_EXTENDED_NAME = re.compile(r"[A-Z_][A-Z0-9_]*[A-Z_][A-Z0-9_]*|[A-Z_]")
+_LINE_NUMBER = re.compile(r"\s*[Nn](\d+)\s*")
+_CHECKSUM = re.compile(r"\*\s*(\d+)\s*$")
+_COMMAND_WORD = re.compile(r"[A-Z_][A-Z0-9_]*", re.IGNORECASE)
+_TRADITIONAL_WORD = re.compile(r"[A-Z]\s*[0-9]+(?:\.[0-9]+)?(?![A-Z0-9_]*_)", re.IGNORECASE)
+_KEY = re.compile(r"\s*([A-Za-z_][A-Za-z0-9_]*)=")
+_VALUE_PIECE = re.compile(r"""[^\s"'\\;#]+|"(?:[^"\\]|\\.)*"|'[^']*'|\\.""", re.DOTALL)
+_ESCAPE = re.compile(r'\\(["\\])')
+
+
+class GCodeCommand:
+    """One command with its parameters, as handed to its handler."""
+
+    __slots__ = ("_command", "_commandline", "_dispatch", "_need_ack", "_params")
+
+    error = CommandError
+
+    def __init__(
+        self, dispatch: GCodeDispatch, command: str, commandline: str, params: dict[str, str], need_ack: bool
+    ) -> None:
+        self._dispatch = dispatch
+        self._command = command
+        self._commandline = commandline
+        self._params = params
+        self._need_ack = need_ack
+
+    # --- what was typed ---
+    def get_command(self) -> str:
+        """Name of the command, upper case."""
+        return self._command
+
+    def get_commandline(self) -> str:
+        """The whole line as received."""
+        return self._commandline
+
+    def get_command_parameters(self) -> dict[str, str]:
+        """Parameters by (upper case) name; values are text as received."""
+        return self._params
+
+    def get_raw_command_parameters(self) -> str:
+        """Everything behind the command word, without line number, checksum and comment (for M117 and the like)."""
+        line = self._commandline
+        number = _LINE_NUMBER.match(line)
+        if number is not None:
+            line = _CHECKSUM.sub("", line[number.end() :])
+        line = line.lstrip()
+        if line.upper().startswith(self._command):
+            line = line[len(self._command) :]
+        else:  # `m 117 text`
+            word = _TRADITIONAL_WORD.match(line)
+            line = line[word.end() :] if word else line
+        return line.partition(";")[0].strip()
+
+    # --- answering ---
+    def ack(self, msg: str | None = None) -> bool:
+        """Send `ok` (with `msg`) if the sender waits for one; False if it does not."""
+        if not self._need_ack:
+            return False
+        self._need_ack = False
+        self._dispatch.respond_raw(f"ok {msg}" if msg else "ok")
+        return True
+
+    def respond_info(self, msg: str, log: bool = True) -> None:
+        """Tell the user something."""
+        self._dispatch.respond_info(msg, log)
+
+    def respond_raw(self, msg: str) -> None:
+        """Send a line as it is."""
+        self._dispatch.respond_raw(msg)
+
+    # --- parameters ---
+    def get(
+        self,
+        name: str,
+        default: Any = REQUIRED,
+        parser: Callable[[str], Any] = str,
+        minval: float | None = None,
+        maxval: float | None = None,
+        above: float | None = None,
+        below: float | None = None,
+    ) -> Any:
+        """A parameter turned into a value by `parser` and checked against the bounds."""
+        text = self._params.get(name)
+        if text is None:
+            if default is REQUIRED:
+                raise CommandError(f"Error on '{self._commandline}': missing {name}")
+            return default
+        try:
+            value = parser(text)
+        except (ValueError, TypeError, ArithmeticError):
+            kind = _PARSER_KIND.get(parser, "valid")
+            raise CommandError(f"{self._command}: {name}: '{text}' is not {kind}") from None
+        if minval is not None and value < minval:
+            raise CommandError(f"{self._command}: {name} must have minimum of {minval}, it is {text}")
+        if maxval is not None and value > maxval:
+            raise CommandError(f"{self._command}: {name} must have maximum of {maxval}, it is {text}")
+        if above is not None and value <= above:
+            raise CommandError(f"{self._command}: {name} must be above {above}, it is {text}")
+        if below is not None and value >= below:
+            raise CommandError(f"{self._command}: {name} must be below {below}, it is {text}")
+        return value
+
+    def get_int(
+        self, name: str, default: Any = REQUIRED, minval: int | None = None, maxval: int | None = None
+    ) -> Any:
+        """A whole number."""
+        return self.get(name, default, parse_int, minval, maxval)
+
+    def get_float(
+        self,
+        name: str,
+        default: Any = REQUIRED,
+        minval: float | None = None,
+        maxval: float | None = None,
+        above: float | None = None,
+        below: float | None = None,
+    ) -> Any:
+        """A finite number."""
+        return self.get(name, default, parse_float, minval, maxval, above, below)
+
+
+def parse_float(text: str) -> float:
+    """A finite number; ValueError otherwise."""
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(text)
+    return value
+
+
+def parse_int(text: str) -> int:
+    """A whole number; ValueError otherwise."""
+    return int(text)
+
+
+_PARSER_KIND: dict[Any, str] = {
+    parse_float: "a number",
+    float: "a number",
+    parse_int: "a whole number",
+    int: "a whole number",
+}
+
+
+def is_traditional(command: str) -> bool:
+    """Whether a command name is of the letter-and-number kind."""
+    return _TRADITIONAL_NAME.fullmatch(command) is not None
+
+
+def parse_traditional(text: str) -> dict[str, str]:
+    """One-letter parameters of a traditional command; the text must be upper case and without comment."""
+    text = text.strip()
+    if not text:
+        return {}
+    if not "A" <= text[0] <= "Z":
+        raise CommandError(f"Malformed parameters '{text}': expected a letter first")
+    return {letter: value.strip() for letter, value in _WORD.findall(text)}
+
+
+def parse_extended(text: str) -> dict[str, str]:
+    """`KEY=value` parameters of an extended command; an unquoted # or ; starts a comment."""
+    params: dict[str, str] = {}
+    position = 0
+    while True:
+        rest = text[position:].lstrip()
+        if not rest or rest[0] in ";#":
+            return params
+        key = _KEY.match(text, position)
+        if key is None:
+            raise CommandError(f"Malformed parameters '{rest}': expected NAME=value")
+        value, position = _read_value(text, key.end())
+        params[key[1].upper()] = value
+
+
+def _read_value(text: str, position: int) -> tuple[str, int]:
+    """A shell-like word starting at `position`, and where it ends."""
+    pieces: list[str] = []
+    while True:
+        piece = _VALUE_PIECE.match(text, position)
+        if piece is None:
+            if text[position : position + 1] in ('"', "'", "\\"):
+                raise CommandError(f"Malformed parameters '{text[position:]}': quote without an end")
+            return "".join(pieces), position
+        token = piece[0]
+        if token[0] == '"':
+            token = _ESCAPE.sub(r"\1", token[1:-1])
+        elif token[0] == "'":
+            token = token[1:-1]
+        elif token[0] == "\\":
+            token = token[1:]
+        pieces.append(token)
+        position = piece.end()
+
+
+class _MuxCommand:
+    """A command whose handler is chosen by the value of one parameter."""
+
+    def __init__(self, command: str, key: str) -> None:
+        self.command = command
+        self.key = key
+        self.handlers: dict[str | None, Callable[[GCodeCommand], None]] = {}
+
+    def __call__(self, gcmd: GCodeCommand) -> None:
+        value = gcmd.get(self.key) if None not in self.handlers else gcmd.get(self.key, None)
+        handler = self.handlers.get(value)
+        if handler is None:
+            choices = ", ".join(sorted(str(name) for name in self.handlers if name is not None))
+            raise gcmd.error(f"The value '{value}' is not valid for {self.key} (choices: {choices})")
+        handler(gcmd)
+
+
+class GCodeDispatch:
+    """The object `gcode`: knows all commands and runs lines of G-code."""
+
+    error = CommandError
+
+    def __init__(self, printer: Any) -> None:
+        self.printer = printer
+        self.is_fileinput = bool(printer.get_start_args().get("debuginput"))
+        self.mutex = printer.get_reactor().mutex()
+        self.output_callbacks: list[OutputHandler] = []
+        self._ready_handlers: dict[str, Callable[[GCodeCommand], None]] = {}
+        self._base_handlers: dict[str, Callable[[GCodeCommand], None]] = {}
+        self._handlers = self._base_handlers
+        self._mux: dict[str, _MuxCommand] = {}
+        self._help: dict[str, str] = {}
+        self._status_commands: dict[str, dict[str, str]] = {}
+        self.is_printer_ready = False
+        for event, handler in (
+            ("klippy:ready", self._handle_ready),
+            ("klippy:shutdown", self._handle_shutdown),
+            ("klippy:disconnect", self._handle_disconnect),
+        ):
+            printer.register_event_handler(event, handler)
+        for name in ("M110", "M112", "M115", "RESTART", "FIRMWARE_RESTART", "ECHO", "STATUS", "HELP"):
+            handler = getattr(self, f"cmd_{name}")
+            self.register_command(name, handler, True, getattr(self, f"cmd_{name}_help", None))
+
+    # --- registration ---
+    def register_command(
+        self,
+        cmd: str,
+        func: Callable[[GCodeCommand], Any] | None,
+        when_not_ready: bool = False,
+        desc: str | None = None,
+    ) -> Callable[[GCodeCommand], Any] | None:
+        """Set the handler of a command; `None` removes it and returns the old one."""
+        if func is None:
+            old = self._ready_handlers.pop(cmd, None)
+            self._base_handlers.pop(cmd, None)
+            self._note_commands()
+            return old
+        if cmd in self._ready_handlers:
+            raise self.printer.config_error(f"G-code command {cmd} is already registered")
+        if not is_traditional(cmd) and not _EXTENDED_NAME.fullmatch(cmd):
+            raise self.printer.config_error(
+                f"'{cmd}' can not be the name of a G-code command: names are upper case letters, digits and '_', "
+                "or one letter and a number"
+            )
+        self._ready_handlers[cmd] = func
+        if when_not_ready:
+            self._base_handlers[cmd] = func
+        if desc is not None:
+            self._help[cmd] = desc
+        self._note_commands()
+        return None
+
+    def register_mux_command(
+        self,
+        cmd: str,
+        key: str,
+        value: str | None,
+        func: Callable[[GCodeCommand], Any],
+        desc: str | None = None,
+    ) -> None:
+        """Set the handler of `cmd key=value`; value None: used when the parameter is missing."""
+        mux = self._mux.get(cmd)
+        if mux is None:
+            mux = self._mux[cmd] = _MuxCommand(cmd, key)
+            self.register_command(cmd, mux, desc=desc)
+        if mux.key != key:
+            raise self.printer.config_error(f"G-code command {cmd} is selected by {mux.key}, not by {key}")
+        if value in mux.handlers:
+            raise self.printer.config_error(f"G-code command {cmd} {key}={value} is already registered")
+        mux.handlers[value] = func
+
+    def register_output_handler(self, cb: OutputHandler) -> None:
+        """Call `cb(line)` with everything sent to the user."""
+        self.output_callbacks.append(cb)
+
+    def get_command_help(self) -> dict[str, str]:
+        """Help text by command."""
+        return dict(self._help)
+
+    def get_status(self, eventtime: float) -> dict[str, Any]:
+        """The commands that can be given now."""
+        return {"commands": self._status_commands}
+
+    def _note_commands(self) -> None:
+        self._status_commands = {
+            name: {"help": self._help[name]} if name in self._help else {} for name in self._handlers
+        }
+
+    # --- printer events ---
+    def _handle_ready(self) -> None:
+        self.is_printer_ready = True
+        self._handlers = self._ready_handlers
+        self._note_commands()
+        self.respond_state("Ready")
+
+    def _handle_shutdown(self) -> None:
+        if not self.is_printer_ready:
+            return
+        self.is_printer_ready = False
+        self._handlers = self._base_handlers
+        self._note_commands()
+        self.respond_state("Shutdown")
+
+    def _handle_disconnect(self) -> None:
+        self.respond_state("Disconnect")
+
+    # --- running ---
+    def get_mutex(self) -> Any:
+        """The lock held while a script or a line from outside runs."""
+        return self.mutex
+
+    def run_script(self, script: str) -> None:
+        """Run lines one after the other once nobody else does; the first error ends it and is raised."""
+        with self.mutex:
+            self.run_script_from_command(script)
+
+    def run_script_from_command(self, script: str) -> None:
+        """As `run_script`, from inside a command's handler."""
+        for line in script.split("\n"):
+            self.run_line(line)
+
+    def run_line(self, line: str, need_ack: bool = False) -> None:
+        """Run one line; the caller holds the mutex. Errors are told to the user, and raised unless acknowledging."""
+        gcmd: GCodeCommand | None = None
+        handler: Callable[[GCodeCommand], Any] | None
+        try:
+            command, _, rest = line.partition(" ")
+            handler = self._handlers.get(command) if rest.isupper() and ";" not in rest else None
+            if handler is not None and is_plain(command) and "A" <= rest[0] <= "Z" and "*" not in rest:
+                params = {letter: value.strip() for letter, value in _WORD.findall(rest)}
+                gcmd = GCodeCommand(self, command, line, params, need_ack)
+            else:
+                gcmd, handler = self._parse_slow(line, need_ack)
+                if gcmd is None:
+                    if need_ack:
+                        self.respond_raw("ok")
+                    return
+            handler(gcmd)
+        except CommandError as e:
+            self.respond_error(str(e))
+            self.printer.send_event("gcode:command_error")
+            if not need_ack:
+                raise
+        except Exception as e:
+            self._internal_error(line, e)
+            if not need_ack:
+                raise
+        if need_ack:
+            if gcmd is None:
+                self.respond_raw("ok")
+            else:
+                gcmd.ack()
+
+    def _internal_error(self, line: str, problem: Exception) -> None:
+        message = f'Internal error on command:"{line.strip()}"'
+        logging.exception(message)
+        self.printer.invoke_shutdown(message)
+        self.respond_error(f"{message} ({problem})")
+
+    def _parse_slow(
+        self, line: str, need_ack: bool
+    ) -> tuple[GCodeCommand | None, Callable[[GCodeCommand], Any]]:
+        """The command of any line (None if it holds no command) and its handler."""
+        text = line.strip()
+        number = _LINE_NUMBER.match(text)
+        if number is not None and "_" not in text[: number.end() + 1]:
+            text = self._check_number(text, number)
+        if not text or text[0] in ";#%":
+            return None, self._ignore
+        word = _TRADITIONAL_WORD.match(text) or _COMMAND_WORD.match(text)
+        if word is None:
+            raise CommandError(f"Malformed line '{text}': expected a command")
+        command = "".join(word[0].split()).upper()
+        handler = self._handlers.get(command)
+        rest = text[word.end() :]
+        if handler is None or command in _FREE_TEXT:
+            params = {}
+        elif is_traditional(command):
+            params = parse_traditional(rest.partition(";")[0].upper())
+        else:
+            params = parse_extended(rest)
+        return GCodeCommand(self, command, line.strip(), params, need_ack), handler or self.cmd_default
+
+    @staticmethod
+    def _ignore(gcmd: GCodeCommand) -> None:
+        """A line without a command."""
+
+    def _check_number(self, text: str, number: re.Match[str]) -> str:
+        """Take line number and checksum off; a wrong checksum asks for the line again."""
+        checksum = _CHECKSUM.search(text)
+        if checksum is None:
+            return text[number.end() :]
+        expected = 0
+        for byte in text[: checksum.start()].encode():
+            expected ^= byte
+        if int(checksum[1]) != expected:
+            self.respond_raw(f"Resend: {number[1]}")
+            raise CommandError(f"Checksum mismatch in line {number[1]}: it is {checksum[1]}, not {expected}")
+        return text[number.end() : checksum.start()].rstrip()
+
+    def create_gcode_command(self, command: str, commandline: str, params: Mapping[str, Any]) -> GCodeCommand:
+        """A command object made by hand, for calling another module's handler."""
+        return GCodeCommand(self, command, commandline, {k: str(v) for k, v in params.items()}, False)
+
+    # --- answers to the user ---
+    def respond_raw(self, msg: str) -> None:
+        """Send a line to every output."""
+        for callback in self.output_callbacks:
+            callback(msg)
+
+    def respond_info(self, msg: str, log: bool = True) -> None:
+        """Send text as comment lines."""
+        if log:
+            logging.info(msg)
+        self.respond_raw("\n".join("// " + line.strip() for line in msg.split("\n")))
+
+    def respond_error(self, msg: str) -> None:
+        """Send the first line as an error, the rest as comments before it; in batch mode it ends the run."""
+        logging.warning(msg)
+        first, *more = msg.strip().split("\n")
+        if more:
+            self.respond_info("\n".join(more), log=False)
+        self.respond_raw(f"!! {first.strip()}")
+        if self.is_fileinput:
+            self.printer.request_exit("error_exit")
+
+    def respond_state(self, state: str) -> None:
+        """Tell the user of a change of state."""
+        self.respond_info(f"Klipper state: {state}", log=False)
+
+    # --- built-in commands ---
+    def cmd_default(self, gcmd: GCodeCommand) -> None:
+        """Anything without a handler of its own."""
+        command = gcmd.get_command()
+        if command in ("M105", "M21"):  # front ends ask for these before we are ready
+            gcmd.ack("T:0" if command == "M105" else None)
+            return
+        if not self.is_printer_ready:
+            raise gcmd.error(self.printer.get_state_message()[0])
+        if command in ("M106", "M107"):  # no fan to switch
+            return
+        if command in ("M104", "M140") and _switches_off(gcmd.get_commandline()):  # no heater to switch off
+            return
+        gcmd.respond_info(f'Unknown command:"{command}"')
+
+    def cmd_M110(self, gcmd: GCodeCommand) -> None:
+        """Set line number: numbers are not tracked."""
+
+    def cmd_M112(self, gcmd: GCodeCommand) -> None:
+        """Emergency stop."""
+        self.printer.invoke_shutdown("Shutdown due to M112 command")
+
+    def cmd_M115(self, gcmd: GCodeCommand) -> None:
+        """Firmware name and version."""
+        version = self.printer.get_start_args().get("software_version", "?")
+        text = f"FIRMWARE_NAME:Klipper FIRMWARE_VERSION:{version} HOST_NAME:Ferrite"
+        if not gcmd.ack(text):
+            gcmd.respond_info(text)
+
+    def request_restart(self, result: str) -> None:
+        """End this run of the host (`restart`, `firmware_restart`): heaters off, queue drained, then out."""
+        if self.is_printer_ready:
+            toolhead = self.printer.lookup_object("toolhead", None)
+            if toolhead is not None:
+                print_time = toolhead.get_last_move_time()
+                if result == "exit":
+                    logging.info("Exiting (print time %.3fs)", print_time)
+                self.printer.send_event("gcode:request_restart", print_time)
+                toolhead.dwell(0.5)
+                toolhead.wait_moves()
+        self.printer.request_exit(result)
+
+    cmd_RESTART_help = "Reload config file and restart host software"
+
+    def cmd_RESTART(self, gcmd: GCodeCommand) -> None:
+        """Restart the host."""
+        self.request_restart("restart")
+
+    cmd_FIRMWARE_RESTART_help = "Restart firmware, host, and reload config"
+
+    def cmd_FIRMWARE_RESTART(self, gcmd: GCodeCommand) -> None:
+        """Restart the host and its MCUs."""
+        self.request_restart("firmware_restart")
+
+    def cmd_ECHO(self, gcmd: GCodeCommand) -> None:
+        """Repeat the line."""
+        gcmd.respond_info(gcmd.get_commandline(), log=False)
+
+    cmd_STATUS_help = "Report the printer status"
+
+    def cmd_STATUS(self, gcmd: GCodeCommand) -> None:
+        """Ready, or why not."""
+        if self.is_printer_ready:
+            self.respond_state("Ready")
+            return
+        message, _ = self.printer.get_state_message()
+        raise gcmd.error(message.rstrip() + "\nKlipper state: Not ready")
+
+    cmd_HELP_help = "Report the list of available extended G-Code commands"
+
+    def cmd_HELP(self, gcmd: GCodeCommand) -> None:
+        """List the commands that have a description."""
+        lines = [] if self.is_printer_ready else ["Printer is not ready - not all commands available."]
+        lines.append("Available extended commands:")
+        lines += [f"{name:<10}: {self._help[name]}" for name in sorted(self._handlers) if name in self._help]
+        gcmd.respond_info("\n".join(lines), log=False)
+
+
+# Commands whose parameters are prose
+_FREE_TEXT = frozenset({"M117", "M118", "M20", "M23"})
+_OFF = re.compile(r"(?:^|[^A-Z])S\s*0*(?:\.0*)?\s*(?:$|[;A-Z*])", re.IGNORECASE)
+_PLAIN: dict[str, bool] = {}
+
+
+def _switches_off(line: str) -> bool:
+    """Whether a temperature command sets 0 (the default)."""
+    return _OFF.search(line) is not None or "S" not in line.upper()
+
+
+def is_plain(command: str) -> bool:
+    """Whether a line of this command may take the short way (traditional, parameters not prose); remembered."""
+    known = _PLAIN.get(command)
+    if known is None:
+        known = _PLAIN[command] = is_traditional(command) and command not in _FREE_TEXT
+    return known

@@ -1,0 +1,142 @@
+"""Where G-code lines come from besides scripts: a pseudo terminal, or an input file in batch mode."""
+
+from __future__ import annotations
+
+import collections
+import logging
+import os
+import re
+from typing import Any
+
+from gcode import CommandError, GCodeDispatch
+
+_EMERGENCY = re.compile(r"^(?:[nN][0-9]+)?\s*[mM]112(?:\s|$|\*)")
+_READ_SIZE = 4096
+_PENDING_LIMIT = 20  # lines waiting before reading stops, so that the sender feels it
+
+
+class GCodeIO:
+    """The object `gcode_io`: reads lines from `start_args["gcode_fd"]` and acknowledges each with `ok`."""
+
+    def __init__(self, printer: Any, gcode: GCodeDispatch) -> None:
+        self.printer = printer
+        self.gcode = gcode
+        self.reactor = printer.get_reactor()
+        self.fd: int | None = printer.get_start_args().get("gcode_fd")
+        self.is_fileinput = gcode.is_fileinput
+        self._handle: Any = None
+        self._partial = ""
+        self._lines: list[str] = []
+        self._running = False
+        self._output_ok = True
+        self._bytes_read = 0
+        self._recent: collections.deque[tuple[float, str]] = collections.deque(maxlen=50)
+        if self.fd is None:
+            return
+        printer.register_event_handler("klippy:ready", self._handle_ready)
+        printer.register_event_handler("klippy:shutdown", self._handle_shutdown)
+        if not self.is_fileinput:
+            gcode.register_output_handler(self._respond)
+            self._handle = self.reactor.register_fd(self.fd, self._handle_readable)
+
+    def _handle_ready(self) -> None:
+        """In batch mode the file is read only now: there is nobody to tell that we are not ready."""
+        if self.is_fileinput and self._handle is None and self.fd is not None:
+            if _is_pollable(self.fd):
+                self._handle = self.reactor.register_fd(self.fd, self._handle_readable)
+            else:
+                self.reactor.register_callback(self._read_file)
+
+    def _handle_shutdown(self) -> None:
+        if self._recent:
+            text = "\n".join(f"Read {when:.6f}: {data!r}" for when, data in self._recent)
+            logging.info("G-code read lately (%d lines waiting):\n%s", len(self._lines), text)
+        if self.is_fileinput:
+            self.printer.request_exit("error_exit")
+
+    def _read_file(self, eventtime: float) -> None:
+        """Batch mode on a plain file."""
+        while not self.printer.is_exiting():
+            if not self._take_in(self.reactor.monotonic()):
+                return
+            self._run_waiting()
+            self.reactor.pause(self.reactor.NOW)
+
+    def _handle_readable(self, eventtime: float) -> None:
+        if self._take_in(eventtime) and not self._running:
+            self._run_waiting()
+
+    def _take_in(self, eventtime: float) -> bool:
+        """Read what there is into whole lines; False at the end of a file."""
+        assert self.fd is not None
+        try:
+            data = os.read(self.fd, _READ_SIZE)
+        except (BlockingIOError, InterruptedError):
+            return True
+        except OSError:
+            logging.exception("Unable to read G-code")
+            return False
+        if not data:
+            if not self.is_fileinput:
+                return False
+            data = b"\n" if self._partial else b""
+            if not data:
+                self._end_of_file()
+                return False
+        self._recent.append((eventtime, data.decode("utf-8", "replace")))
+        self._bytes_read += len(data)
+        *lines, self._partial = (self._partial + self._recent[-1][1]).split("\n")
+        if not self.is_fileinput and any(_EMERGENCY.match(line) for line in lines):
+            self.gcode.run_line("M112", need_ack=True)
+        self._lines.extend(lines)
+        if len(self._lines) > _PENDING_LIMIT and self._running and self._handle is not None:
+            self.reactor.set_fd_wake(self._handle, is_readable=False)
+        return True
+
+    def _end_of_file(self) -> None:
+        if self._handle is not None:
+            self.reactor.unregister_fd(self._handle)
+            self._handle = None
+        if self._running:
+            return
+        with self.gcode.get_mutex():
+            if not self.printer.is_exiting():
+                self.gcode.request_restart("exit")
+
+    def _run_waiting(self) -> None:
+        self._running = True
+        try:
+            while self._lines:
+                lines, self._lines = self._lines, []
+                if self._handle is not None:
+                    self.reactor.set_fd_wake(self._handle, is_readable=True)
+                with self.gcode.get_mutex():
+                    for line in lines:
+                        self.gcode.run_line(line, need_ack=True)
+                        if self.is_fileinput and self.printer.is_exiting():
+                            return
+        except CommandError:
+            logging.exception("Error of a line that was to be acknowledged")
+        finally:
+            self._running = False
+
+    def _respond(self, msg: str) -> None:
+        """Send a line to the pseudo terminal; with nobody there, output is dropped."""
+        if not self._output_ok or self.fd is None:
+            return
+        try:
+            os.write(self.fd, (msg + "\n").encode())
+        except BlockingIOError:
+            pass
+        except OSError:
+            logging.exception("Unable to write to the G-code terminal")
+            self._output_ok = False
+
+    def stats(self, eventtime: float) -> tuple[bool, str]:
+        """For the statistics line."""
+        return False, f"gcodein={self._bytes_read}"
+
+
+def _is_pollable(fd: int) -> bool:
+    """Pipes and terminals are polled; plain files are always ready and read from a callback."""
+    return not os.path.isfile(f"/proc/self/fd/{fd}")

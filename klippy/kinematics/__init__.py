@@ -1,0 +1,1 @@
+"""One file per kinematics; `[printer] kinematics: NAME` loads kinematics/NAME.py."""

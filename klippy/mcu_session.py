@@ -1,0 +1,124 @@
+"""What an MCU is told at the start of a session, and what it reports about itself. No reactor, no link: only data.
+
+An MCU keeps its configuration until it is reset. The host builds the text of the configuration anew at each start
+and compares its CRC with the one the MCU was configured with: equal, and the MCU can go on as it is.
+"""
+
+from __future__ import annotations
+
+import math
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+STATS_INTERVAL_S = 5.0  # an MCU reports its load this often
+
+
+@dataclass(slots=True)
+class ConfigScript:
+    """The commands that make an MCU what the configuration wants it to be."""
+
+    oid_count: int = 0
+    reserved_move_slots: int = 0
+    callbacks: list[Callable[[], None]] = field(default_factory=list)
+    config_cmds: list[str] = field(default_factory=list)  # once after a reset
+    init_cmds: list[str] = field(default_factory=list)  # at each start, when the configuration is in force
+    restart_cmds: list[str] = field(default_factory=list)  # only if the MCU was configured already
+    crc: int = 0
+
+    def add(self, cmd: str, is_init: bool, on_restart: bool) -> None:
+        target = self.init_cmds if is_init else self.restart_cmds if on_restart else self.config_cmds
+        target.append(cmd)
+
+    def build(self, resolve: Callable[[str], str]) -> None:
+        """Let the callbacks add their commands, put real pin names in, and compute the CRC of the text."""
+        for callback in self.callbacks:  # may add callbacks
+            callback()
+        for commands in (self.config_cmds, self.init_cmds, self.restart_cmds):
+            commands[:] = [resolve(cmd) for cmd in commands]
+        self.config_cmds.insert(0, f"allocate_oids count={self.oid_count}")
+        self.crc = zlib.crc32("\n".join(self.config_cmds).encode()) & 0xFFFFFFFF
+        self.config_cmds.append(f"finalize_config crc={self.crc}")
+
+
+@dataclass(slots=True)
+class TaskLoad:
+    """Load of an MCU by its `stats` messages: count, sum and sum of squares of task run times in ticks."""
+
+    freq: float = 1.0
+    sumsq_base: float = 256.0  # the MCU sends the sum of squares divided by this
+    awake: float = 0.0  # part of the time spent in tasks
+    task_avg_s: float = 0.0
+    task_stddev_s: float = 0.0
+
+    def update(self, params: dict[str, Any]) -> None:
+        count, total, sumsq = params["count"], params["sum"], params["sumsq"] * self.sumsq_base
+        if not count:
+            return
+        self.awake = total / (self.freq * STATS_INTERVAL_S)
+        self.task_avg_s = total / (count * self.freq)
+        self.task_stddev_s = math.sqrt(max(0.0, count * sumsq - total * total)) / (count * self.freq)
+
+    def as_stats(self) -> dict[str, float]:
+        return {
+            "mcu_awake": round(self.awake, 3),
+            "mcu_task_avg": round(self.task_avg_s, 6),
+            "mcu_task_stddev": round(self.task_stddev_s, 6),
+        }
+
+
+# Shutdown texts of the firmware → what a user can do about it. The first key contained in the text counts.
+SHUTDOWN_HELP = (
+    (
+        (
+            "Timer too close",
+            "No next step",
+            "Missed scheduling of next ",
+            "Rescheduled timer in the past",
+            "Stepper too far in past",
+        ),
+        "The board was asked to do something at a time already past. Usually the host computer was too busy, swapping"
+        " memory, or too slow for the step rate (microsteps, speed); a bad cable has the same effect.",
+    ),  # fmt: skip
+    (
+        ("ADC out of range",),
+        "A temperature sensor reads outside the range its section allows (min_temp, max_temp). Check the sensor and"
+        " its cable: a broken one reads far too cold, a shorted one far too hot.",
+    ),
+    (
+        ("Command request", "Force shutdown command"),
+        "The host stopped the board (M112, an emergency stop, or an error on another board).",
+    ),
+    (
+        ("Watchdog timer", "sentinel timer called", "spontaneous restart"),
+        "The board restarted by itself: look at its power supply, wiring and temperature.",
+    ),
+    (
+        ("Move queue overflow",),
+        "The board's queue of moves was too small for what it was sent; this points to a mismatch of firmware and"
+        " host, or to a clock that jumps.",
+    ),
+    (
+        ("exceed max_duration",),
+        "An output with a limit on its on-time (a heater) was not refreshed in time, because the host was too busy"
+        " or the connection too slow.",
+    ),
+    (
+        ("Command parser error", "Invalid command", "Message encode error"),
+        "Firmware and host disagree about the commands: build and flash the firmware again from this version.",
+    ),
+)
+
+RECOVERY = (
+    "Once the cause is removed, use the command FIRMWARE_RESTART to reset the board, reload the configuration and"
+    " start again."
+)
+
+
+def shutdown_help(reason: str) -> str:
+    """A paragraph for people about a shutdown reason; always says how to go on."""
+    for keys, text in SHUTDOWN_HELP:
+        if any(key in reason for key in keys):
+            return f"{text} {RECOVERY}"
+    return RECOVERY

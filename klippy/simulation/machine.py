@@ -1,0 +1,228 @@
+"""From the config file's simulator sections to a machine in the world.
+
+    [simulator axis x]  ──┐ what is left out there
+    [stepper_x]         ──┴─ is taken from here ──► AxisPlan ──► world.add_axis
+
+`config` is the file as text: section → option → value (the shape of status "configfile.config").
+Errors are `WorldError`s for people.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from extras.simulator import (
+    AxisSettings,
+    FanSettings,
+    FeedSettings,
+    LoadSettings,
+    McuSettings,
+    NozzleSettings,
+    SimulatorSettings,
+)
+
+from .world import Pin, World, WorldError, parameter_values
+
+Config = Mapping[str, Mapping[str, str]]
+Settings = SimulatorSettings | McuSettings | NozzleSettings | LoadSettings | AxisSettings | FanSettings
+_T = TypeVar("_T")
+
+_PIN = re.compile(r"^(?P<marks>[!^~ ]*)(?:(?P<mcu>[^:]+):)? *P(?P<port>[A-H])(?P<number>\d{1,2})$")
+_ROLES = {"x": "X", "y": "Y", "z": "Z", "extruder": "E"}
+_SLACK_MM = 2.0  # how far the frame lets an axis go beyond what the host thinks possible
+
+
+@dataclass(slots=True)
+class Machine:
+    """Where things are in the world: indices by name."""
+
+    world: World
+    mcus: dict[str, int] = field(default_factory=dict)
+    serials: dict[str, str] = field(default_factory=dict)  # serial path → name of the MCU
+    axes: dict[str, int] = field(default_factory=dict)
+    fans: dict[str, int] = field(default_factory=dict)
+    nozzles: dict[str, int] = field(default_factory=dict)
+    loads: dict[str, int] = field(default_factory=dict)
+    trace_rate_hz: float = SimulatorSettings().trace_rate_hz
+
+
+def assemble(world: World, settings: Iterable[Settings], config: Config) -> Machine:
+    """Build everything the config describes. Raises WorldError."""
+    things = list(settings)
+    machine = Machine(world)
+    for recording in _of(things, SimulatorSettings):
+        machine.trace_rate_hz = recording.trace_rate_hz
+    _add_mcus(machine, {mcu.name: mcu for mcu in _of(things, McuSettings)}, config)
+    for axis in _of(things, AxisSettings):
+        machine.axes[axis.name] = _add_axis(machine, axis, config)
+    for fan in _of(things, FanSettings):
+        pin = _pin(machine, fan.pin, config, fan.section, "pin", f"simulator fan {fan.name}")
+        machine.fans[fan.name] = world.add_fan(pin, fan.spin_up_s)
+    for nozzle in _of(things, NozzleSettings):
+        machine.nozzles[nozzle.name] = _add_nozzle(machine, nozzle)
+    for load in _of(things, LoadSettings):
+        machine.loads[load.name] = _add_load(machine, load, config)
+    return machine
+
+
+def _of(things: list[Settings], kind: type[_T]) -> list[_T]:
+    return [thing for thing in things if isinstance(thing, kind)]
+
+
+# --- MCUs and pins ---
+
+
+def _add_mcus(machine: Machine, known: dict[str, McuSettings], config: Config) -> None:
+    for section, options in config.items():
+        words = section.split(None, 1)
+        if words[:1] != ["mcu"]:
+            continue
+        name = words[1] if len(words) > 1 else "mcu"
+        mcu = known.pop(name, None) or McuSettings(name)
+        machine.mcus[name] = machine.world.add_mcu(
+            mcu.clock_ppm, mcu.baud, mcu.latency_s, mcu.jitter_s, mcu.corrupt, mcu.drop, mcu.duplicate
+        )
+        if "serial" in options:
+            machine.serials[options["serial"]] = name
+    if known:
+        missing = next(iter(known))
+        raise WorldError(
+            f"Section 'simulator mcu {missing}' has no section 'mcu {missing}' that it belongs to."
+        )
+
+
+def parse_pin(text: str, mcus: Mapping[str, int], where: str) -> Pin:
+    """'!mcu:PA3' → Pin. Pull-ups play no part: a simulated switch drives its line both ways."""
+    match = _PIN.match(text.strip())
+    if match is None or int(match["number"]) > 15:
+        raise WorldError(f"{where}: '{text}' is not a pin of the simulated MCU, whose pins are PA0 to PH15.")
+    name = (match["mcu"] or "mcu").strip()
+    if name not in mcus:
+        raise WorldError(f"{where}: pin '{text}' names the MCU '{name}', which is not in the config.")
+    return Pin(mcus[name], (ord(match["port"]) - ord("A")) * 16 + int(match["number"]), "!" in match["marks"])
+
+
+def _pin(machine: Machine, given: str | None, config: Config, section: str, option: str, where: str) -> Pin:
+    text = given if given is not None else config.get(section, {}).get(option)
+    if text is None:
+        raise WorldError(
+            f"Section '{where}' needs option '{option}', as section '{section}' does not give it."
+        )
+    return parse_pin(text, machine.mcus, f"Section '{where}', {option}")
+
+
+# --- axes ---
+
+
+def _add_axis(machine: Machine, axis: AxisSettings, config: Config) -> int:
+    where = f"simulator axis {axis.name}"
+    belief = config.get(axis.section, {})
+    role = _ROLES.get(axis.name, "OTHER")
+    step = _pin(machine, axis.step_pin, config, axis.section, "step_pin", where)
+    dir_pin = _pin(machine, axis.dir_pin, config, axis.section, "dir_pin", where)
+    if step.mcu != dir_pin.mcu:
+        raise WorldError(f"Section '{where}': step pin and dir pin must be on one MCU.")
+    mm_per_step = axis.mm_per_step or _mm_per_step(belief, where)
+    if role == "E":
+        return machine.world.add_axis(role, step, dir_pin, mm_per_step, both_edges=axis.both_edges)
+    low = _first(axis.position_min_mm, _number(belief, "position_min", 0.0, where) - _SLACK_MM)
+    high = _first(axis.position_max_mm, _number(belief, "position_max", 200.0, where) + _SLACK_MM)
+    if not low < high:
+        raise WorldError(f"Section '{where}': position_min must be below position_max.")
+    endstop_mm = _first(axis.endstop_mm, _number(belief, "position_endstop", low + _SLACK_MM, where))
+    endstop_text = axis.endstop_pin or belief.get("endstop_pin")
+    endstop = (
+        parse_pin(endstop_text, machine.mcus, f"Section '{where}', endstop_pin") if endstop_text else None
+    )
+    start_mm = _first(axis.start_mm, low + 0.4 * (high - low))
+    return machine.world.add_axis(
+        role,
+        step,
+        dir_pin,
+        mm_per_step,
+        start_mm=min(max(start_mm, low), high),
+        limits_mm=(low, high),
+        endstop=endstop,
+        endstop_mm=endstop_mm,
+        endstop_at_max=endstop_mm > 0.5 * (low + high),
+        both_edges=axis.both_edges,
+    )
+
+
+def _first(value: float | None, default: float) -> float:
+    return default if value is None else value
+
+
+def _number(options: Mapping[str, str], option: str, default: float, where: str) -> float:
+    try:
+        return float(options.get(option, default))
+    except ValueError:
+        raise WorldError(f"Section '{where}': option '{option}' of the stepper is not a number.") from None
+
+
+def _mm_per_step(stepper: Mapping[str, str], where: str) -> float:
+    """What the host's own section says one step moves, mm."""
+    distance = _number(stepper, "rotation_distance", 0.0, where)
+    microsteps = _number(stepper, "microsteps", 0.0, where)
+    if distance <= 0.0 or microsteps <= 0.0:
+        raise WorldError(
+            f"Section '{where}' needs option 'mm_per_step': there is no stepper section with "
+            "rotation_distance and microsteps."
+        )
+    return distance / (
+        _number(stepper, "full_steps_per_rotation", 200.0, where) * microsteps * _gearing(stepper)
+    )
+
+
+def _gearing(stepper: Mapping[str, str]) -> float:
+    """Motor turns per output turn, from 'gear_ratio: 50:10, 3:1'."""
+    ratio = 1.0
+    for pair in stepper.get("gear_ratio", "").split(","):
+        if ":" in pair:
+            motor, output = pair.split(":")
+            ratio *= float(motor) / float(output)
+    return ratio
+
+
+# --- heaters ---
+
+
+def _feed(machine: Machine, feed: FeedSettings, where: str) -> tuple[int, float]:
+    area_mm2 = math.pi / 4.0 * feed.filament_diameter_mm**2
+    if feed.axis is None:
+        return -1, area_mm2
+    return _index(machine.axes, feed.axis, "axis", where), area_mm2
+
+
+def _index(table: Mapping[str, int], name: str | None, kind: str, where: str) -> int:
+    if name is None:
+        return -1
+    if name not in table:
+        raise WorldError(
+            f"Section '{where}' names the {kind} '{name}', and there is no section 'simulator {kind} {name}'."
+        )
+    return table[name]
+
+
+def _add_nozzle(machine: Machine, nozzle: NozzleSettings) -> int:
+    where = f"simulator nozzle {nozzle.name}"
+    if nozzle.mcu not in machine.mcus:
+        raise WorldError(f"Section '{where}' names the MCU '{nozzle.mcu}', which is not in the config.")
+    axis, area_mm2 = _feed(machine, nozzle.feed, where)
+    fan = _index(machine.fans, nozzle.fan, "fan", where)
+    values = parameter_values("nozzle", nozzle.preset, dict(nozzle.parameters))
+    return machine.world.add_nozzle(machine.mcus[nozzle.mcu], values, axis, area_mm2, fan)
+
+
+def _add_load(machine: Machine, load: LoadSettings, config: Config) -> int:
+    where = f"simulator load {load.name}"
+    heater = _pin(machine, load.heater_pin, config, load.section, "heater_pin", where)
+    sensor = _pin(machine, load.sensor_pin, config, load.section, "sensor_pin", where)
+    axis, area_mm2 = _feed(machine, load.feed, where)
+    fan = _index(machine.fans, load.fan, "fan", where)
+    values = parameter_values("load", load.kind, dict(load.parameters))
+    return machine.world.add_load(values, load.kind == "bed", heater, sensor, axis, area_mm2, fan)

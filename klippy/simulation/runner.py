@@ -1,0 +1,278 @@
+"""One simulated print: the host's Printer and the world in one process, a file, an outcome.
+
+    RunOptions ─► Simulation ─► Printer(Reactor(SimTime(World)), start_args) ─► Outcome
+
+The printer is started as klippy.py starts it, with two things handed in: its time and its ports. The machine
+is built when the host opens its first port, from the printer's own simulator sections. From then on the
+runner is the user: it waits until the printer is ready, starts the file, and watches.
+"""
+
+from __future__ import annotations
+
+import shlex
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import reactor as reactor_module
+from printer import Printer
+from serialport import PortError
+
+from . import world as world_module
+from .machine import Machine, assemble
+from .simport import SimPort
+from .simtime import SimTime
+from .summary import RunFacts, summary
+from .world import World, WorldError
+
+PRINTED, BAD_INPUT, SHUT_DOWN = 0, 2, 3
+
+POLL_S = 0.25  # how often the user looks at the printer
+AFTERMATH_S = 2.0  # watched on after a shutdown, to see that the heat goes off
+SAMPLE_S = 0.004  # host-side channels are read no more often than this
+PROGRESS_WALL_S = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far a print is."""
+
+    fraction: float  # of the file's bytes
+    simulated_s: float
+    wall_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunOptions:
+    """What to print on what. `overrides`: (section, option, value) over the config file."""
+
+    config: Path
+    gcode: Path
+    seed: int = 1
+    overrides: tuple[tuple[str, str, str], ...] = ()
+    trace: Path | None = None
+    until_s: float | None = None
+    on_progress: Callable[[Progress], None] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """`status`: exit status of simulate.py; `reason`: for people; `summary`: for the summary file."""
+
+    status: int
+    reason: str
+    summary: dict[str, Any]
+
+
+@dataclass(slots=True)
+class _Ending:
+    status: int | None = None
+    reason: str = ""
+
+
+class Simulation:
+    """Runs once."""
+
+    def __init__(self, options: RunOptions) -> None:
+        self.options = options
+        self.facts = RunFacts(str(options.config), str(options.gcode), options.seed)
+        self.ending = _Ending()
+        self.machine: Machine | None = None
+        self._wall_start = time.monotonic()
+        self._next_sample = 0.0
+        self._next_progress = 0.0
+        self._heater: Any = None
+        self._bed: Any = None
+        self._world_failure = ""
+
+    # --- start ---
+    def run(self) -> Outcome:
+        """Print; returns whatever the end was. Raises WorldError if the simulator cannot be built."""
+        world_module.build()
+        self.world = World(self.options.seed)
+        self.time = SimTime(self.world)
+        self.time.before_advance = self._before_advance
+        self.reactor = reactor_module.Reactor(self.time)
+        self.printer = self._new_printer()
+        started = time.monotonic()
+        self.reactor.register_callback(self._drive)
+        result = self.printer.run()
+        if result == "error_exit":
+            self._end(SHUT_DOWN, "internal error of the host; --log FILE gives the details")
+        self.facts.stages_s["start"] = started - self._wall_start
+        self.facts.stages_s["world"] = self.time.world_wall_s
+        self.facts.stages_s["host"] = time.monotonic() - started - self.time.world_wall_s
+        return self._finish()
+
+    def _new_printer(self) -> Any:
+        options = self.options
+        folder = str(options.gcode.resolve().parent)
+        start_args = {
+            "config_file": str(options.config),
+            "config_overrides": [("virtual_sdcard", "path", folder), *options.overrides],
+            "open_port": self._open_port,
+            "simulator_parameters": world_module.parameter_tables(),
+            "apiserver": None,
+            "gcode_fd": None,
+            "start_reason": "startup",
+            "software_version": "simulation",
+            "cpu_info": "simulated time",
+        }
+        return Printer(self.reactor, start_args)
+
+    def _open_port(self, reactor: reactor_module.Reactor, path: str, baud: int) -> SimPort:
+        """The OpenPort of this run: no device, but the MCU whose section names this path."""
+        if self.machine is None:
+            self.machine = self._build_machine()
+        if path not in self.machine.serials:
+            raise PortError(f"No simulated MCU has the serial port {path}.")
+        return SimPort(self.world, self.time, self.machine.mcus[self.machine.serials[path]])
+
+    def _build_machine(self) -> Machine:
+        sections = [section for _, section in self.printer.lookup_objects("simulator")]
+        config = self.printer.lookup_object("configfile").get_status(0.0)["config"]
+        try:
+            machine = assemble(self.world, [section.settings for section in sections], config)
+            self.world.open_trace(self.options.trace, machine.trace_rate_hz)
+        except WorldError as e:
+            self._world_failure = str(e)
+            raise PortError(str(e)) from None
+        return machine
+
+    # --- while time passes ---
+    def _before_advance(self, now: float) -> None:
+        if now >= self._next_sample:
+            self._next_sample = now + SAMPLE_S
+            self._sample(now)
+            wall = time.monotonic()
+            if self.options.on_progress is not None and wall >= self._next_progress:
+                self._next_progress = wall + PROGRESS_WALL_S
+                self.options.on_progress(
+                    Progress(self.facts.file_progress, now - self.world.start_s, wall - self._wall_start)
+                )
+
+    def _sample(self, now: float) -> None:
+        """What the host believes and wants goes into the trace."""
+        set_channel, pointer, lib = self.world.lib.world_set_channel, self.world.pointer, self.world.lib
+        if self._heater is not None:
+            estimate_c, target_c = self._heater.get_temp(now)
+            set_channel(pointer, lib.WORLD_ESTIMATE_C, estimate_c)
+            set_channel(pointer, lib.WORLD_TARGET_C, target_c)
+        if self._bed is not None:
+            set_channel(pointer, lib.WORLD_BED_TARGET_C, self._bed.get_temp(now)[1])
+
+    def _find_heaters(self) -> None:
+        heaters = self.printer.lookup_object("heaters", None)
+        if heaters is None:
+            return
+        known = heaters.get_all_heaters()
+        self._heater = heaters.lookup_heater("extruder") if "extruder" in known else None
+        self._bed = heaters.lookup_heater("heater_bed") if "heater_bed" in known else None
+
+    def _count_moves(self, moves: Any) -> None:
+        self.facts.moves += len(moves)
+
+    # --- the user ---
+    def _drive(self, eventtime: float) -> None:
+        """Runs in a greenlet of the reactor: wait until ready, print, wait for the end."""
+        try:
+            if self._wait_ready():
+                self._print()
+        finally:
+            self.printer.request_exit("exit")
+
+    def _pause(self) -> bool:
+        """Look again in a while; False when it is time to stop."""
+        now = self.reactor.pause(self.reactor.monotonic() + POLL_S)
+        until_s = self.options.until_s
+        if until_s is not None and now - self.world.start_s >= until_s:
+            self._end(PRINTED, f"stopped after {until_s:g} simulated seconds, as asked")
+            return False
+        return not self._printer_failed()
+
+    def _printer_failed(self) -> bool:
+        message, state = self.printer.get_state_message()
+        if state == "shutdown":
+            self._end(SHUT_DOWN, _first_paragraph(message))
+            self.reactor.pause(self.reactor.monotonic() + AFTERMATH_S)
+        elif state == "error":
+            self._end(BAD_INPUT, self._world_failure or _first_paragraph(message))
+        return state in ("shutdown", "error")
+
+    def _end(self, status: int, reason: str) -> None:
+        if self.ending.status is None:
+            self.ending.status, self.ending.reason = status, reason
+
+    def _wait_ready(self) -> bool:
+        while self.printer.get_state_message()[1] != "ready":
+            if not self._pause():
+                return False
+        self._find_heaters()
+        self.printer.lookup_object("toolhead").register_move_listener(self._count_moves)
+        self.printer.lookup_object("gcode").register_output_handler(self._on_output)
+        return True
+
+    def _on_output(self, text: str) -> None:
+        if text.startswith("!!"):
+            self.facts.faults.append(
+                f"{self.reactor.monotonic() - self.world.start_s:.1f} s: {text[2:].strip()}"
+            )
+
+    def _print(self) -> None:
+        sdcard = self.printer.lookup_object("virtual_sdcard")
+        gcode = self.printer.lookup_object("gcode")
+        try:
+            gcode.run_script(f"SDCARD_PRINT_FILE FILENAME={shlex.quote(self.options.gcode.name)}")
+        except self.printer.command_error as e:
+            self._end(BAD_INPUT, str(e))
+            return
+        while self._pause():
+            status = sdcard.get_status(self.reactor.monotonic())
+            self.facts.file_progress = status["progress"]
+            if not status["is_active"]:
+                break
+        else:
+            return
+        self._finish_print(status)
+
+    def _finish_print(self, status: dict[str, Any]) -> None:
+        """The file is no longer being read: it is through, or a command in it failed."""
+        if self.facts.faults:
+            self._end(BAD_INPUT, self.facts.faults[-1])
+            return
+        self.printer.lookup_object("toolhead").wait_moves()
+        if self._pause():
+            self._end(PRINTED, "printed to its end")
+
+    # --- end ---
+    def _finish(self) -> Outcome:
+        facts, ending = self.facts, self.ending
+        message = self.printer.get_state_message()[0]
+        if ending.status is None:
+            self._end(BAD_INPUT, _first_paragraph(message))
+        try:
+            if self.machine is not None:
+                self.world.close_trace()
+        except WorldError as e:
+            facts.faults.append(str(e))
+        facts.exit_status, facts.reason = ending.status or 0, ending.reason
+        facts.simulated_s = self.world.now - self.world.start_s
+        facts.wall_s = time.monotonic() - self._wall_start
+        if self.machine is not None:
+            self._note_machine(self.machine)
+        if facts.exit_status == SHUT_DOWN:
+            facts.faults.insert(0, facts.reason)
+        return Outcome(facts.exit_status, facts.reason, summary(facts, self.machine))
+
+    def _note_machine(self, machine: Machine) -> None:
+        for name, index in machine.axes.items():
+            lost = machine.world.axis(index)["steps_lost"]
+            if lost:
+                self.facts.faults.append(f"axis {name} ran against its end: {lost} steps lost")
+
+
+def _first_paragraph(text: str) -> str:
+    """The state message without the advice that follows it, on one line."""
+    return " ".join(text.partition("\nOnce the underlying issue")[0].split())

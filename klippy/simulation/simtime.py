@@ -1,0 +1,66 @@
+"""The reactor's clock in a simulation: waiting makes the world move.
+
+Theory of operation: src/simulator/README.md, "Who owns virtual time".
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+from .world import World
+
+if TYPE_CHECKING:
+    from reactor import FdPoll
+
+# Longest stretch without a look at file descriptors, signals and the hook, s.
+MAX_STRETCH_S = 0.25
+
+
+class SimTime:
+    """A `TimeSource` on a simulated world.
+
+    `before_advance(now)` is called each time before time moves: what the host has decided by then can be read
+    off there.
+    """
+
+    def __init__(self, world: World) -> None:
+        self._world = world
+        self._advance = world.lib.world_advance
+        self._read_now = world.lib.world_now
+        self._now = world.now
+        self._receivers: dict[int, Callable[[], None]] = {}
+        self.before_advance: Callable[[float], None] = _nothing
+        self.world_wall_s = 0.0  # real time spent in the world; the rest of a run is the host's
+
+    def monotonic(self) -> float:
+        """World time, s."""
+        return self._now
+
+    def wait(self, until: float, poll: FdPoll) -> None:
+        """Let the world run to `until`, or until a message or a file descriptor wants the host."""
+        now = self._now
+        if until <= now or poll.poll(0.0):
+            return
+        self.before_advance(now)
+        pointer = self._world.pointer
+        entered = time.perf_counter()
+        waiting = self._advance(pointer, min(until, now + MAX_STRETCH_S))
+        self.world_wall_s += time.perf_counter() - entered
+        self._now = self._read_now(pointer)
+        if waiting:
+            for mcu, receive in list(self._receivers.items()):
+                if waiting >> mcu & 1:
+                    receive()
+
+    def set_receiver(self, mcu: int, receive: Callable[[], None] | None) -> None:
+        """Call `receive` when messages of the MCU wait for the host."""
+        if receive is None:
+            self._receivers.pop(mcu, None)
+        else:
+            self._receivers[mcu] = receive
+
+
+def _nothing(now: float) -> None:
+    pass

@@ -1,0 +1,127 @@
+"""What a simulated print came to, as plain data for the summary file.
+
+    world figures, epochs, links, axes ─┐
+    run facts (RunFacts) ───────────────┴─► summary() ─► dict for JSON
+
+Units are in the names; -1 of the C side ("never") becomes null.
+"""
+
+from __future__ import annotations
+
+import math
+import resource
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from .machine import Machine
+
+STATUS_TEXT = {0: "printed", 2: "bad input", 3: "printer shut down"}
+
+
+@dataclass(slots=True)
+class RunFacts:
+    """What the runner knows beside the world. `stages_s`: wall time by part of the program."""
+
+    config: str
+    gcode: str
+    seed: int
+    exit_status: int = 0
+    reason: str = ""
+    simulated_s: float = 0.0
+    wall_s: float = 0.0
+    moves: int = 0
+    file_progress: float = 0.0
+    faults: list[str] = field(default_factory=list)
+    stages_s: dict[str, float] = field(default_factory=dict)
+    host_links: dict[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+def peak_memory_mb() -> float:
+    """Largest resident set of this process so far, MB (1e6 bytes)."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
+
+
+def summary(facts: RunFacts, machine: Machine | None) -> dict[str, Any]:
+    """The summary; without a machine (it was never built) only the run's own facts."""
+    result: dict[str, Any] = {
+        "status": STATUS_TEXT.get(facts.exit_status, "failed"),
+        "exit_status": facts.exit_status,
+        "reason": facts.reason,
+        "config": facts.config,
+        "gcode": facts.gcode,
+        "seed": facts.seed,
+        "simulated_s": round(facts.simulated_s, 6),
+        "wall_s": round(facts.wall_s, 3),
+        "ratio": round(facts.simulated_s / facts.wall_s, 2) if facts.wall_s > 0 else None,
+        "stages_s": {name: round(value, 3) for name, value in facts.stages_s.items()},
+        "peak_memory_mb": round(peak_memory_mb(), 1),
+        "moves": facts.moves,
+        "file_progress": round(facts.file_progress, 6),
+        "faults": list(facts.faults),
+    }
+    if machine is None:
+        return result
+    figures = machine.world.figures()
+    result["extruded_mm3"] = _rounded(figures["extruded_mm3"])
+    result["heater"] = heater_figures(figures, machine.world.epochs())
+    result["axes"] = {
+        name: {k: _rounded(v) for k, v in machine.world.axis(index).items()}
+        for name, index in machine.axes.items()
+    }
+    result["links"] = {
+        name: {**machine.world.link(index), **facts.host_links.get(name, {})}
+        for name, index in machine.mcus.items()
+    }
+    return result
+
+
+def heater_figures(figures: Mapping[str, Any], epochs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """The nozzle's figures over all targets, and one record a target."""
+    settled_s = sum(e["settled_seconds"] for e in epochs)
+    squares = sum(e["square_error_sum"] for e in epochs)
+    errors = sum(e["error_sum"] for e in epochs)
+    heating = [e for e in epochs if e["target_c"] > e["from_c"] + 5.0]
+    return {
+        "settled_s": _rounded(settled_s),
+        "settled_max_error_c": _largest(epochs, "max_error_c", settled_s),
+        "settled_rms_error_c": _rounded(math.sqrt(squares / settled_s)) if settled_s else None,
+        "settled_mean_error_c": _rounded(errors / settled_s) if settled_s else None,
+        "estimate_max_error_c": _largest(epochs, "estimate_max_error_c", settled_s),
+        "overshoot_c": _largest(heating, "overshoot_c", settled_s),
+        "time_to_heat_s": _rounded(_ever(heating[0]["reach_s"])) if heating else None,
+        "peak_c": _rounded(figures["peak_c"]),
+        "peak_power_w": _rounded(figures["peak_power_w"]),
+        "energy_j": _rounded(figures["energy_j"]),
+        "peak_flow_mm3_s": _rounded(figures["peak_flow_mm3_s"]),
+        "targets": [_epoch(e) for e in epochs],
+    }
+
+
+def _epoch(epoch: Mapping[str, Any]) -> dict[str, Any]:
+    seconds = epoch["settled_seconds"]
+    return {
+        "start_s": _rounded(epoch["start_s"]),
+        "from_c": _rounded(epoch["from_c"]),
+        "target_c": _rounded(epoch["target_c"]),
+        "reach_s": _rounded(_ever(epoch["reach_s"])),
+        "settle_s": _rounded(_ever(epoch["settle_s"])),
+        "overshoot_c": _rounded(epoch["overshoot_c"]),
+        "settled_s": _rounded(seconds),
+        "max_error_c": _rounded(epoch["max_error_c"]) if seconds else None,
+        "rms_error_c": _rounded(math.sqrt(epoch["square_error_sum"] / seconds)) if seconds else None,
+    }
+
+
+def _largest(epochs: Sequence[Mapping[str, Any]], name: str, settled_s: float) -> float | None:
+    return _rounded(max((e[name] for e in epochs), default=0.0)) if settled_s else None
+
+
+def _ever(seconds: float) -> float | None:
+    return None if seconds < 0.0 else seconds
+
+
+def _rounded(value: Any) -> Any:
+    return round(value, 4) if isinstance(value, float) else value

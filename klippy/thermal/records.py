@@ -1,0 +1,105 @@
+"""The records that travel between the stages of the thermal chain.
+
+Every quantity carries its unit in its name. `time_s` is always print time: seconds on the clock the whole
+printer shares. Raw values are ADC codes (LSB); "error units" are those of source 000, about 0.8 units per
+degree at low power.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+PHASE_MAX_TICKS = (
+    45000  # 180 degrees: full drive (source 000, section 2.2); the MCU exports it as BRIDGE_PHASE_MAX
+)
+
+
+@dataclass(frozen=True, slots=True)
+class SampleBlock:
+    """A sum of consecutive synchronous samples that were all taken under one bridge phase."""
+
+    sequence: int  # running index of the block, unwrapped to any length
+    clock: int  # MCU clock of the first sample, 64 bit
+    time_s: float  # print time of the first sample
+    duration_s: float  # count bridge periods
+    count: int  # samples in the sum
+    mean_raw: float  # mean ADC code
+    min_raw: int
+    max_raw: int
+    phase_ticks: int  # phase in force, 0 = bridge off
+    discarded: int  # samples left out since the block before (settling, too short a cut block)
+    lost: int  # samples overwritten before they were summed
+
+    @property
+    def centre_s(self) -> float:
+        """Print time of the middle of the block, the instant its mean belongs to."""
+        return self.time_s + 0.5 * self.duration_s
+
+
+@dataclass(frozen=True, slots=True)
+class Features:
+    """What the estimator needs of one block."""
+
+    time_s: float  # centre of the block
+    error_units: float
+    noise_units: float  # standard deviation of error_units from sample noise
+    phase_ticks: int
+    power_fraction: float  # p = (phase/45000)^2, the "power %" of source 000 as a fraction
+    count: int
+    fault: str  # "" or why the block cannot be used
+
+
+@dataclass(frozen=True, slots=True)
+class TempEstimate:
+    """A temperature with its uncertainty, or an explicit "invalid": then temp_c is NaN, never a number."""
+
+    time_s: float
+    temp_c: float
+    sigma_c: float  # 1 sigma, sample noise and law residual together
+    sigma_noise_c: float  # 1 sigma of the random part alone: what filtering can reduce
+    dtemp_derror: float  # degC per error unit at this working point
+    phase_ticks: int
+    valid: bool
+    reason: str  # "" when valid
+
+
+@dataclass(frozen=True, slots=True)
+class PowerRequest:
+    """What the controller wants from `time_s` on, with the terms it was made of, kept for the log."""
+
+    time_s: float
+    power_w: float  # limited, what the actuator shall deliver
+    unlimited_w: float
+    proportional_w: float
+    integral_w: float
+    derivative_w: float
+    feedforward_w: float
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseCommand:
+    """The bridge shall run at `phase_ticks` from `time_s` on."""
+
+    time_s: float
+    phase_ticks: int
+    power_w: float  # heat that phase gives by the drive law
+
+
+@dataclass(frozen=True, slots=True)
+class FlowSegment:
+    """A piece of the planned motion with one extrusion rate."""
+
+    start_s: float
+    end_s: float
+    flow_mm3_s: float
+    path_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class TempSegment:
+    """A piece of the temperature plan."""
+
+    start_s: float
+    end_s: float
+    target_c: float
+    feedforward_w: float

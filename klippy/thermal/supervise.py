@@ -1,0 +1,145 @@
+"""Plausibility of what the chain sees and does: returns a fault text, or "" while all is well.
+
+The MCU's guard watches single blocks against fixed limits with the host dead; this watches what needs memory
+and a target: nothing heard, nothing believable heard, too hot, too cold, power in and no warmth out, warmth
+without power. A fault latches: once named it stays.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from .records import TempEstimate
+
+
+@dataclass(frozen=True, slots=True)
+class SuperviseParameters:
+    """Limits of one heater."""
+
+    temp_low_c: float
+    temp_high_c: float
+    silence_s: float = 1.0  # no block at all
+    invalid_s: float = 2.0  # blocks, but no believable temperature
+    limit_blocks: int = 3  # consecutive estimates beyond a limit: one alone may be a disturbance
+    gain_s: float = 3.0  # under demand the nozzle must warm within this time ...
+    gain_c: float = 2.0  # ... by this much
+    demand_c: float = 5.0  # "under demand": this far below target ...
+    demand_fraction: float = 0.5  # ... with at least this fraction of full power asked
+    stray_s: float = 2.0  # with the heater off the nozzle may in this time ...
+    stray_c: float = 15.0  # ... not warm by this much
+
+
+@dataclass(slots=True)
+class SuperviseState:
+    """Memory of the watch; times are print times."""
+
+    fault: str = ""
+    heard_s: float = math.inf  # last block; inf until supervision starts
+    believed_s: float = math.inf  # last valid estimate
+    reason: str = ""  # why the last estimate was invalid
+    beyond: int = 0  # consecutive estimates beyond a limit
+    demand_s: float = math.inf  # start of the present window of unmet demand
+    demand_from_c: float = math.nan
+    off_s: float = math.inf  # start of the present window with the heater off
+    off_from_c: float = math.nan
+
+
+def start(state: SuperviseState, time_s: float) -> None:
+    """Supervision begins (or begins anew after a pause of the whole machine)."""
+    state.heard_s = state.believed_s = time_s
+    state.demand_s = state.off_s = math.inf
+    state.beyond = 0
+
+
+def _limits(parameters: SuperviseParameters, state: SuperviseState, temp_c: float) -> str:
+    if parameters.temp_low_c <= temp_c <= parameters.temp_high_c:
+        state.beyond = 0
+        return ""
+    state.beyond += 1
+    if state.beyond < parameters.limit_blocks:
+        return ""
+    if temp_c > parameters.temp_high_c:
+        return f"nozzle at {temp_c:.1f} C, above max_temp {parameters.temp_high_c:.1f} C"
+    return f"nozzle at {temp_c:.1f} C, below min_temp {parameters.temp_low_c:.1f} C"
+
+
+def observe(
+    parameters: SuperviseParameters, state: SuperviseState, time_s: float, estimate: TempEstimate | None
+) -> str:
+    """A block ended at `time_s`.
+
+    `estimate` is None when the bridge was off, so that nothing could be measured.
+    """
+    state.heard_s = time_s
+    if state.fault or estimate is None:
+        return state.fault
+    if not estimate.valid:
+        state.reason = estimate.reason
+        return ""
+    state.believed_s = time_s
+    state.reason = ""
+    state.fault = _limits(parameters, state, estimate.temp_c)
+    return state.fault
+
+
+def _gain(
+    parameters: SuperviseParameters, state: SuperviseState, time_s: float, temp_c: float, demand: bool
+) -> str:
+    """Power in, no warmth out."""
+    if not demand:
+        state.demand_s = math.inf
+        return ""
+    warmed = temp_c >= state.demand_from_c + parameters.gain_c
+    if state.demand_s == math.inf or warmed:
+        state.demand_s, state.demand_from_c = time_s, temp_c
+        return ""
+    if time_s - state.demand_s < parameters.gain_s:
+        return ""
+    return (
+        f"heating too slow: {temp_c - state.demand_from_c:+.1f} C in {parameters.gain_s:.0f} s at"
+        f" {temp_c:.0f} C although much power is asked; check the coil, the bridge's supply and that"
+        " the nozzle is in place"
+    )
+
+
+def _stray(
+    parameters: SuperviseParameters, state: SuperviseState, time_s: float, temp_c: float, off: bool
+) -> str:
+    """Warmth without power."""
+    if not off:
+        state.off_s = math.inf
+        return ""
+    if state.off_s == math.inf or time_s - state.off_s > parameters.stray_s or temp_c < state.off_from_c:
+        state.off_s, state.off_from_c = time_s, temp_c
+        return ""
+    if temp_c - state.off_from_c < parameters.stray_c:
+        return ""
+    return f"nozzle warms with the heater off ({temp_c:.0f} C): is the bridge stuck on?"
+
+
+def watch(
+    parameters: SuperviseParameters,
+    state: SuperviseState,
+    time_s: float,
+    temp_c: float,
+    target_c: float,
+    power_fraction: float,
+) -> str:
+    """To be called regularly.
+
+    `temp_c` newest believed temperature, `power_fraction` requested / full power.
+    """
+    if state.fault:
+        return state.fault
+    if time_s - state.heard_s > parameters.silence_s:
+        state.fault = f"no samples from the induction unit for {time_s - state.heard_s:.1f} s"
+    elif time_s - state.believed_s > parameters.invalid_s:
+        why = state.reason or "no usable block"
+        state.fault = f"no believable nozzle temperature for {time_s - state.believed_s:.1f} s ({why})"
+    elif not math.isnan(temp_c):
+        demand = target_c - temp_c > parameters.demand_c and power_fraction >= parameters.demand_fraction
+        state.fault = _gain(parameters, state, time_s, temp_c, demand)
+        off = target_c <= 0.0 and power_fraction <= 0.0
+        state.fault = state.fault or _stray(parameters, state, time_s, temp_c, off)
+    return state.fault

@@ -1,0 +1,492 @@
+"""The toolhead: takes moves, plans them, and keeps every MCU supplied with steps in time.
+
+    move() -> look-ahead queue -> plan -> trapq (head), trapq (extruder) -> StepStreams -> MCUs
+                                     \\-> move listeners (flow for the thermal plan, reports)
+
+Three times matter, all in print_time (seconds of the main MCU's clock):
+
+    now (estimated)            done_time                 print_time
+    ----|===== at the MCU ======|==== planned moves =======|.... look-ahead queue ....
+
+print_time runs ahead of now by up to BUFFER_FULL_S, then move() waits. If too little is ahead and nothing more comes,
+the timer `_watch` plans what there is, to a stop, so that the head never halts in mid-move.
+In batch mode there is no now: nothing ever waits.
+"""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import chelper
+import stepstream
+from lookahead import Coord, LookAheadQueue, Move
+
+__all__ = ["Coord", "LookAheadQueue", "Move", "ToolHead", "add_printer_objects"]
+
+# From standstill the first step is planned this far ahead: time to work out and send the first commands.
+START_LEAD_S = 0.250
+# move() waits while more than this is planned ahead: bounds the delay of a pause or a speed change.
+BUFFER_FULL_S = 2.0
+# Below this the look-ahead queue is planned to a stop rather than risk running dry.
+BUFFER_LOW_S = 0.6
+# A first move waits this long (host time) for company before it is planned alone.
+GATHER_S = 0.100
+# Steps are worked out in batches of this much motion.
+STEP_BATCH_S = 0.200
+# A stop forced by a low buffer followed by a new move within this time counts as a stall.
+STALL_WINDOW_S = 1.0
+# Homing: how far the steps run ahead of the MCU, so that little has to be thrown away at the trigger.
+DRIP_AHEAD_S = 0.100
+DRIP_STEP_S = 0.050
+WAIT_POLL_S = 0.100
+# (sqrt(2) - 1) relates the corner deviation to the speed of a right angle: sin(45)/(1 - sin(45)) = 1/(sqrt(2) - 1)
+RIGHT_ANGLE_FACTOR = math.sqrt(2.0) - 1.0
+
+MoveListener = Callable[[Sequence[Move]], None]
+
+
+class DripModeEndSignal(Exception):
+    """Kept for plugins that catch it; homing ends a drip move by its completion."""
+
+
+class ToolHead:
+    """Printer object 'toolhead'."""
+
+    def __init__(self, config: Any) -> None:
+        self.printer = config.get_printer()
+        self.reactor = self.printer.get_reactor()
+        self.mcu = self.printer.lookup_object("mcu")
+        self.can_pause = not self.mcu.is_fileoutput()
+        self.commanded_pos = [0.0, 0.0, 0.0, 0.0]
+        self.lookahead = LookAheadQueue()
+        self._streams = stepstream.lookup_streams(self.printer)
+        _ffi, lib = chelper.get_ffi()
+        self._trapq_append = lib.trapq_append
+        self._trapq_set_position = lib.trapq_set_position
+        self.trapq = self._streams.new_trapq()
+        self._listeners: list[MoveListener] = []
+        self._read_limits(config)
+
+        self.print_time = 0.0
+        self._at_rest = True  # nothing planned runs on: print_time may have passed
+        self._next_check_time = -math.inf
+        self._forced_stop = False
+        self.print_stall = 0
+        self._watch_timer = self.reactor.register_timer(self._watch)
+        self._watching = False
+
+        from kinematics.extruder import DummyExtruder  # the extruder module needs this one
+
+        self.extruder: Any = DummyExtruder(self.printer)
+        self.kin = self._load_kinematics(config)
+        self._register(config)
+
+    # -- set-up --
+
+    def _read_limits(self, config: Any) -> None:
+        self.max_velocity = config.getfloat("max_velocity", above=0.0)
+        self.max_accel = config.getfloat("max_accel", above=0.0)
+        default_ratio = 0.5
+        to_decel = config.getfloat("max_accel_to_decel", None, above=0.0)  # the option's name before it was a ratio
+        if to_decel is not None:
+            config.deprecate("max_accel_to_decel")
+            default_ratio = 1.0 - min(1.0, to_decel / self.max_accel)
+        self.min_cruise_ratio = config.getfloat("minimum_cruise_ratio", default_ratio, minval=0.0, below=1.0)
+        self.square_corner_velocity = config.getfloat("square_corner_velocity", 5.0, minval=0.0)
+        self._derive_limits()
+
+    def _derive_limits(self) -> None:
+        self.junction_deviation = self.square_corner_velocity**2 * RIGHT_ANGLE_FACTOR / self.max_accel
+        self.max_accel_to_decel = self.max_accel * (1.0 - self.min_cruise_ratio)
+
+    def _load_kinematics(self, config: Any) -> Any:
+        name = config.get("kinematics")
+        try:
+            module = importlib.import_module(f"kinematics.{name}")
+            loader = module.load_kinematics
+        except (ImportError, AttributeError):
+            raise config.error(
+                f"Option 'kinematics' in section 'printer': there is no kinematics called '{name}'"
+            ) from None
+        return loader(self, config)
+
+    def _register(self, config: Any) -> None:
+        gcode = self.printer.lookup_object("gcode")
+        gcode.register_command("G4", self.cmd_G4)
+        gcode.register_command("M400", self.cmd_M400)
+        gcode.register_command("M204", self.cmd_M204)
+        gcode.register_command("SET_VELOCITY_LIMIT", self.cmd_SET_VELOCITY_LIMIT, desc="Set printer velocity limits")
+        self.printer.register_event_handler("klippy:shutdown", self._handle_shutdown)
+        for module in ("gcode_move", "homing"):
+            self.printer.load_object(config, module)
+
+    # -- planned motion to steps --
+
+    def _estimated_print_time(self) -> float:
+        return self.mcu.estimated_print_time(self.reactor.monotonic())
+
+    def _start_motion(self) -> None:
+        """Out of rest: the next move begins a little after now."""
+        self._at_rest = False
+        earliest = START_LEAD_S
+        if self.can_pause:
+            now = self._estimated_print_time()
+            earliest += now
+            if self._forced_stop and 0.0 < now - self.print_time < STALL_WINDOW_S:
+                self.print_stall += 1
+        self._forced_stop = False
+        if self.print_time < earliest:
+            self.print_time = earliest
+            self.printer.send_event("toolhead:sync_print_time", self.reactor.monotonic(), earliest, self.print_time)
+
+    def _commit(self, moves: Sequence[Move]) -> None:
+        """Moves with fixed speeds get their times and go to the motion queues."""
+        if self._at_rest:
+            self._start_motion()
+        append, trapq, extruder_move = self._trapq_append, self.trapq, self.extruder.process_move
+        print_time = self.print_time
+        for move in moves:
+            move.print_time = print_time
+            if move.is_kinematic_move:
+                x, y, z, _ = move.start_pos
+                rx, ry, rz, _ = move.axes_r
+                append(
+                    trapq, print_time, move.accel_t, move.cruise_t, move.decel_t,
+                    x, y, z, rx, ry, rz, move.start_v, move.cruise_v, move.accel,
+                )  # fmt: skip
+            if move.axes_d[3]:
+                extruder_move(print_time, move)
+            print_time += move.accel_t + move.cruise_t + move.decel_t
+            if move.timing_callbacks is not None:
+                for callback in move.timing_callbacks:
+                    callback(print_time)
+        for listener in self._listeners:
+            listener(moves)
+        self.print_time = print_time
+        reach = print_time - self._streams.look_ahead_s()
+        if reach - self._streams.done_time >= STEP_BATCH_S:
+            self._streams.advance(reach)
+
+    def _flush_lookahead(self, lazy: bool = False) -> None:
+        moves = self.lookahead.flush(lazy)
+        if moves:
+            self._commit(moves)
+
+    def _settle(self) -> None:
+        """Everything known becomes steps and goes out; afterwards the head is at rest."""
+        self._flush_lookahead()
+        if self._at_rest:
+            return
+        end = self.print_time + self._streams.look_ahead_s()
+        self._streams.advance(end, hold_back=False)
+        self.print_time = max(self.print_time, self._streams.done_time)
+        self._at_rest = True
+        self._next_check_time = -math.inf
+
+    # -- pacing --
+
+    def _watch(self, eventtime: float) -> float:
+        """Timer: while motion is under way, plan to a stop what would otherwise run dry."""
+        try:
+            ahead = self.print_time - self.mcu.estimated_print_time(eventtime)
+            if self.lookahead.queue or not self._at_rest:
+                if not self._at_rest and ahead > BUFFER_LOW_S:
+                    return eventtime + (ahead - BUFFER_LOW_S)
+                self._forced_stop = True
+                self._settle()
+        except Exception as problem:
+            logging.exception("Exception in the toolhead's timer")
+            self.printer.invoke_shutdown(f"Motion stopped: {problem}")
+        self._watching = False
+        return self.reactor.NEVER
+
+    def _start_watch(self) -> None:
+        self._watching = True
+        if self.can_pause:
+            self.reactor.update_timer(self._watch_timer, self.reactor.monotonic() + GATHER_S)
+
+    def _wait_for_room(self) -> None:
+        """Hold the caller back while enough motion is planned ahead."""
+        while self.can_pause and not self._at_rest:
+            eventtime = self.reactor.monotonic()
+            surplus = self.print_time - self.mcu.estimated_print_time(eventtime) - BUFFER_FULL_S
+            if surplus <= 0.0:
+                break
+            self.reactor.pause(eventtime + min(1.0, max(0.005, surplus)))
+        self._next_check_time = self.print_time + 0.1
+
+    # -- moves --
+
+    def get_position(self) -> list[float]:
+        """Commanded x, y, z, e after everything queued (mm)."""
+        return list(self.commanded_pos)
+
+    def set_position(self, newpos: Sequence[float], homing_axes: Sequence[int] | str = ()) -> None:
+        """The head is at newpos from now on, without moving; homing_axes count as homed."""
+        self.flush_step_generation()
+        self._trapq_set_position(self.trapq, self.print_time, newpos[0], newpos[1], newpos[2])
+        self.commanded_pos[:] = newpos[:4]
+        self.kin.set_position(newpos, homing_axes)
+        self.printer.send_event("toolhead:set_position")
+
+    def limit_next_junction_speed(self, speed: float) -> None:
+        """The next move may not be entered faster than this (mm/s)."""
+        last = self.lookahead.get_last()
+        if last is not None:
+            last.max_cruise_v2 = min(last.max_cruise_v2, max(speed * speed, last.max_start_v2))
+
+    def move(self, newpos: Sequence[float], speed: float) -> None:
+        """Queue a straight move to (x, y, z, e) at `speed` mm/s. Raises command_error; then nothing has changed."""
+        move = Move(self, self.commanded_pos, newpos, speed)
+        if not move.move_d:
+            return
+        if move.is_kinematic_move:
+            self.kin.check_move(move)
+        if move.axes_d[3]:
+            self.extruder.check_move(move)
+        self.commanded_pos[:] = move.end_pos
+        due = self.lookahead.add_move(move, self.extruder)
+        if not self._watching:
+            self._start_watch()
+        if due:
+            self._flush_lookahead(lazy=True)
+            if self.print_time > self._next_check_time:
+                self._wait_for_room()
+
+    def manual_move(self, coord: Sequence[float | None], speed: float) -> None:
+        """Move the given coordinates (None: stay)."""
+        curpos = self.get_position()
+        for i, value in enumerate(coord):
+            if value is not None:
+                curpos[i] = value
+        self.move(curpos, speed)
+        self.printer.send_event("toolhead:manual_move")
+
+    def dwell(self, delay: float) -> None:
+        """Rest for `delay` seconds after what is queued."""
+        self.get_last_move_time()
+        self._advance_print_time(self.print_time + max(0.0, delay))
+        self._wait_for_room()
+
+    def _advance_print_time(self, print_time: float) -> None:
+        self.print_time = max(self.print_time, print_time)
+        reach = self.print_time - self._streams.look_ahead_s()
+        if reach - self._streams.done_time >= STEP_BATCH_S:
+            self._streams.advance(reach, hold_back=False)
+
+    def wait_moves(self) -> None:
+        """Return when all that is queued has been done."""
+        self._settle()
+        if not self.can_pause:
+            return
+        eventtime = self.reactor.monotonic()
+        while not self.printer.is_shutdown() and self.print_time >= self.mcu.estimated_print_time(eventtime):
+            eventtime = self.reactor.pause(eventtime + WAIT_POLL_S)
+
+    def flush_step_generation(self) -> None:
+        """All that is queued becomes steps and goes to the MCUs."""
+        self._settle()
+
+    def get_last_move_time(self) -> float:
+        """print_time at which all that is queued ends; what comes next begins there."""
+        self._flush_lookahead()
+        if self._at_rest:
+            self._start_motion()
+            if not self._watching:
+                self._start_watch()
+        return self.print_time
+
+    def drip_move(self, newpos: Sequence[float], speed: float, drip_completion: Any) -> None:
+        """A move whose steps are worked out only just in time, until done or until the completion is set."""
+        self.flush_step_generation()
+        move = Move(self, self.commanded_pos, newpos, speed)
+        if not move.move_d:
+            return
+        if move.is_kinematic_move:
+            self.kin.check_move(move)
+        if move.axes_d[3]:
+            self.extruder.check_move(move)
+        self.lookahead.add_move(move, self.extruder)
+        start = self._begin_drip(move)
+        self.commanded_pos[:] = move.end_pos
+        self._drip(start, drip_completion)
+
+    def _begin_drip(self, move: Move) -> float:
+        """Plan the lone queued move into the head's motion queue without making steps of it; returns its start."""
+        if self._at_rest:
+            self._start_motion()
+        self.lookahead.flush()
+        self._trapq_append(
+            self.trapq, self.print_time, move.accel_t, move.cruise_t, move.decel_t,
+            *move.start_pos[:3], *move.axes_r[:3], move.start_v, move.cruise_v, move.accel,
+        )  # fmt: skip
+        start = self.print_time
+        self.print_time += move.accel_t + move.cruise_t + move.decel_t
+        return start
+
+    def _drip(self, start: float, completion: Any) -> None:
+        end = self.print_time
+        time = start if self.can_pause else end
+        while time < end:
+            if self.can_pause:
+                eventtime = self.reactor.monotonic()
+                spare = time - self.mcu.estimated_print_time(eventtime) - DRIP_AHEAD_S
+                if spare > 0.0:
+                    completion.wait(eventtime + spare)
+                if completion.test():
+                    break
+            time = min(end, time + DRIP_STEP_S)
+            self._streams.advance(time, hold_back=False)
+        if time < end:  # stopped by the trigger: the rest of the plan is void
+            self.print_time = time
+            x, y, z, _ = self.commanded_pos
+            self._trapq_set_position(self.trapq, time, x, y, z)
+        self._streams.advance(self.print_time, hold_back=False)
+        self._at_rest = True
+        self._start_watch()  # the timer may have gone to sleep until the end of the whole, uninterrupted move
+
+    # -- who else wants to know --
+
+    def register_move_listener(self, listener: MoveListener) -> None:
+        """Call listener(moves) with every batch of moves whose times are fixed (print_time, speeds, accel)."""
+        self._listeners.append(listener)
+
+    def register_lookahead_callback(self, callback: Callable[[float], None]) -> None:
+        """Call callback(print_time) with the end of the last queued move, as soon as that is known."""
+        last = self.lookahead.get_last()
+        if last is None:
+            callback(self.get_last_move_time())
+        elif last.timing_callbacks is None:
+            last.timing_callbacks = [callback]
+        else:
+            last.timing_callbacks.append(callback)
+
+    def register_step_generator(self, handler: Callable[[float], None]) -> None:
+        """Call handler(print_time) whenever steps up to print_time are being worked out."""
+        self._streams.generators.append(handler)
+
+    def unregister_step_generator(self, handler: Callable[[float], None]) -> None:
+        if handler in self._streams.generators:
+            self._streams.generators.remove(handler)
+
+    def note_mcu_movequeue_activity(self, mq_time: float, set_step_gen_time: bool = False) -> None:
+        """Something else than a stepper uses an MCU's move queue up to mq_time: steps must not lag behind it."""
+        if set_step_gen_time and not self._watching:
+            self._start_watch()
+
+    # -- parts --
+
+    def get_trapq(self) -> Any:
+        return self.trapq
+
+    def get_kinematics(self) -> Any:
+        return self.kin
+
+    def get_extruder(self) -> Any:
+        return self.extruder
+
+    def set_extruder(self, extruder: Any, extrude_pos: float) -> None:
+        """Another extruder takes part in the moves from now on; extrude_pos is its position."""
+        self._flush_lookahead()
+        self.extruder = extruder
+        self.commanded_pos[3] = extrude_pos
+
+    def get_max_velocity(self) -> tuple[float, float]:
+        """(mm/s, mm/s^2)."""
+        return self.max_velocity, self.max_accel
+
+    # -- reports --
+
+    def check_busy(self, eventtime: float) -> tuple[float, float, bool]:
+        """(print_time, estimated now, nothing waits in the look-ahead queue)."""
+        return self.print_time, self.mcu.estimated_print_time(eventtime), not self.lookahead.queue
+
+    def stats(self, eventtime: float) -> tuple[bool, str]:
+        now = self.mcu.estimated_print_time(eventtime)
+        buffer_time = max(0.0, self.print_time - now)
+        active = buffer_time > -10.0 and (bool(self.lookahead.queue) or not self._at_rest)
+        return active, (
+            f"print_time={self.print_time:.3f} buffer_time={buffer_time:.3f} print_stall={self.print_stall}"
+        )
+
+    def get_status(self, eventtime: float) -> dict[str, Any]:
+        status = dict(self.kin.get_status(eventtime))
+        status.update(
+            print_time=self.print_time,
+            stalls=self.print_stall,
+            estimated_print_time=self.mcu.estimated_print_time(eventtime),
+            extruder=self.extruder.get_name(),
+            position=Coord(*self.commanded_pos),
+            max_velocity=self.max_velocity,
+            max_accel=self.max_accel,
+            minimum_cruise_ratio=self.min_cruise_ratio,
+            square_corner_velocity=self.square_corner_velocity,
+        )
+        return status
+
+    def _handle_shutdown(self) -> None:
+        self.can_pause = False
+        self.lookahead.reset()
+
+    # -- commands --
+
+    def cmd_G4(self, gcmd: Any) -> None:
+        """G4 P<milliseconds>."""
+        self.dwell(gcmd.get_float("P", 0.0, minval=0.0) / 1000.0)
+
+    def cmd_M400(self, gcmd: Any) -> None:
+        """Wait for the moves to end."""
+        self.wait_moves()
+
+    def cmd_M204(self, gcmd: Any) -> None:
+        """M204 S<accel>, or P<print> T<travel>: the lower of both."""
+        accel = gcmd.get_float("S", None, above=0.0)
+        if accel is None:
+            printing = gcmd.get_float("P", None, above=0.0)
+            travel = gcmd.get_float("T", None, above=0.0)
+            if printing is None or travel is None:
+                gcmd.respond_info(f'Invalid M204 command "{gcmd.get_commandline()}"')
+                return
+            accel = min(printing, travel)
+        self.max_accel = accel
+        self._derive_limits()
+
+    def cmd_SET_VELOCITY_LIMIT(self, gcmd: Any) -> None:
+        """SET_VELOCITY_LIMIT VELOCITY= ACCEL= MINIMUM_CRUISE_RATIO= SQUARE_CORNER_VELOCITY=; without any: report."""
+        velocity = gcmd.get_float("VELOCITY", None, above=0.0)
+        accel = gcmd.get_float("ACCEL", None, above=0.0)
+        corner = gcmd.get_float("SQUARE_CORNER_VELOCITY", None, minval=0.0)
+        ratio = gcmd.get_float("MINIMUM_CRUISE_RATIO", None, minval=0.0, below=1.0)
+        to_decel = gcmd.get_float("ACCEL_TO_DECEL", None, above=0.0)
+        if ratio is None and to_decel is not None:
+            ratio = 1.0 - min(1.0, to_decel / (accel or self.max_accel))
+        if velocity is not None:
+            self.max_velocity = velocity
+        if accel is not None:
+            self.max_accel = accel
+        if corner is not None:
+            self.square_corner_velocity = corner
+        if ratio is not None:
+            self.min_cruise_ratio = ratio
+        self._derive_limits()
+        text = (
+            f"max_velocity: {self.max_velocity:.6f}\nmax_accel: {self.max_accel:.6f}\n"
+            f"minimum_cruise_ratio: {self.min_cruise_ratio:.6f}\n"
+            f"square_corner_velocity: {self.square_corner_velocity:.6f}"
+        )
+        self.printer.set_rollover_info("toolhead", f"toolhead: {text}")
+        if velocity is None and accel is None and corner is None and ratio is None:
+            gcmd.respond_info(text, log=False)
+
+
+def add_printer_objects(config: Any) -> None:
+    """Called once at start: the toolhead and its extruders."""
+    printer = config.get_printer()
+    printer.add_object("toolhead", ToolHead(config.getsection("printer")))
+    from kinematics import extruder
+
+    extruder.add_printer_objects(config)

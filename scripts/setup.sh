@@ -1,0 +1,150 @@
+#!/usr/bin/env bash
+# Makes a checkout ready to run: Debian packages, a Python environment in .venv, pinned Python packages.
+#
+#   scripts/setup.sh demo    what a simulated print needs (a C compiler, numpy, matplotlib, ...)
+#   scripts/setup.sh test    that, and what the tests and checks need (clang, cross compilers, mypy, ...)
+#
+# Safe to run again and again: what is there is left alone, and when nothing is missing it takes
+# well under a second. Silent unless it installs something or cannot.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+level=${1:-demo}
+venv=.venv
+min_python='(3, 11)'
+
+say()  { printf 'setup: %s\n' "$*"; }
+fail() { printf 'setup: %s\n' "$*" >&2; exit 1; }
+
+# package, and a file (a glob will do) or command that only it brings
+demo_packages=(
+  "gcc               gcc"
+  "libc6-dev         /usr/include/stdio.h"
+)
+test_packages=(
+  "clang                    clang"
+  "libclang-rt-14-dev       /usr/lib/llvm-*/lib/clang/*/lib/linux/libclang_rt.fuzzer-*.a"
+  "cppcheck                 cppcheck"
+  "gcc-arm-none-eabi        arm-none-eabi-gcc"
+  "libnewlib-arm-none-eabi  /usr/include/newlib/stdio.h"
+  "gcc-avr                  avr-gcc"
+  "avr-libc                 /usr/lib/avr/include/avr/io.h"
+)
+
+present() { # probe: true if the command is on PATH or the glob matches a file
+  case $1 in
+    /*) compgen -G "$1" >/dev/null ;;
+    *)  command -v "$1" >/dev/null ;;
+  esac
+}
+
+missing_packages() { # lines "package probe" -> names of the packages whose probe finds nothing
+  local package probe
+  for line in "$@"; do
+    read -r package probe <<<"$line"
+    present "$probe" || printf '%s ' "$package"
+  done
+}
+
+quietly() { # runs a command; shows what it printed only if it fails
+  local log status=0
+  log=$(mktemp)
+  "$@" >"$log" 2>&1 || status=$?
+  [ "$status" -eq 0 ] || cat "$log" >&2
+  rm -f "$log"
+  return "$status"
+}
+
+as_root() {
+  if [ "$(id -u)" -eq 0 ]; then "$@"; else sudo -n "$@"; fi
+}
+
+may_be_root() {
+  [ "$(id -u)" -eq 0 ] || { command -v sudo >/dev/null && sudo -n true 2>/dev/null; }
+}
+
+install_debian() { # package names
+  local wish="apt-get install $*"
+  command -v apt-get >/dev/null || fail "this is not a Debian system; install what these packages hold: $*"
+  may_be_root || fail "needs packages and may not install them here; run: sudo $wish"
+  say "installing Debian packages: $*"
+  export DEBIAN_FRONTEND=noninteractive
+  quietly as_root apt-get update || say "apt-get update failed; trying with the package lists at hand"
+  quietly as_root apt-get install -y --no-install-recommends "$@" || fail "could not install them; run: sudo $wish"
+}
+
+need_debian() { # lines "package probe"
+  local names
+  names=$(missing_packages "$@")
+  # shellcheck disable=SC2086  # the names are meant to be split
+  [ -z "$names" ] || install_debian $names
+}
+
+usable_python() { # true if $1 is new enough and can make a virtual environment
+  "$1" -c "import sys, ensurepip, venv; sys.exit(sys.version_info < $min_python)" 2>/dev/null
+}
+
+find_python() { # prints a python that can make the environment
+  local candidate
+  for candidate in python3 /usr/bin/python3; do
+    if usable_python "$candidate"; then echo "$candidate"; return 0; fi
+  done
+  return 1
+}
+
+make_venv() {
+  local python
+  if [ -x $venv/bin/python ] && usable_python $venv/bin/python && $venv/bin/python -m pip --version >/dev/null 2>&1; then
+    return
+  fi
+  if ! find_python >/dev/null; then
+    install_debian python3 python3-venv
+  fi
+  python=$(find_python) || fail "needs Python 3.11 or newer with the venv module (Debian 12: apt-get install python3-venv)"
+  say "making the Python environment $venv"
+  rm -rf $venv
+  quietly "$python" -m venv $venv || fail "could not make $venv with $python"
+}
+
+fingerprint() { # of the environment's Python and of the files that pin its packages
+  { $venv/bin/python -VV; cat "$@"; } | sha256sum | cut -d' ' -f1
+}
+
+pip_install() {
+  quietly $venv/bin/python -m pip install --disable-pip-version-check --no-input "$@" \
+    || fail "pip could not install the Python packages (pip's own words are above)"
+}
+
+# Each level's list includes the one before it, so a level is one list and the files it draws in.
+demo_lists=(requirements-sim.txt requirements.txt requirements-data.txt)
+test_lists=(requirements-dev.txt "${demo_lists[@]}")
+
+installed() { # level, its lists: true if exactly these were installed into this environment
+  [ -f "$venv/.ferrite-$1" ] && [ "$(cat "$venv/.ferrite-$1")" = "$(fingerprint "${@:2}")" ]
+}
+
+need_python() { # level, its lists (the first is the one to install)
+  if installed "$@"; then return; fi
+  say "installing Python packages ($2)"
+  pip_install -r "$2"
+  pip_install --no-deps -r requirements-data.txt
+  fingerprint "${@:2}" >"$venv/.ferrite-$1"
+}
+
+case $level in
+  demo|test) ;;
+  *) fail "say 'demo' or 'test', not '$level'" ;;
+esac
+# One set-up at a time: two makes started together would install over each other.
+mkdir -p out
+exec 9>out/.setup.lock
+if command -v flock >/dev/null; then flock 9; fi
+
+need_debian "${demo_packages[@]}"
+[ "$level" = demo ] || need_debian "${test_packages[@]}"
+make_venv
+if [ "$level" = test ]; then
+  need_python test "${test_lists[@]}"
+elif ! installed test "${test_lists[@]}"; then
+  need_python demo "${demo_lists[@]}"
+fi

@@ -1,0 +1,36 @@
+/* Board contract: the clock and the timer interrupt.
+ *
+ * One free running 32-bit count at PORT_CLOCK_HZ (port_types.h; exported to the host as CLOCK_FREQ) is the only time
+ * there is.  It wraps; the host extends it to 64 bits and never schedules 2^31 ticks or more ahead.  A chip with a
+ * 16-bit timer extends it in its port.
+ *
+ *   timer_read_time   now; any context; must never step back
+ *   timer_kick        any context, interrupts disabled: the first timer of the list has changed.  The port makes its
+ *                     timer interrupt fire at sched_next_waketime(), at once if that has passed.
+ *
+ * The timer interrupt calls sched_timer_dispatch() and sets itself for the clock that returns.
+ */
+#ifndef BOARD_TIMER_H
+#define BOARD_TIMER_H
+
+#include <stdint.h>
+
+#include "port_types.h"
+
+uint32_t timer_read_time(void);
+void timer_kick(void);
+
+static inline uint32_t
+timer_from_us(uint32_t us)
+{
+    return us * (PORT_CLOCK_HZ / 1000000u);
+}
+
+/* Is clock a earlier than clock b?  True order for clocks less than 2^31 ticks apart. */
+static inline uint8_t
+timer_is_before(uint32_t a, uint32_t b)
+{
+    return (int32_t)(a - b) < 0;
+}
+
+#endif

@@ -1,0 +1,90 @@
+/* Theory, formats and contexts: guard.h. */
+#include "guard.h"
+
+void
+guard_init(struct guard *g, uint16_t adc_max, uint32_t max_duration)
+{
+    *g = (struct guard){.adc_max = adc_max, .max_duration = max_duration};
+}
+
+uint8_t
+guard_add_row(struct guard *g, struct guard_row row)
+{
+    if (g->row_count == GUARD_ROWS_MAX || row.low > row.high)
+        return 0;
+    if (g->row_count && g->rows[g->row_count - 1].phase >= row.phase)
+        return 0;
+    g->rows[g->row_count++] = row;
+    return 1;
+}
+
+static enum guard_trip
+judge(const struct guard *g, const struct guard_row *row, const struct guard_input *b)
+{
+    if (b->sum < (uint32_t)row->low * b->count)
+        return GUARD_TRIP_LOW;
+    if (b->sum > (uint32_t)row->high * b->count)
+        return GUARD_TRIP_HIGH;
+    if (b->min == 0 || b->max >= g->adc_max)
+        return GUARD_TRIP_CLIPPED;
+    if (b->min == b->max)
+        return GUARD_TRIP_STUCK;
+    return GUARD_TRIP_NONE;
+}
+
+static const struct guard_row *
+row_for(const struct guard *g, uint16_t phase)
+{
+    const struct guard_row *row = 0;
+    for (uint8_t i = 0; i < g->row_count && g->rows[i].phase <= phase; i++)
+        row = &g->rows[i];
+    return row && row->trip_blocks ? row : 0;
+}
+
+static enum guard_trip
+latch(struct guard *g, enum guard_trip trip, uint32_t value, uint16_t count)
+{
+    if (g->trip)
+        return GUARD_TRIP_NONE;
+    g->trip = (uint8_t)trip;
+    g->trip_value = value;
+    g->trip_count = count;
+    return trip;
+}
+
+enum guard_trip
+guard_block(struct guard *g, const struct guard_input *block)
+{
+    const struct guard_row *row = row_for(g, block->phase);
+    enum guard_trip bad = row && block->count ? judge(g, row, block) : GUARD_TRIP_NONE;
+    if (bad == GUARD_TRIP_NONE) {
+        g->bad_blocks = 0;
+        return GUARD_TRIP_NONE;
+    }
+    if (g->bad_blocks < UINT8_MAX)
+        g->bad_blocks++;
+    if (g->bad_blocks < row->trip_blocks)
+        return GUARD_TRIP_NONE;
+    return latch(g, bad, block->sum, block->count);
+}
+
+void
+guard_fed(struct guard *g, uint32_t clock, uint16_t phase)
+{
+    g->fed_clock = clock;
+    g->powered = phase > 0;
+}
+
+uint32_t
+guard_deadline(const struct guard *g)
+{
+    return g->fed_clock + g->max_duration;
+}
+
+enum guard_trip
+guard_check_deadline(struct guard *g, uint32_t clock)
+{
+    if (!g->powered || (int32_t)(clock - guard_deadline(g)) < 0)
+        return GUARD_TRIP_NONE;
+    return latch(g, GUARD_TRIP_TIMEOUT, clock, 0);
+}

@@ -1,0 +1,72 @@
+/* The induction heater's own limits: they hold with the host dead, are told once before use, and are off until told.
+ * Pure: no board; blocks and clocks come in as arguments, "trip now" comes out.
+ *
+ * Table: rows of ascending phase.  A row holds from its phase up to the next row's (stepwise, so no division); below the
+ * first row, and with an empty table, blocks are not judged.  A block is bad if
+ *     low     its mean is below the row's low             sum < low * count
+ *     high    its mean is above the row's high            sum > high * count
+ *     clipped its mean is within, but a sample is at an end of the ADC (0, or adc_max and above)
+ *     stuck   all its samples are equal (oversampling needs half an LSB of noise, so a live signal never does that)
+ * in this order of precedence.  trip_blocks bad blocks in a row trip, whatever is wrong with each; a good block, or
+ * one that is not judged, starts the count again.  low = 0 and high = 65535 leave only the last two.
+ *
+ * Dead host: with power on, a phase command must be applied at least every max_duration ticks.
+ *
+ * The first trip is latched with the value that caused it; only guard_init clears it.
+ * Formats: u16 limits and counts, u32 sums; low * count <= 65535 * 65535 < 2^32.
+ * Contexts: guard_block in the ADC's interrupt once a block, about 40 cycles and a few for each row; the rest in the
+ * timer interrupt.
+ */
+#ifndef GUARD_H
+#define GUARD_H
+
+#include <stdint.h>
+
+enum { GUARD_ROWS_MAX = 12 };
+
+enum guard_trip {
+    GUARD_TRIP_NONE = 0,
+    GUARD_TRIP_LOW = 1,
+    GUARD_TRIP_HIGH = 2,
+    GUARD_TRIP_CLIPPED = 3,
+    GUARD_TRIP_STUCK = 4,
+    GUARD_TRIP_TIMEOUT = 5,
+};
+
+struct guard_row {
+    uint16_t phase, low, high; /* ticks; raw LSB of a single sample */
+    uint8_t trip_blocks;       /* 0 = do not judge from this phase on */
+};
+
+/* The part of a block the guard looks at. */
+struct guard_input {
+    uint32_t sum;
+    uint16_t count, phase, min, max;
+};
+
+struct guard {
+    uint32_t max_duration; /* ticks */
+    uint32_t fed_clock;    /* when a phase command was last applied */
+    uint32_t trip_value;   /* sum of the tripping block; for TIMEOUT the clock */
+    uint16_t trip_count;   /* samples in that sum */
+    uint16_t adc_max;
+    uint8_t trip;          /* enum guard_trip, latched */
+    uint8_t bad_blocks;    /* in a row */
+    uint8_t row_count;
+    uint8_t powered;       /* phase > 0 in force */
+    struct guard_row rows[GUARD_ROWS_MAX];
+};
+
+void guard_init(struct guard *g, uint16_t adc_max, uint32_t max_duration);
+/* 0 if the table is full, the phase does not ascend or low > high; 1 if taken. */
+uint8_t guard_add_row(struct guard *g, struct guard_row row);
+/* Judge a block; returns the trip it causes (GUARD_TRIP_NONE also when already tripped). */
+enum guard_trip guard_block(struct guard *g, const struct guard_input *block);
+/* A phase command was applied at `clock`. */
+void guard_fed(struct guard *g, uint32_t clock, uint16_t phase);
+/* The clock by which the next one must have come.  Meaningful while powered. */
+uint32_t guard_deadline(const struct guard *g);
+/* Has it passed?  Trips if so. */
+enum guard_trip guard_check_deadline(struct guard *g, uint32_t clock);
+
+#endif

@@ -1,0 +1,449 @@
+/* The induction heater: bridge, synchronous ADC and guard behind messages.
+ *
+ *   queue_induction_phase ─► pending phases ─► timer at their clock ─► bridge_pwm      (phase.h)
+ *                                                  │ sample index of each step
+ *   induction_block  ◄─ task ◄─ ring of blocks ◄─ ADC interrupt ◄─ half buffers        (oversample.h)
+ *                                                  └► guard ─► bridge off, shutdown    (guard.h)
+ *
+ * Who calls what:
+ *   task    command handlers; induction_task (sends reports)
+ *   timer   phase_timer: applies pending phases, watches max_duration.  Two of its clocks can coincide; late by up to
+ *           a bridge period is unseen (the bridge changes at period edges), later only delays the heat.
+ *   irq     samples_ready: every HALF_LEN bridge periods (267 us at 120 kHz).  Must end before the next one is due.
+ *           On a Cortex-M4 at 72 MHz: about 14 cycles a sample in portable C (4 with a port's own kernel,
+ *           oversample_kernel.h) and some 300 around them, 4 % of the time.  Counted from the compiler's output, not
+ *           measured on a board.
+ *           Late by more than a half buffer: the samples count as lost, blocks are cut there, indices stay right.
+ * Timers and interrupts do not preempt each other (sched.h); tasks disable interrupts around what both touch.
+ *
+ * Safety.  The bridge is off at boot, on every shutdown, on a trip of the guard, and max_duration after the last applied
+ * phase command: all in interrupts, host alive or not.  A tripped guard refuses phases until the next configuration.
+ *
+ * Sample n is taken at start_clock + n * period_ticks.  A phase set now holds from sample sync_adc_position() on.
+ */
+#include <string.h>
+
+#include "basecmd.h"
+#include "board/bridge_pwm.h"
+#include "board/irq.h"
+#include "board/sync_adc.h"
+#include "board/timer.h"
+#include "command.h"
+#include "guard.h"
+#include "oversample.h"
+#include "phase.h"
+#include "sched.h"
+
+enum {
+    HALF_LEN = 32,           /* power of two; 2 * HALF_LEN <= PHASE_RING_LEN */
+    SYNC_ADC_MAX = 4095,     /* the synchronous ADC has 12 bits on every port */
+    BLOCKS_WAITING_MAX = 8,  /* power of two; 68 ms of whole blocks at y = 5 for a host link that stalls */
+    RECORD_SIZE = 18,
+    RECORDS_PER_MESSAGE = 2,
+    LONE_RECORD_US = 20000,  /* a record that would wait longer for a second one goes alone */
+    LATE_MARGIN_US = 20,     /* a late phase command is applied so much after its arrival */
+    DEFAULT_Y = 5,           /* Oskolkov et al. 2021: 12 -> 17 bit */
+    DEFAULT_SETTLE = 20,     /* samples; tank settles with 27 us, 18 periods to 0.1 degrees of phase */
+};
+
+DECL_CONSTANT("INDUCTION_LIMIT_ROWS", GUARD_ROWS_MAX);
+DECL_CONSTANT("INDUCTION_Y_MIN", OVERSAMPLE_Y_MIN);
+DECL_CONSTANT("INDUCTION_Y_MAX", OVERSAMPLE_Y_MAX);
+DECL_ENUMERATION("induction_trip", "none", GUARD_TRIP_NONE);
+DECL_ENUMERATION("induction_trip", "low", GUARD_TRIP_LOW);
+DECL_ENUMERATION("induction_trip", "high", GUARD_TRIP_HIGH);
+DECL_ENUMERATION("induction_trip", "clipped", GUARD_TRIP_CLIPPED);
+DECL_ENUMERATION("induction_trip", "stuck", GUARD_TRIP_STUCK);
+DECL_ENUMERATION("induction_trip", "timeout", GUARD_TRIP_TIMEOUT);
+
+DECL_RESPONSE(response_induction_state, "induction_state oid=%c clock=%u phase=%hu trip=%c value=%u");
+DECL_RESPONSE(response_induction_block, "induction_block oid=%c sequence=%hu clock=%u data=%*s");
+
+struct induction {
+    struct timer timer;
+    struct bridge_pwm bridge;
+    struct sync_adc adc;
+    uint32_t period_ticks, start_clock;
+    uint32_t next_index;    /* first sample not yet accounted for */
+    uint32_t hold_samples;  /* how long a lone record waits */
+    uint8_t oid, sampling, reporting, resync;
+    struct phase_track track;
+    struct oversample oversample;
+    struct guard guard;
+    /* finished blocks, irq to task: numbers run, places are modulo the length */
+    struct oversample_block waiting[BLOCKS_WAITING_MAX];
+    uint32_t newest_sum;
+    uint16_t newest_count;
+    uint16_t sequence;      /* of the oldest waiting block */
+    uint8_t block_head, block_tail;
+};
+
+static struct induction *unit;  /* the one induction heater of this MCU; samples_ready is told no object */
+static struct task_wake report_wake;
+
+void
+induction_init(void)
+{
+    unit = NULL;
+    report_wake.wake = 0;
+}
+DECL_INIT(induction_init);
+
+/****************************************************************
+ * Phases (timer context)
+ ****************************************************************/
+
+static void
+apply_phase(struct induction *u, uint16_t phase, uint32_t clock)
+{
+    bridge_pwm_set_phase(u->bridge, phase);
+    phase_applied(&u->track, sync_adc_position(u->adc), phase);
+    guard_fed(&u->guard, clock, phase);
+}
+
+/* Any context, interrupts disabled. */
+static void
+switch_off(struct induction *u)
+{
+    bridge_pwm_off(u->bridge);
+    phase_applied(&u->track, sync_adc_position(u->adc), 0);
+    u->guard.powered = 0;
+}
+
+static _Noreturn void
+trip(struct induction *u, enum guard_trip reason)
+{
+    switch_off(u);
+    switch (reason) {
+    case GUARD_TRIP_LOW: shutdown(SHUTDOWN_INDUCTION_LOW);
+    case GUARD_TRIP_HIGH: shutdown(SHUTDOWN_INDUCTION_HIGH);
+    case GUARD_TRIP_TIMEOUT: shutdown(SHUTDOWN_INDUCTION_TIMEOUT);
+    default: shutdown(SHUTDOWN_ADC_RANGE);  /* clipped or stuck; induction_query says which */
+    }
+}
+
+/* When phase_timer must run next; 0 if it need not. */
+static uint8_t
+next_event(const struct induction *u, uint32_t *clock)
+{
+    const struct phase_node *pending = u->track.first;
+    if (!pending && !u->guard.powered)
+        return 0;
+    *clock = pending ? pending->due : guard_deadline(&u->guard);
+    if (pending && u->guard.powered && timer_is_before(guard_deadline(&u->guard), *clock))
+        *clock = guard_deadline(&u->guard);
+    return 1;
+}
+
+static uint8_t
+phase_timer(struct timer *t)
+{
+    struct induction *u = container_of(t, struct induction, timer);
+    uint32_t now = timer_read_time();
+    for (struct phase_node *node; (node = phase_pop_due(&u->track, now));) {
+        apply_phase(u, node->phase, now);
+        move_free(node);
+    }
+    enum guard_trip tripped = guard_check_deadline(&u->guard, now);
+    if (tripped != GUARD_TRIP_NONE)
+        trip(u, tripped);
+    return next_event(u, &t->waketime) ? SF_RESCHEDULE : SF_DONE;
+}
+
+/****************************************************************
+ * Samples (irq context)
+ ****************************************************************/
+
+static uint8_t
+blocks_waiting(const struct induction *u)
+{
+    return (uint8_t)(u->block_head - u->block_tail);
+}
+
+/* A finished block: judged, then kept for the host. */
+static void
+take_block(struct induction *u, const struct oversample_block *b)
+{
+    u->newest_sum = b->sum;
+    u->newest_count = b->count;
+    struct guard_input seen = {.sum = b->sum, .count = b->count, .phase = b->phase, .min = b->min, .max = b->max};
+    enum guard_trip tripped = guard_block(&u->guard, &seen);
+    if (tripped != GUARD_TRIP_NONE)
+        trip(u, tripped);
+    if (!u->reporting)
+        return;
+    if (blocks_waiting(u) == BLOCKS_WAITING_MAX) {
+        oversample_drop(&u->oversample, b);
+        return;
+    }
+    u->waiting[u->block_head++ & (BLOCKS_WAITING_MAX - 1)] = *b;
+}
+
+static void
+take_samples(struct induction *u, const uint16_t *samples, uint16_t count)
+{
+    struct oversample_block b;
+    while (count) {
+        uint16_t run, taken;
+        uint16_t phase = phase_run(&u->track, u->next_index, count, &run);
+        if (oversample_step(&u->oversample, phase, &b))
+            take_block(u, &b);
+        for (; run; run -= taken, count -= taken, samples += taken) {
+            uint8_t finished = oversample_feed(&u->oversample, samples, run, u->next_index, &taken, &b);
+            u->next_index += taken;
+            if (finished)
+                take_block(u, &b);
+        }
+    }
+}
+
+/* Is there something to send, and if it is a lone record, has it waited long enough? */
+static uint8_t
+records_to_send(const struct induction *u)
+{
+    uint8_t waiting = blocks_waiting(u);
+    if (waiting >= RECORDS_PER_MESSAGE)
+        return RECORDS_PER_MESSAGE;
+    if (!waiting || u->oversample.block_len > u->hold_samples)
+        return waiting;
+    const struct oversample_block *b = &u->waiting[u->block_tail & (BLOCKS_WAITING_MAX - 1)];
+    return u->next_index - (b->first + b->count) >= u->hold_samples;
+}
+
+static void
+samples_ready(const uint16_t *samples, uint16_t count)
+{
+    struct induction *u = unit;
+    if (!u)
+        return;
+    uint32_t position = sync_adc_position(u->adc), newest_end = position & ~(uint32_t)(HALF_LEN - 1);
+    if (u->resync) {
+        u->resync = 0;
+        u->next_index = newest_end - count;
+        oversample_init(&u->oversample, u->oversample.config);
+    }
+    uint32_t ahead = position - u->next_index;
+    if (ahead < count)
+        return;  /* part of a gap already told */
+    if (ahead > 2u * HALF_LEN) {
+        struct oversample_block b;
+        uint32_t lost = newest_end - u->next_index;
+        u->next_index = newest_end;
+        if (oversample_gap(&u->oversample, lost, &b))
+            take_block(u, &b);
+    } else {
+        take_samples(u, samples, count);
+    }
+    if (u->reporting && records_to_send(u))
+        sched_wake_task(&report_wake);
+}
+
+/****************************************************************
+ * Reports (task context)
+ ****************************************************************/
+
+static uint8_t *
+put_u16(uint8_t *p, uint16_t v)
+{
+    *p++ = (uint8_t)v;
+    *p++ = (uint8_t)(v >> 8);
+    return p;
+}
+
+static uint8_t *
+put_record(uint8_t *p, const struct oversample_block *b, uint32_t from)
+{
+    p = put_u16(p, (uint16_t)(b->first - from));
+    p = put_u16(p, b->count);
+    p = put_u16(p, (uint16_t)b->value);
+    p = put_u16(p, (uint16_t)(b->value >> 16));
+    p = put_u16(p, b->phase);
+    p = put_u16(p, b->min);
+    p = put_u16(p, b->max);
+    p = put_u16(p, b->discarded);
+    return put_u16(p, b->lost);
+}
+
+static uint8_t
+send_report(struct induction *u)
+{
+    uint8_t data[RECORDS_PER_MESSAGE * RECORD_SIZE], *end = data;
+    irqstatus_t flag = irq_save();
+    uint8_t records = u->reporting ? records_to_send(u) : 0;
+    uint16_t sequence = u->sequence;
+    uint32_t from = u->waiting[u->block_tail & (BLOCKS_WAITING_MAX - 1)].first;
+    for (uint8_t i = 0; i < records; i++)
+        end = put_record(end, &u->waiting[u->block_tail++ & (BLOCKS_WAITING_MAX - 1)], from);
+    u->sequence += records;
+    irq_restore(flag);
+    if (records)
+        respond(&response_induction_block, u->oid, sequence, u->start_clock + from * u->period_ticks,
+                (unsigned)(end - data), data);
+    return records;
+}
+
+void
+induction_task(void)
+{
+    if (!sched_check_wake(&report_wake) || !unit)
+        return;
+    while (send_report(unit))
+        ;
+}
+DECL_TASK(induction_task);
+
+/****************************************************************
+ * Commands (task context)
+ ****************************************************************/
+
+void
+command_config_induction(const struct command_args *args)
+{
+    struct induction *u = oid_alloc((uint8_t)args->val[0], command_config_induction, sizeof(*u));
+    uint32_t period_ticks = args->val[3], phase_max = args->val[4], max_duration = args->val[5];
+    /* Half the clock's range: a deadline must be tellable from the past. */
+    if (unit || phase_max > BRIDGE_PHASE_MAX || !max_duration || max_duration > INT32_MAX / 2)
+        shutdown(SHUTDOWN_INDUCTION_CONFIG);
+    u->oid = (uint8_t)args->val[0];
+    u->bridge = bridge_pwm_setup((uint8_t)args->val[1], period_ticks);
+    u->adc = sync_adc_setup(args->val[2], u->bridge, HALF_LEN, samples_ready);
+    u->period_ticks = period_ticks;
+    u->hold_samples = timer_from_us(LONE_RECORD_US) / period_ticks;
+    u->timer.func = phase_timer;
+    phase_init(&u->track, (uint16_t)phase_max);
+    guard_init(&u->guard, SYNC_ADC_MAX, max_duration);
+    oversample_init(&u->oversample, (struct oversample_config){.y = DEFAULT_Y, .settle_samples = DEFAULT_SETTLE});
+    move_request_size(sizeof(struct phase_node));
+    unit = u;
+}
+DECL_COMMAND(command_config_induction,
+             "config_induction oid=%c bridge=%c adc_pin=%u period_ticks=%u phase_max=%hu max_duration=%u");
+
+void
+command_config_induction_sense(const struct command_args *args)
+{
+    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
+    struct oversample_config config = {
+        .y = (uint8_t)args->val[1],
+        .settle_samples = (uint16_t)args->val[2],
+        .ema_shift = (uint8_t)args->val[3],
+    };
+    if (u->sampling || !oversample_init(&u->oversample, config))
+        shutdown(SHUTDOWN_INDUCTION_CONFIG);
+}
+DECL_COMMAND(command_config_induction_sense,
+             "config_induction_sense oid=%c oversample=%c settle_samples=%hu ema_shift=%c");
+
+void
+command_config_induction_limit(const struct command_args *args)
+{
+    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
+    struct guard_row row = {
+        .phase = (uint16_t)args->val[1],
+        .low = (uint16_t)args->val[2],
+        .high = (uint16_t)args->val[3],
+        .trip_blocks = (uint8_t)args->val[4],
+    };
+    if (u->sampling || !guard_add_row(&u->guard, row))
+        shutdown(SHUTDOWN_INDUCTION_CONFIG);
+}
+DECL_COMMAND(command_config_induction_limit,
+             "config_induction_limit oid=%c phase=%hu low=%hu high=%hu trip_blocks=%c");
+
+/* Sampling starts before the first heat and never stops: the guard judges also when nobody wants reports. */
+static void
+start_sampling(struct induction *u)
+{
+    if (u->sampling)
+        return;
+    u->sampling = 1;
+    irqstatus_t flag = irq_save();
+    u->start_clock = sync_adc_start(u->adc);
+    u->next_index = 0;
+    irq_restore(flag);
+}
+
+void
+command_queue_induction_phase(const struct command_args *args)
+{
+    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
+    if (args->val[2] > BRIDGE_PHASE_MAX)
+        shutdown(SHUTDOWN_INDUCTION_PHASE);
+    if (u->guard.trip)
+        trip(u, (enum guard_trip)u->guard.trip);
+    start_sampling(u);
+    struct phase_node *node = move_alloc();
+    node->clock = args->val[1];
+    node->phase = (uint16_t)args->val[2];
+    irqstatus_t flag = irq_save();
+    uint32_t clock, earliest = timer_read_time() + timer_from_us(LATE_MARGIN_US);
+    if (!phase_push(&u->track, node, earliest)) {
+        move_free(node);
+        shutdown(SHUTDOWN_INDUCTION_ORDER);
+    }
+    if (u->track.first == node && next_event(u, &clock)) {
+        sched_del_timer(&u->timer);
+        u->timer.waketime = timer_is_before(clock, earliest) ? earliest : clock;
+        sched_add_timer(&u->timer);
+    }
+    irq_restore(flag);
+}
+DECL_COMMAND(command_queue_induction_phase, "queue_induction_phase oid=%c clock=%u phase=%hu");
+
+void
+command_induction_report(const struct command_args *args)
+{
+    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
+    start_sampling(u);
+    irqstatus_t flag = irq_save();
+    uint8_t enable = args->val[1] != 0;
+    if (enable != u->reporting) {
+        u->block_tail = u->block_head;
+        u->sequence = 0;
+        u->resync = 1;
+    }
+    u->reporting = enable;
+    irq_restore(flag);
+}
+DECL_COMMAND(command_induction_report, "induction_report oid=%c enable=%c");
+
+/* A mean in the scale of a whole block's value: raw LSB times 2^y. */
+static uint32_t
+scaled_mean(const struct induction *u, uint32_t sum, uint16_t count)
+{
+    if (!count)
+        return sum;
+    return ((sum / count) << u->oversample.config.y) + ((sum % count) << u->oversample.config.y) / count;
+}
+
+void
+command_induction_query(const struct command_args *args)
+{
+    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
+    irqstatus_t flag = irq_save();
+    uint8_t tripped = u->guard.trip;
+    uint32_t sum = tripped ? u->guard.trip_value : u->newest_sum;
+    uint16_t count = tripped ? u->guard.trip_count : u->newest_count, phase = u->track.commanded;
+    irq_restore(flag);
+    respond(&response_induction_state, u->oid, timer_read_time(), phase, tripped, scaled_mean(u, sum, count));
+}
+DECL_COMMAND_FLAGS(command_induction_query, HF_IN_SHUTDOWN, "induction_query oid=%c");
+
+/****************************************************************
+ * Shutdown (interrupts disabled; may run twice)
+ ****************************************************************/
+
+void
+induction_shutdown(void)
+{
+    struct induction *u = unit;
+    if (!u)
+        return;
+    switch_off(u);
+    for (struct phase_node *node; (node = phase_pop(&u->track));)
+        move_free(node);
+    u->reporting = 0;
+    u->block_tail = u->block_head;
+    u->resync = 1;
+}
+DECL_SHUTDOWN(induction_shutdown);

@@ -1,0 +1,73 @@
+/* Scheduler: timers, tasks, shutdown.
+ *
+ *   context   runs                       may be interrupted by   must return within
+ *   task      commands, DECL_TASK        timers, port's irqs     100 us (500 us delays the host's messages)
+ *   timer     struct timer functions     nothing                 a few us; says when it wants to run again
+ *   irq       port callbacks (sync_adc)  nothing                 as the callback's header says
+ *
+ * Timers fire in the order of their clock; same clock, in the order they were added.  Clocks are 32 bit and wrap;
+ * comparisons hold for differences below 2^31 ticks (board/timer.h).
+ *
+ * Shutdown.  shutdown(reason) does not return to its caller, in any context: it jumps (setjmp/longjmp) to the
+ * nearest sched_guarded() frame.  Every context has its own frame (each task pass, each timer interrupt, each other
+ * interrupt), so the jump never crosses from an interrupt into the code it interrupted, and an interrupt ends
+ * by its normal return.  Right there, interrupts disabled, all timers are dropped and the DECL_SHUTDOWN functions
+ * put the outputs to their safe state.  If it happened in an interrupt, the interrupted task goes on to its end
+ * and the DECL_SHUTDOWN functions run a second time after it, so a half-done command cannot leave an output on.
+ * While shut down sched_add_timer() does nothing and only HF_IN_SHUTDOWN commands run.
+ */
+#ifndef SCHED_H
+#define SCHED_H
+
+#include <stddef.h>
+#include <stdint.h>
+
+#include "shutdown_reasons.h"
+
+enum { SF_DONE, SF_RESCHEDULE };
+
+struct timer {
+    struct timer *next;
+    uint8_t (*func)(struct timer *);  /* returns SF_DONE, or SF_RESCHEDULE with a new waketime stored */
+    uint32_t waketime;
+};
+
+#define container_of(ptr, type, member) ((type *)((char *)(ptr) - offsetof(type, member)))
+
+/* Any context.  A waketime that has already passed shuts down with "Timer too close".  The timer must not be in the
+ * list already (sched_del_timer first).  Ignored while shut down. */
+void sched_add_timer(struct timer *t);
+/* The same, but obeyed also while shut down: house-keeping only, never an output.  A shutdown drops every timer, so
+ * the owner adds it again in its DECL_SHUTDOWN function. */
+void sched_add_timer_always(struct timer *t);
+/* Any context; no effect if the timer is not in the list. */
+void sched_del_timer(struct timer *t);
+
+/* A flag from timer or interrupt to task. */
+struct task_wake {
+    uint8_t wake;
+};
+void sched_wake_task(struct task_wake *w);       /* any context */
+uint8_t sched_check_wake(struct task_wake *w);   /* task: was it woken? clears it */
+
+_Noreturn void shutdown(enum shutdown_reason reason);
+void try_shutdown(enum shutdown_reason reason);  /* as shutdown(), but returns if already shut down */
+uint8_t sched_is_shutdown(void);
+enum shutdown_reason sched_shutdown_reason(void);
+void sched_clear_shutdown(void);
+void sched_respond_shutdown(void);               /* tell the host why a command was refused */
+
+/* For ports.  ----------------------------------------------------------------------------------------------- */
+
+void sched_main(void);               /* boot and loop for ever; a port with its own loop uses the next five */
+void sched_boot(void);
+void sched_run_tasks(void);          /* one pass */
+uint8_t sched_tasks_waiting(void);   /* has anything been woken since the last pass began? */
+uint32_t sched_timer_dispatch(void); /* timer interrupt: run what is due; returns the next waketime */
+uint32_t sched_next_waketime(void);
+
+/* Run fn(arg) so that shutdown() inside it ends it cleanly.  Wrap every interrupt that calls firmware code
+ * (interrupts disabled); timers and tasks are wrapped already. */
+void sched_guarded(void (*fn)(void *), void *arg);
+
+#endif

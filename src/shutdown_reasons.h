@@ -1,0 +1,58 @@
+/* Every text the firmware can shut down with, once: X(enumerator, text).  The texts are interface: hosts and people
+ * match on them, so those that stock boards also send are spelled as there.  The position in the table is the
+ * number on the wire (static_string_id); the host learns it from the dictionary, so rows may be added anywhere. */
+#ifndef SHUTDOWN_REASONS_H
+#define SHUTDOWN_REASONS_H
+
+#define SHUTDOWN_REASONS(X) \
+    X(SHUTDOWN_COMMAND_REQUEST, "Command request") \
+    X(SHUTDOWN_TIMER_TOO_CLOSE, "Timer too close") \
+    X(SHUTDOWN_RESCHEDULED_IN_PAST, "Rescheduled timer in the past") \
+    X(SHUTDOWN_NOT_SHUTDOWN, "Shutdown cleared when not shutdown") \
+    X(SHUTDOWN_COMMAND_PARSER, "Command parser error") \
+    X(SHUTDOWN_INVALID_COMMAND, "Invalid command") \
+    X(SHUTDOWN_MESSAGE_ENCODE, "Message encode error") \
+    X(SHUTDOWN_ALLOC_CHUNK, "alloc_chunk failed") \
+    X(SHUTDOWN_ALLOC_CHUNKS, "alloc_chunks failed") \
+    X(SHUTDOWN_OID_ASSIGN, "Can't assign oid") \
+    X(SHUTDOWN_OID_TYPE, "Invalid oid type") \
+    X(SHUTDOWN_OIDS_ALLOCATED, "oids already allocated") \
+    X(SHUTDOWN_ALREADY_FINALIZED, "Already finalized") \
+    X(SHUTDOWN_MOVE_OVERFLOW, "Move queue overflow") \
+    X(SHUTDOWN_MOVE_SIZE, "Invalid move request size") \
+    X(SHUTDOWN_NOT_OUTPUT_PIN, "Not an output pin") \
+    X(SHUTDOWN_NOT_INPUT_PIN, "Not an input pin") \
+    X(SHUTDOWN_NOT_ADC_PIN, "Not a valid ADC pin") \
+    X(SHUTDOWN_NOT_PWM_PIN, "Not a valid PWM pin") \
+    X(SHUTDOWN_ADC_RANGE, "ADC out of range") \
+    X(SHUTDOWN_ADC_REPORT_SIZE, "Invalid analog_in bytes_per_report") \
+    X(SHUTDOWN_DIGITAL_MISSED, "Missed scheduling of next digital out event") \
+    X(SHUTDOWN_DIGITAL_EXCEED, "Scheduled digital out event will exceed max_duration") \
+    X(SHUTDOWN_DIGITAL_QUEUE, "update_digital_out not valid with active queue") \
+    X(SHUTDOWN_SOFT_PWM_CYCLE, "Can not set soft pwm cycle ticks while updates pending") \
+    X(SHUTDOWN_PWM_MISSED, "Missed scheduling of next hard pwm event") \
+    X(SHUTDOWN_PWM_EXCEED, "Scheduled pwm event will exceed max_duration") \
+    X(SHUTDOWN_STEPPER_COUNT, "Invalid count parameter") \
+    X(SHUTDOWN_STEPPER_PAST, "Stepper too far in past") \
+    X(SHUTDOWN_STEPPER_ACTIVE, "Can't reset time when stepper active") \
+    X(SHUTDOWN_SIGNAL_ACTIVE, "Can't add signal that is already active") \
+    /* induction heater */ \
+    X(SHUTDOWN_INDUCTION_CONFIG, "Invalid induction configuration") \
+    X(SHUTDOWN_INDUCTION_PHASE, "Induction phase out of range") \
+    X(SHUTDOWN_INDUCTION_TIMEOUT, "Missed scheduling of next induction phase") \
+    X(SHUTDOWN_INDUCTION_ORDER, "Induction phase commands out of order") \
+    X(SHUTDOWN_INDUCTION_LOW, "Induction signal below limit") \
+    X(SHUTDOWN_INDUCTION_HIGH, "Induction signal above limit") \
+    X(SHUTDOWN_BRIDGE_ID, "Not a valid bridge") \
+    X(SHUTDOWN_BRIDGE_PERIOD, "Bridge period out of range") \
+    X(SHUTDOWN_SYNC_ADC, "Synchronous ADC cannot be set up so")
+
+enum shutdown_reason {
+    SHUTDOWN_NONE = 0,
+#define X(name, text) name,
+    SHUTDOWN_REASONS(X)
+#undef X
+    SHUTDOWN_REASON_COUNT
+};
+
+#endif

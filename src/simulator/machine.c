@@ -1,0 +1,263 @@
+/* Axes, switches, duties, fans and flow; see machine.h. */
+#include "machine.h"
+
+#include <math.h>
+#include <string.h>
+
+static const uint16_t ADC_OPEN = 4095; /* nothing connected: pulled up */
+
+void machine_init(struct machine *m)
+{
+    memset(m, 0, sizeof *m);
+    for (int i = 0; i < MACHINE_MCUS; i++)
+        m->nozzle_of_mcu[i] = -1;
+}
+
+static struct machine_pin *pin_at(struct machine *m, struct world_pin p)
+{
+    if (p.mcu < 0 || p.mcu >= MACHINE_MCUS || p.pin < 0 || p.pin >= MACHINE_PINS)
+        return NULL;
+    return &m->pins[p.mcu][p.pin];
+}
+
+/* ---- axes ------------------------------------------------------------------------------------ */
+
+int machine_add_axis(struct machine *m, const struct world_axis_options *o)
+{
+    struct machine_pin *step = pin_at(m, o->step);
+    if (m->axis_count == MACHINE_AXES || !step || !pin_at(m, o->dir) || !(o->mm_per_step > 0.0))
+        return -1;
+    struct axis *a = &m->axes[m->axis_count];
+    memset(a, 0, sizeof *a);
+    a->options = *o;
+    a->step_min = llround((o->min_mm - o->start_mm) / o->mm_per_step);
+    a->step_max = llround((o->max_mm - o->start_mm) / o->mm_per_step);
+    step->role = PIN_STEP;
+    step->target = (uint8_t)m->axis_count;
+    step->level = (uint8_t)(o->step.inverted != 0); /* idle: no edge when firmware sets its pin up */
+    struct machine_pin *endstop = pin_at(m, o->endstop);
+    if (endstop) {
+        endstop->role = PIN_SWITCH;
+        endstop->target = (uint8_t)m->axis_count;
+    }
+    return m->axis_count++;
+}
+
+double axis_position_mm(const struct axis *a)
+{
+    return a->options.start_mm + (double)a->step * a->options.mm_per_step;
+}
+
+static void axis_step(struct axis *a, int forward)
+{
+    if (forward) {
+        a->forward++;
+        if (a->options.limited && a->step >= a->step_max)
+            a->lost++;
+        else
+            a->step++;
+    } else {
+        a->backward++;
+        if (a->options.limited && a->step <= a->step_min)
+            a->lost++;
+        else
+            a->step--;
+    }
+}
+
+static void step_pin_changed(struct machine *m, int mcu, const struct machine_pin *pin)
+{
+    struct axis *a = &m->axes[pin->target];
+    const struct world_axis_options *o = &a->options;
+    int active = pin->level != (o->step.inverted != 0);
+    if (!active && !o->both_edges)
+        return;
+    int dir_level = m->pins[mcu][o->dir.pin].level;
+    axis_step(a, dir_level != (o->dir.inverted != 0));
+}
+
+static uint8_t switch_level(const struct axis *a)
+{
+    const struct world_axis_options *o = &a->options;
+    double position = axis_position_mm(a);
+    int closed = o->endstop_at_max ? position >= o->endstop_mm : position <= o->endstop_mm;
+    return (uint8_t)(closed != (o->endstop.inverted != 0));
+}
+
+/* ---- duties and fans ------------------------------------------------------------------------- */
+
+int machine_add_duty(struct machine *m, struct world_pin p, double now_s)
+{
+    struct machine_pin *pin = pin_at(m, p);
+    if (m->duty_count == MACHINE_DUTIES || !pin)
+        return -1;
+    pin->role = PIN_DUTY;
+    pin->target = (uint8_t)m->duty_count;
+    m->duties[m->duty_count] = (struct duty){ .inverted = p.inverted, .since_s = now_s, .mean_since_s = now_s };
+    return m->duty_count++;
+}
+
+int machine_add_fan(struct machine *m, struct world_pin pin, double spin_up_s, double now_s)
+{
+    if (m->fan_count == MACHINE_FANS)
+        return -1;
+    int duty = machine_add_duty(m, pin, now_s);
+    if (duty < 0)
+        return -1;
+    m->fans[m->fan_count] = (struct fan){ .duty = duty, .spin_up_s = spin_up_s };
+    return m->fan_count++;
+}
+
+/* `level`: electrical, 0..1 */
+static void duty_set(struct duty *d, double level, double now_s)
+{
+    d->on_s += d->level * (now_s - d->since_s);
+    d->since_s = now_s;
+    d->level = d->inverted ? 1.0 - level : level;
+}
+
+/* Mean since the last call. */
+static double duty_take(struct duty *d, double now_s)
+{
+    double span_s = now_s - d->mean_since_s;
+    if (span_s <= 0.0)
+        return d->level;
+    double mean = (d->on_s + d->level * (now_s - d->since_s)) / span_s;
+    d->on_s = 0.0;
+    d->since_s = d->mean_since_s = now_s;
+    return fmin(fmax(mean, 0.0), 1.0);
+}
+
+/* ---- what pins do ---------------------------------------------------------------------------- */
+
+void machine_pin_write(struct machine *m, int mcu, uint32_t number, uint8_t value, double now_s)
+{
+    if (number >= MACHINE_PINS)
+        return;
+    struct machine_pin *pin = &m->pins[mcu][number];
+    value = value != 0;
+    if (pin->level == value)
+        return;
+    pin->level = value;
+    if (pin->role == PIN_STEP)
+        step_pin_changed(m, mcu, pin);
+    else if (pin->role == PIN_DUTY)
+        duty_set(&m->duties[pin->target], value, now_s);
+}
+
+void machine_pwm_write(struct machine *m, int mcu, uint32_t number, double level, double now_s)
+{
+    if (number >= MACHINE_PINS || m->pins[mcu][number].role != PIN_DUTY)
+        return;
+    duty_set(&m->duties[m->pins[mcu][number].target], level, now_s);
+}
+
+uint8_t machine_pin_read(struct machine *m, int mcu, uint32_t number)
+{
+    if (number >= MACHINE_PINS)
+        return 0;
+    const struct machine_pin *pin = &m->pins[mcu][number];
+    return pin->role == PIN_SWITCH ? switch_level(&m->axes[pin->target]) : pin->level;
+}
+
+uint16_t machine_adc_read(struct machine *m, int mcu, uint32_t number, double now_s)
+{
+    (void)now_s; /* a load is at most one tick behind: far below its lag */
+    if (number >= MACHINE_PINS || m->pins[mcu][number].role != PIN_THERMISTOR)
+        return ADC_OPEN;
+    uint16_t code;
+    thermal_load_sample(&m->loads[m->pins[mcu][number].target].thermal, &code, 1);
+    return code;
+}
+
+void machine_reset_outputs(struct machine *m, int mcu, double now_s)
+{
+    for (uint32_t number = 0; number < MACHINE_PINS; number++) {
+        struct machine_pin *pin = &m->pins[mcu][number];
+        if (pin->role == PIN_DUTY) {
+            struct duty *d = &m->duties[pin->target];
+            duty_set(d, d->inverted ? 1.0 : 0.0, now_s); /* boards hold a heater off while its pin floats */
+        }
+    }
+    machine_bridge_set(m, mcu, 0, now_s);
+}
+
+/* ---- nozzle ---------------------------------------------------------------------------------- */
+
+void nozzle_advance(struct nozzle *n, double now_s)
+{
+    double dt = now_s - n->time_s;
+    if (dt <= 0.0)
+        return;
+    n->time_s = now_s;
+    plant_advance(&n->plant, dt);
+}
+
+void machine_bridge_set(struct machine *m, int mcu, uint16_t phase, double now_s)
+{
+    int index = m->nozzle_of_mcu[mcu];
+    if (index < 0)
+        return;
+    struct nozzle *n = &m->nozzles[index];
+    nozzle_advance(n, now_s);
+    n->phase = phase;
+    plant_set_phase(&n->plant, phase);
+}
+
+void machine_sample(struct machine *m, int mcu, uint16_t *out, uint32_t count, double first_s, double period_s)
+{
+    int index = m->nozzle_of_mcu[mcu];
+    if (index < 0) {
+        memset(out, 0, count * sizeof *out);
+        return;
+    }
+    struct nozzle *n = &m->nozzles[index];
+    nozzle_advance(n, first_s);
+    plant_sample(&n->plant, out, count, period_s);
+}
+
+/* ---- once a millisecond ---------------------------------------------------------------------- */
+
+/* Flow at the motor during the last tick; the plants even out single steps by their own compliance. */
+static void feed_tick(const struct machine *m, struct feed *f, double tick_s)
+{
+    if (f->options.axis < 0)
+        return;
+    const struct axis *a = &m->axes[f->options.axis];
+    double volume = 0.0;
+    if (a->step > f->mark) {
+        volume = (double)(a->step - f->mark) * a->options.mm_per_step * f->options.filament_area_mm2;
+        f->mark = a->step;
+    }
+    f->volume_mm3 += volume;
+    f->flow_mm3_s = volume / tick_s;
+}
+
+static double fan_speed(const struct machine *m, int fan)
+{
+    return fan < 0 ? 0.0 : m->fans[fan].speed;
+}
+
+void machine_tick(struct machine *m, double now_s, double tick_s)
+{
+    for (int i = 0; i < m->fan_count; i++) {
+        struct fan *f = &m->fans[i];
+        double drive = duty_take(&m->duties[f->duty], now_s);
+        f->speed += (drive - f->speed) * (f->spin_up_s > 0.0 ? 1.0 - exp(-tick_s / f->spin_up_s) : 1.0);
+    }
+    for (int i = 0; i < m->nozzle_count; i++) {
+        struct nozzle *n = &m->nozzles[i];
+        nozzle_advance(n, now_s);
+        feed_tick(m, &n->feed, tick_s);
+        plant_set_inputs(&n->plant, n->feed.flow_mm3_s, fan_speed(m, n->fan));
+    }
+    for (int i = 0; i < m->load_count; i++) {
+        struct load *l = &m->loads[i];
+        feed_tick(m, &l->feed, tick_s);
+        l->duty_mean = duty_take(&m->duties[l->duty], now_s);
+        thermal_load_set_duty(&l->thermal, l->duty_mean);
+        thermal_load_set_inputs(&l->thermal, l->feed.flow_mm3_s, fan_speed(m, l->fan));
+        thermal_load_advance(&l->thermal, now_s - l->time_s);
+        l->time_s = now_s;
+    }
+}

@@ -1,0 +1,117 @@
+/* The printer around the electronics: what a pin moves, heats or reads.
+ *
+ *   step, dir pin ──► axis ──► position ──► switch ──► endstop pin
+ *                       └────► melt flow ──┐
+ *   fan pin ──► mean duty ──► fan speed ───┼──► nozzle (struct plant) ◄── bridge phase,  ──► ADC samples
+ *   heater pin ──► mean duty ──────────────┴──► load (struct thermal_load) ──► thermistor pin
+ *
+ * Times are world seconds. Everything here is told about pins in the order of time per MCU; machine_tick() once
+ * a millisecond brings duties, flow and temperatures up to date.
+ */
+#ifndef FERRITE_MACHINE_H
+#define FERRITE_MACHINE_H
+
+#include <stdint.h>
+#include "plant.h"
+#include "thermal_load.h"
+#include "world_api.h"
+
+enum {
+    MACHINE_MCUS = 16,
+    MACHINE_PINS = 128,
+    MACHINE_AXES = 16,
+    MACHINE_FANS = 16,
+    MACHINE_LOADS = 8,
+    MACHINE_NOZZLES = 4,
+    MACHINE_DUTIES = MACHINE_FANS + MACHINE_LOADS,
+};
+
+enum pin_role { PIN_UNUSED, PIN_STEP, PIN_DUTY, PIN_SWITCH, PIN_THERMISTOR };
+
+struct machine_pin {
+    uint8_t role;   /* enum pin_role */
+    uint8_t target; /* index into the table of that role */
+    uint8_t level;  /* last written */
+};
+
+struct axis {
+    struct world_axis_options options;
+    int64_t step;               /* position in steps; 0 at start_mm */
+    int64_t step_min, step_max; /* hard stops */
+    int64_t forward, backward, lost;
+};
+
+/* Time average of something that is switched: software or hardware PWM alike. */
+struct duty {
+    int inverted;
+    double level;    /* 0..1 now */
+    double since_s;  /* of the last change or reading */
+    double on_s;     /* integral of level since the last reading */
+    double mean_since_s;
+};
+
+struct fan {
+    int duty;
+    double spin_up_s;
+    double speed; /* 0..1 */
+};
+
+/* Melt pushed by an axis. */
+struct feed {
+    struct world_feed options;
+    int64_t mark; /* farthest step so far: only beyond it does melt leave the nozzle */
+    double flow_mm3_s;
+    double volume_mm3;
+};
+
+struct nozzle {
+    struct plant plant;
+    struct feed feed;
+    int fan; /* -1: none */
+    int mcu;
+    double time_s; /* up to which the plant has been advanced */
+    uint16_t phase;
+};
+
+struct load {
+    struct thermal_load thermal;
+    struct feed feed;
+    int fan, duty, is_bed;
+    double time_s;
+    double duty_mean;
+};
+
+struct machine {
+    struct machine_pin pins[MACHINE_MCUS][MACHINE_PINS];
+    struct axis axes[MACHINE_AXES];
+    struct duty duties[MACHINE_DUTIES];
+    struct fan fans[MACHINE_FANS];
+    struct nozzle nozzles[MACHINE_NOZZLES];
+    struct load loads[MACHINE_LOADS];
+    int axis_count, duty_count, fan_count, nozzle_count, load_count;
+    int nozzle_of_mcu[MACHINE_MCUS]; /* index, -1 */
+};
+
+void machine_init(struct machine *m);
+
+/* Building. All return an index, or -1 if the table is full or a pin is out of range. */
+int machine_add_axis(struct machine *m, const struct world_axis_options *options);
+int machine_add_duty(struct machine *m, struct world_pin pin, double now_s);
+int machine_add_fan(struct machine *m, struct world_pin pin, double spin_up_s, double now_s);
+
+/* Events from the pins of MCU `mcu`. */
+void machine_pin_write(struct machine *m, int mcu, uint32_t pin, uint8_t value, double now_s);
+void machine_pwm_write(struct machine *m, int mcu, uint32_t pin, double level, double now_s);
+uint8_t machine_pin_read(struct machine *m, int mcu, uint32_t pin);
+uint16_t machine_adc_read(struct machine *m, int mcu, uint32_t pin, double now_s);
+void machine_bridge_set(struct machine *m, int mcu, uint16_t phase, double now_s);
+void machine_sample(struct machine *m, int mcu, uint16_t *out, uint32_t count, double first_s, double period_s);
+void machine_reset_outputs(struct machine *m, int mcu, double now_s); /* the MCU restarts: everything it drives is off */
+
+/* `now_s` - the last tick = tick_s. */
+void machine_tick(struct machine *m, double now_s, double tick_s);
+
+double axis_position_mm(const struct axis *a);
+void nozzle_advance(struct nozzle *n, double now_s);
+
+#endif

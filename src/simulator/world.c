@@ -1,0 +1,349 @@
+/* The world's loop and its construction; README.md in this folder is the theory of operation. */
+#include "world_internal.h"
+
+#include <stdarg.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define NEVER_S 1e30
+enum { TRANSMIT_CAPACITY = 4096 }; /* above SERIALQUEUE_TRANSMIT_MIN, so one call empties what may go */
+
+/* ---- construction ----------------------------------------------------------------------------- */
+
+int world_fail(struct world *w, const char *format, ...)
+{
+    va_list args;
+    va_start(args, format);
+    vsnprintf(w->error, sizeof w->error, format, args);
+    va_end(args);
+    return -1;
+}
+
+/* Independent generator states from the one seed of the run. */
+uint64_t world_new_seed(struct world *w)
+{
+    uint64_t state = w->seed ^ (0x632be59bd9b4e019u * ++w->streams);
+    return random_bits(&state);
+}
+
+struct world *world_new(double start_s, uint64_t seed)
+{
+    struct world *w = calloc(1, sizeof *w);
+    if (!w)
+        return NULL;
+    w->start_s = w->now_s = start_s;
+    w->seed = seed;
+    w->tick = 1;
+    w->lookahead_s = WORLD_LOOKAHEAD_MAX_S;
+    machine_init(&w->machine);
+    world_trace_open(w, NULL, 100.0);
+    return w;
+}
+
+void world_free(struct world *w)
+{
+    if (!w)
+        return;
+    world_trace_close(w);
+    for (int i = 0; i < w->mcu_count; i++)
+        world_mcu_unload(&w->mcus[i]);
+    free(w);
+}
+
+const char *world_error(const struct world *w)
+{
+    return w->error;
+}
+
+double world_now(const struct world *w)
+{
+    return w->now_s;
+}
+
+static struct world_mcu *mcu_at(struct world *w, int index)
+{
+    return index >= 0 && index < w->mcu_count ? &w->mcus[index] : NULL;
+}
+
+int world_add_mcu(struct world *w, const char *library, double clock_hz, double clock_ppm,
+                  const struct world_link_options *link)
+{
+    if (w->mcu_count == WORLD_MCUS)
+        return world_fail(w, "more than %d simulated MCUs", WORLD_MCUS);
+    struct world_mcu *m = &w->mcus[w->mcu_count];
+    *m = (struct world_mcu){ .world = w, .index = w->mcu_count, .wake_s = NEVER_S };
+    m->clock_hz = clock_hz * (1.0 + clock_ppm * 1e-6);
+    link_init(&m->down, link, world_new_seed(w));
+    link_init(&m->up, link, world_new_seed(w));
+    if (world_mcu_load(m, library)) {
+        world_mcu_unload(m);
+        return -1;
+    }
+    double crossing_s = link->latency_s + 5.0 * m->up.byte_s; /* the shortest block has five bytes */
+    w->lookahead_s = fmax(WORLD_LOOKAHEAD_MIN_S, fmin(w->lookahead_s, crossing_s));
+    return w->mcu_count++;
+}
+
+int world_add_axis(struct world *w, const struct world_axis_options *options)
+{
+    int index = machine_add_axis(&w->machine, options);
+    return index >= 0 ? index : world_fail(w, "axis: too many, or a pin or step distance out of range");
+}
+
+int world_add_fan(struct world *w, struct world_pin pin, double spin_up_s)
+{
+    int index = machine_add_fan(&w->machine, pin, spin_up_s, w->now_s);
+    return index >= 0 ? index : world_fail(w, "fan: too many, or a pin out of range");
+}
+
+static struct feed feed_from(const struct machine *m, struct world_feed options)
+{
+    struct feed f = { .options = options };
+    if (options.axis < 0 || options.axis >= m->axis_count)
+        f.options.axis = -1;
+    return f;
+}
+
+int world_add_nozzle(struct world *w, int mcu, const double *parameters, struct world_feed feed, int fan)
+{
+    struct machine *m = &w->machine;
+    if (m->nozzle_count == MACHINE_NOZZLES || !mcu_at(w, mcu) || m->nozzle_of_mcu[mcu] >= 0)
+        return world_fail(w, "nozzle: too many, no such MCU, or its bridge has a nozzle already");
+    struct nozzle *n = &m->nozzles[m->nozzle_count];
+    *n = (struct nozzle){ .fan = fan < m->fan_count ? fan : -1, .mcu = mcu, .time_s = w->now_s };
+    n->feed = feed_from(m, feed);
+    plant_init(&n->plant, parameters, world_new_seed(w));
+    m->nozzle_of_mcu[mcu] = m->nozzle_count;
+    return m->nozzle_count++;
+}
+
+int world_add_load(struct world *w, const double *parameters, int is_bed, struct world_pin heater,
+                   struct world_pin sensor, struct world_feed feed, int fan)
+{
+    struct machine *m = &w->machine;
+    if (m->load_count == MACHINE_LOADS || sensor.mcu < 0 || sensor.mcu >= MACHINE_MCUS || sensor.pin < 0
+        || sensor.pin >= MACHINE_PINS)
+        return world_fail(w, "load: too many, or its sensor pin is out of range");
+    int duty = machine_add_duty(m, heater, w->now_s);
+    if (duty < 0)
+        return world_fail(w, "load: its heater pin is out of range");
+    struct load *l = &m->loads[m->load_count];
+    *l = (struct load){ .fan = fan < m->fan_count ? fan : -1, .duty = duty, .is_bed = is_bed, .time_s = w->now_s };
+    l->feed = feed_from(m, feed);
+    thermal_load_init(&l->thermal, parameters, world_new_seed(w));
+    m->pins[sensor.mcu][sensor.pin].role = PIN_THERMISTOR;
+    m->pins[sensor.mcu][sensor.pin].target = (uint8_t)m->load_count;
+    return m->load_count++;
+}
+
+int world_parameter(int table, int index, const char **name, const char **unit, const char **doc, double *values)
+{
+    if (index < 0 || index >= (table ? thermal_load_param_count : plant_param_count))
+        return 0;
+    if (table) {
+        const struct thermal_load_param *p = &thermal_load_params[index];
+        *name = p->name, *unit = p->unit, *doc = p->doc;
+        values[0] = p->hotend, values[1] = p->bed, values[2] = p->min, values[3] = p->max;
+    } else {
+        const struct plant_param *p = &plant_params[index];
+        *name = p->name, *unit = p->unit, *doc = p->doc;
+        values[0] = p->reference, values[1] = p->strong, values[2] = p->min, values[3] = p->max;
+    }
+    return 1;
+}
+
+/* ---- the host's side of the links ------------------------------------------------------------- */
+
+int world_attach(struct world *w, int mcu, uintptr_t queue, uintptr_t receive, uintptr_t transmit)
+{
+    struct world_mcu *m = mcu_at(w, mcu);
+    if (!m || !queue || !receive || !transmit)
+        return world_fail(w, "attach: no such MCU or no queue");
+    m->queue = (void *)queue;
+    m->receive = (world_receive_fn)receive;
+    m->transmit = (world_transmit_fn)transmit;
+    m->wake_s = w->now_s;
+    return 0;
+}
+
+void world_detach(struct world *w, int mcu)
+{
+    struct world_mcu *m = mcu_at(w, mcu);
+    if (m) {
+        m->queue = NULL;
+        m->wake_s = NEVER_S;
+    }
+}
+
+void world_feed(struct world *w, int mcu, const uint8_t *data, uint32_t length)
+{
+    struct world_mcu *m = mcu_at(w, mcu);
+    if (m)
+        link_send(&m->down, data, length, w->now_s);
+}
+
+uint32_t world_drain(struct world *w, int mcu, uint8_t *data, uint32_t capacity)
+{
+    struct world_mcu *m = mcu_at(w, mcu);
+    uint32_t length = 0;
+    const struct link_chunk *c;
+    while (m && !m->queue && capacity - length >= sizeof c->data && (c = link_take(&m->up, w->now_s))) {
+        memcpy(data + length, c->data, c->length);
+        length += c->length;
+    }
+    return length;
+}
+
+/* Let the host's queue put bytes on the line. */
+static void pump(struct world *w, struct world_mcu *m)
+{
+    uint8_t buffer[TRANSMIT_CAPACITY];
+    if (!m->queue)
+        return;
+    double wake_s = NEVER_S;
+    int length;
+    while ((length = m->transmit(m->queue, buffer, sizeof buffer, w->now_s, &wake_s)) > 0)
+        link_send(&m->down, buffer, (uint32_t)length, w->now_s);
+    m->wake_s = fmax(wake_s, w->now_s + WORLD_LOOKAHEAD_MIN_S);
+}
+
+/* ---- the loop --------------------------------------------------------------------------------- */
+
+/* Where to stop next: nothing before that time may concern two parts of the world. */
+static double next_stop_s(const struct world *w, double until_s)
+{
+    double first_event_s = INFINITY;
+    double stop_s = fmin(until_s, w->start_s + (double)w->tick * WORLD_TICK_S);
+    for (int i = 0; i < w->mcu_count; i++) {
+        const struct world_mcu *m = &w->mcus[i];
+        first_event_s = fmin(first_event_s, world_mcu_next_s(m));
+        stop_s = fmin(stop_s, link_next_s(&m->down));
+        if (m->queue)
+            stop_s = fmin(stop_s, fmin(link_next_s(&m->up), m->wake_s));
+    }
+    return fmax(w->now_s, fmin(stop_s, first_event_s + w->lookahead_s));
+}
+
+/* Deliver what has arrived for and from one MCU; 1 if its host queue holds messages now. */
+static int deliver(struct world *w, struct world_mcu *m)
+{
+    const struct link_chunk *c;
+    int waiting = 0;
+    while ((c = link_take(&m->down, w->now_s)))
+        world_mcu_receive(m, c->data, c->length);
+    if (!m->queue)
+        return 0;
+    int received = 0;
+    while ((c = link_take(&m->up, w->now_s))) {
+        received = 1;
+        if (m->receive(m->queue, c->data, (int)c->length, w->now_s) > 0)
+            waiting = 1;
+    }
+    if (received || m->wake_s <= w->now_s)
+        pump(w, m);
+    return waiting;
+}
+
+static void tick_if_due(struct world *w)
+{
+    if (w->now_s < w->start_s + (double)w->tick * WORLD_TICK_S)
+        return;
+    w->tick++;
+    machine_tick(&w->machine, w->now_s, WORLD_TICK_S);
+    if (w->now_s >= w->trace.next_s)
+        world_trace_row(w);
+}
+
+uint32_t world_advance(struct world *w, double until_s)
+{
+    uint32_t waiting = 0;
+    for (int i = 0; i < w->mcu_count; i++) {
+        if (!w->mcus[i].booted)
+            world_mcu_advance(&w->mcus[i], w->now_s);
+        pump(w, &w->mcus[i]);
+    }
+    while (w->now_s < until_s && !waiting) {
+        double stop_s = next_stop_s(w, until_s);
+        for (int i = 0; i < w->mcu_count; i++)
+            world_mcu_advance(&w->mcus[i], stop_s);
+        w->now_s = stop_s;
+        for (int i = 0; i < w->mcu_count; i++)
+            if (deliver(w, &w->mcus[i]))
+                waiting |= 1u << i;
+        tick_if_due(w);
+    }
+    return waiting;
+}
+
+/* ---- looking at it ---------------------------------------------------------------------------- */
+
+void world_axis(const struct world *w, int axis, struct world_axis_state *out)
+{
+    memset(out, 0, sizeof *out);
+    if (axis < 0 || axis >= w->machine.axis_count)
+        return;
+    const struct axis *a = &w->machine.axes[axis];
+    *out = (struct world_axis_state){
+        .position_mm = axis_position_mm(a),
+        .steps_forward = a->forward,
+        .steps_backward = a->backward,
+        .steps_lost = a->lost,
+    };
+}
+
+void world_link(const struct world *w, int mcu, struct world_link_state *out)
+{
+    memset(out, 0, sizeof *out);
+    if (mcu < 0 || mcu >= w->mcu_count)
+        return;
+    const struct link *down = &w->mcus[mcu].down, *up = &w->mcus[mcu].up;
+    *out = (struct world_link_state){
+        .bytes_down = down->bytes,
+        .bytes_up = up->bytes,
+        .corrupted = down->corrupted + up->corrupted,
+        .dropped = down->dropped + up->dropped,
+        .duplicated = down->duplicated + up->duplicated,
+        .overflowed = down->overflowed + up->overflowed,
+    };
+}
+
+double world_nozzle_temperature(const struct world *w, int nozzle)
+{
+    struct plant_outputs out;
+    if (nozzle < 0 || nozzle >= w->machine.nozzle_count)
+        return NAN;
+    plant_read(&w->machine.nozzles[nozzle].plant, &out);
+    return out.skin_c;
+}
+
+void world_set_nozzle_parameter(struct world *w, int nozzle, int index, double value)
+{
+    if (nozzle >= 0 && nozzle < w->machine.nozzle_count && index >= 0 && index < plant_param_count)
+        plant_set_param(&w->machine.nozzles[nozzle].plant, index, value);
+}
+
+void world_set_load_parameter(struct world *w, int load, int index, double value)
+{
+    if (load >= 0 && load < w->machine.load_count && index >= 0 && index < thermal_load_param_count)
+        thermal_load_set_param(&w->machine.loads[load].thermal, index, value);
+}
+
+double world_load_temperature(const struct world *w, int load)
+{
+    struct thermal_load_outputs out;
+    if (load < 0 || load >= w->machine.load_count)
+        return NAN;
+    thermal_load_read(&w->machine.loads[load].thermal, &out);
+    return out.body_c;
+}
+
+double world_fan_speed(const struct world *w, int fan)
+{
+    return fan < 0 || fan >= w->machine.fan_count ? 0.0 : w->machine.fans[fan].speed;
+}
+
+void world_set_channel(struct world *w, int channel, double value)
+{
+    if (channel >= 0 && channel < WORLD_CHANNELS)
+        w->channels[channel] = value;
+}

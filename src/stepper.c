@@ -1,0 +1,271 @@
+/* Step generation: queues of step segments turned into pin edges at exact clocks.
+ *
+ * A segment (one queue_step command) is `count` steps: the first `interval` ticks after the step before it, the
+ * following at intervals that grow by `add` each.  The nominal clock of every step is kept apart from the wake-up clock
+ * of the timer, so a pulse that ends late never shifts the steps after it.
+ *
+ *   both edges (config_stepper invert_step=-1): every step toggles the pin, one timer event a step
+ *
+ *     nominal  |     |     |     |
+ *     pin      ‾‾‾‾‾‾\_____/‾‾‾‾‾\___
+ *
+ *   pulses (invert_step 0 or 1): every step is a pulse of step_pulse_ticks, two events a step; the next pulse begins
+ *   no earlier than step_pulse_ticks after the end of this one
+ *
+ *     nominal  |         |         |
+ *     pin      /‾‾\______/‾‾\______/‾‾\___
+ *
+ * The direction pin changes when a segment is begun: right after the last edge of the segment before it.
+ */
+#include "stepper.h"
+
+#include "basecmd.h"
+#include "board/gpio.h"
+#include "board/irq.h"
+#include "board/timer.h"
+#include "command.h"
+#include "sched.h"
+#include "trsync.h"
+
+DECL_CONSTANT("STEPPER_STEP_BOTH_EDGE", 1);
+DECL_RESPONSE(response_stepper_position, "stepper_position oid=%c pos=%i");
+
+struct segment {
+    struct move_node node;
+    uint32_t interval;
+    uint16_t count;
+    int16_t add;
+    uint8_t dir;
+};
+
+struct stepper {
+    struct timer timer;
+    struct move_queue_head queue;
+    struct trsync_signal stop_signal;
+    struct gpio_out step_pin, dir_pin;
+    uint32_t step_clock;          /* nominal clock of the next step, or of the last one when idle */
+    uint32_t interval;            /* from the step at step_clock to the one after */
+    uint32_t pulse_ticks;
+    int32_t position;             /* where the segment under way ends */
+    uint16_t left;                /* steps of the segment under way still to be made */
+    int16_t add;
+    uint8_t active : 1;           /* the timer is running */
+    uint8_t pulse_high : 1;       /* in a pulse; the event to come ends it */
+    uint8_t both_edges : 1;
+    uint8_t idle_level : 1;       /* of the step pin between pulses */
+    uint8_t dir : 1;              /* of the segment under way = level of the direction pin */
+    uint8_t next_dir : 1;         /* of the next queue_step */
+    uint8_t deaf : 1;             /* stopped by a trigger: queue_step is ignored until reset_step_clock */
+};
+
+/* Begin the next segment; 0 if there is none.  Interrupts disabled. */
+static uint8_t
+begin_segment(struct stepper *s)
+{
+    struct segment *m = (struct segment *)move_queue_pop(&s->queue);
+    if (!m)
+        return 0;
+    if (m->dir != s->dir) {
+        s->dir = m->dir;
+        gpio_out_write(s->dir_pin, s->dir);
+    }
+    s->step_clock += m->interval;
+    s->interval = m->interval + (uint32_t)(int32_t)m->add;
+    s->add = m->add;
+    s->left = m->count;
+    s->position += s->dir ? (int32_t)m->count : -(int32_t)m->count;
+    move_free(m);
+    return 1;
+}
+
+/* The step at step_clock has been made: on to the next.  0 if the queue is empty, step_clock then stays. */
+static uint8_t
+next_step(struct stepper *s)
+{
+    if (--s->left == 0)
+        return begin_segment(s);
+    s->step_clock += s->interval;
+    s->interval += (uint32_t)(int32_t)s->add;
+    return 1;
+}
+
+static uint8_t
+idle(struct stepper *s)
+{
+    s->active = 0;
+    return SF_DONE;
+}
+
+/* Timer, once a step; about 60 cycles on a Cortex-M4.  Late: the edge comes late, the nominal clocks stand. */
+static uint8_t
+both_edges_event(struct timer *t)
+{
+    struct stepper *s = container_of(t, struct stepper, timer);
+    gpio_out_toggle(s->step_pin);
+    if (!next_step(s))
+        return idle(s);
+    t->waketime = s->step_clock;
+    return SF_RESCHEDULE;
+}
+
+/* Timer, twice a step. */
+static uint8_t
+pulse_event(struct timer *t)
+{
+    struct stepper *s = container_of(t, struct stepper, timer);
+    gpio_out_toggle(s->step_pin);
+    s->pulse_high = !s->pulse_high;
+    if (s->pulse_high) {
+        t->waketime += s->pulse_ticks;
+        return SF_RESCHEDULE;
+    }
+    if (!next_step(s))
+        return idle(s);
+    uint32_t earliest = t->waketime + s->pulse_ticks;
+    t->waketime = timer_is_before(s->step_clock, earliest) ? earliest : s->step_clock;
+    return SF_RESCHEDULE;
+}
+
+/* Drop everything queued and end a pulse under way.  Interrupts disabled. */
+static void
+halt(struct stepper *s)
+{
+    s->position -= s->dir ? (int32_t)s->left : -(int32_t)s->left;
+    if (s->pulse_high) {
+        s->position += s->dir ? 1 : -1;  /* the step whose pulse this was has been made */
+        gpio_out_write(s->step_pin, s->idle_level);
+    }
+    s->left = 0;
+    s->active = s->pulse_high = 0;
+}
+
+void
+command_config_stepper(const struct command_args *args)
+{
+    struct stepper *s = oid_alloc((uint8_t)args->val[0], command_config_stepper, sizeof(*s));
+    int8_t invert_step = (int8_t)args->val[3];
+    s->both_edges = invert_step < 0;
+    s->idle_level = invert_step > 0;
+    s->pulse_ticks = args->val[4];
+    s->step_pin = gpio_out_setup(args->val[1], s->idle_level);
+    s->dir_pin = gpio_out_setup(args->val[2], 0);
+    s->timer.func = s->both_edges ? both_edges_event : pulse_event;
+    move_queue_init(&s->queue);
+    move_request_size(sizeof(struct segment));
+}
+DECL_COMMAND(command_config_stepper,
+             "config_stepper oid=%c step_pin=%c dir_pin=%c invert_step=%c step_pulse_ticks=%u");
+
+struct stepper *
+stepper_lookup(uint8_t oid)
+{
+    return oid_lookup(oid, command_config_stepper);
+}
+
+/* Interrupts disabled, first segment just queued. */
+static void
+start(struct stepper *s)
+{
+    begin_segment(s);
+    if (timer_is_before(s->step_clock, timer_read_time()))
+        shutdown(SHUTDOWN_STEPPER_PAST);
+    s->active = 1;
+    s->timer.waketime = s->step_clock;
+    sched_add_timer(&s->timer);
+}
+
+void
+command_queue_step(const struct command_args *args)
+{
+    struct stepper *s = stepper_lookup((uint8_t)args->val[0]);
+    uint16_t count = (uint16_t)args->val[2];
+    if (!count)
+        shutdown(SHUTDOWN_STEPPER_COUNT);
+    irqstatus_t flag = irq_save();
+    if (!s->deaf) {
+        struct segment *m = move_alloc();
+        m->interval = args->val[1];
+        m->count = count;
+        m->add = (int16_t)args->val[3];
+        m->dir = s->next_dir;
+        move_queue_push(&s->queue, &m->node);
+        if (!s->active)
+            start(s);
+    }
+    irq_restore(flag);
+}
+DECL_COMMAND(command_queue_step, "queue_step oid=%c interval=%u count=%hu add=%hi");
+
+void
+command_set_next_step_dir(const struct command_args *args)
+{
+    struct stepper *s = stepper_lookup((uint8_t)args->val[0]);
+    s->next_dir = !!args->val[1];
+}
+DECL_COMMAND(command_set_next_step_dir, "set_next_step_dir oid=%c dir=%c");
+
+void
+command_reset_step_clock(const struct command_args *args)
+{
+    struct stepper *s = stepper_lookup((uint8_t)args->val[0]);
+    irqstatus_t flag = irq_save();
+    if (s->active)
+        shutdown(SHUTDOWN_STEPPER_ACTIVE);
+    s->step_clock = args->val[1];
+    s->deaf = 0;
+    irq_restore(flag);
+}
+DECL_COMMAND(command_reset_step_clock, "reset_step_clock oid=%c clock=%u");
+
+/* Steps already made: what of the segment under way is left does not count, a pulse that has begun does. */
+static int32_t
+position_now(const struct stepper *s)
+{
+    int32_t left = (int32_t)s->left - (s->pulse_high ? 1 : 0);
+    return s->dir ? s->position - left : s->position + left;
+}
+
+void
+command_stepper_get_position(const struct command_args *args)
+{
+    uint8_t oid = (uint8_t)args->val[0];
+    struct stepper *s = stepper_lookup(oid);
+    irqstatus_t flag = irq_save();
+    int32_t position = position_now(s);
+    irq_restore(flag);
+    respond(&response_stepper_position, oid, position);
+}
+DECL_COMMAND(command_stepper_get_position, "stepper_get_position oid=%c");
+
+static void
+stop_on_trigger(struct trsync_signal *signal, uint8_t reason)
+{
+    (void)reason;
+    struct stepper *s = container_of(signal, struct stepper, stop_signal);
+    sched_del_timer(&s->timer);
+    halt(s);
+    move_queue_clear(&s->queue);
+    s->deaf = 1;
+}
+
+void
+command_stepper_stop_on_trigger(const struct command_args *args)
+{
+    struct stepper *s = stepper_lookup((uint8_t)args->val[0]);
+    trsync_attach(trsync_lookup((uint8_t)args->val[1]), &s->stop_signal, stop_on_trigger);
+}
+DECL_COMMAND(command_stepper_stop_on_trigger, "stepper_stop_on_trigger oid=%c trsync_oid=%c");
+
+/* The queue's entries go back to the pool with everybody else's, when the shutdown is cleared. */
+void
+stepper_shutdown(void)
+{
+    uint8_t i;
+    struct stepper *s;
+    foreach_oid(i, s, command_config_stepper) {
+        halt(s);
+        move_queue_init(&s->queue);
+        s->deaf = 1;
+    }
+}
+DECL_SHUTDOWN(stepper_shutdown);

@@ -1,0 +1,33 @@
+/* The smallest set of types that satisfies the board contract: a new port starts from a copy of this file.
+ *
+ * As it stands it is what `make compile-check` compiles the portable files with, to show that they need nothing but the
+ * contract.  A port also supplies the bodies of the functions in src/board/, a main() that calls sched_main(), and a timer
+ * interrupt that calls sched_timer_dispatch(); src/simulator/ is a complete example.
+ */
+#ifndef PORT_TYPES_H
+#define PORT_TYPES_H
+
+#include <stdint.h>
+
+#define PORT_CLOCK_HZ 16000000u
+#define PORT_MOVE_COUNT_MAX 500
+
+/* Whatever makes access fast: a register's address and a bit mask, for instance. */
+struct gpio_out {
+    volatile uint8_t *reg;
+    uint8_t bit;
+};
+struct gpio_in {
+    volatile uint8_t *reg;
+    uint8_t bit;
+};
+struct adc_in {
+    uint8_t channel;
+};
+struct pwm_out {
+    volatile uint16_t *reg;
+};
+
+typedef uint8_t irqstatus_t;
+
+#endif

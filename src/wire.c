@@ -1,0 +1,69 @@
+#include <stddef.h>
+
+#include "wire.h"
+
+uint16_t
+wire_crc16(const uint8_t *data, uint8_t len)
+{
+    uint16_t crc = 0xffff;
+    for (; len; len--, data++) {
+        crc ^= *data;
+        for (uint8_t bit = 0; bit < 8; bit++)
+            crc = (uint16_t)((crc >> 1) ^ ((crc & 1) ? 0x8408 : 0));
+    }
+    return crc;
+}
+
+/* How many seven-bit groups a number needs: it fits n groups when what is left of it after dropping the n-1 lower
+ * groups lies in -32..95, because a first group of 0x60..0x7f reads as negative. */
+static uint8_t
+vlq_groups(int32_t value)
+{
+    uint8_t groups = 1;
+    while (groups < VLQ_SIZE_MAX && (value < -32 || value > 95)) {
+        value >>= 7;
+        groups++;
+    }
+    return groups;
+}
+
+uint8_t *
+wire_put_vlq(uint8_t *out, int32_t value)
+{
+    for (uint8_t left = vlq_groups(value); left > 1; left--)
+        *out++ = (uint8_t)(value >> (7 * (left - 1))) | 0x80;
+    *out++ = (uint8_t)value & 0x7f;
+    return out;
+}
+
+const uint8_t *
+wire_get_vlq(const uint8_t *at, const uint8_t *end, int32_t *value)
+{
+    uint32_t sum = 0;
+    for (uint8_t group = 0; group < VLQ_SIZE_MAX; group++) {
+        if (at >= end)
+            return NULL;
+        uint8_t byte = *at++;
+        if (!group && (byte & 0x60) == 0x60)
+            sum = ~(uint32_t)0;
+        sum = (sum << 7) | (byte & 0x7f);
+        if (!(byte & 0x80)) {
+            *value = (int32_t)sum;
+            return at;
+        }
+    }
+    return NULL;
+}
+
+uint8_t
+wire_seal_block(uint8_t *block, uint8_t content_len, uint8_t sequence)
+{
+    uint8_t checked_len = BLOCK_HEADER_SIZE + content_len;
+    block[0] = checked_len + BLOCK_TRAILER_SIZE;
+    block[1] = BLOCK_SEQ_MARK | (sequence & BLOCK_SEQ_MASK);
+    uint16_t crc = wire_crc16(block, checked_len);
+    block[checked_len] = (uint8_t)(crc >> 8);
+    block[checked_len + 1] = (uint8_t)crc;
+    block[checked_len + 2] = BLOCK_SYNC;
+    return block[0];
+}

@@ -1,0 +1,124 @@
+"""src/phase.c: phases queued by clock, and which phase holds at which sample."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from induction_cdef import CDEF
+from pure_harness import INDUCTION_SOURCES, load
+
+ffi, lib = load("induction", INDUCTION_SOURCES, CDEF)
+RING = 64
+
+
+def track(phase_max: int = 45000):
+    t = ffi.new("struct phase_track *")
+    lib.phase_init(t, phase_max)
+    return t
+
+
+def push(t, clock: int, phase: int, earliest: int | None = None):
+    """(accepted, node); the caller keeps the node alive, as the firmware's move queue does."""
+    node = ffi.new("struct phase_node *", {"clock": clock & 0xFFFFFFFF, "phase": phase})
+    return lib.phase_push(t, node, (clock if earliest is None else earliest) & 0xFFFFFFFF), node
+
+
+def phases_at(t, first: int, count: int, piece: int = 32) -> list[int]:
+    """Phase of each sample, asked half buffer by half buffer."""
+    out: list[int] = []
+    run = ffi.new("uint16_t *")
+    for start in range(first, first + count, piece):
+        left = piece
+        while left:
+            phase = lib.phase_run(t, (start + piece - left) & 0xFFFFFFFF, left, run)
+            assert 1 <= run[0] <= left
+            out += [phase] * run[0]
+            left -= run[0]
+    return out
+
+
+@pytest.mark.parametrize("base", [1000, 2**32 - 50])
+def test_phases_come_due_in_order_across_the_clocks_wrap(base):
+    t = track()
+    nodes = [push(t, base + 40 * i, 100 + i) for i in range(4)]
+    assert all(accepted for accepted, _ in nodes)
+    assert lib.phase_pop_due(t, (base - 1) & 0xFFFFFFFF) == ffi.NULL
+    seen = []
+    for clock in range(base, base + 200):
+        while (node := lib.phase_pop_due(t, clock & 0xFFFFFFFF)) != ffi.NULL:
+            seen.append((clock - base, node.phase))
+    assert seen == [(0, 100), (40, 101), (80, 102), (120, 103)]
+    assert t.first == ffi.NULL and t.last == ffi.NULL
+
+
+def test_order_of_clocks_is_demanded_and_a_refused_node_is_not_kept():
+    t = track()
+    first, second = push(t, 1000, 1), push(t, 999, 2)
+    assert first[0] and not second[0]
+    assert lib.phase_pop(t) == first[1]
+    assert lib.phase_pop(t) == ffi.NULL
+
+
+def test_late_phases_are_due_at_once_and_stay_in_order():
+    t = track()
+    kept = [push(t, 100, 1, earliest=5000), push(t, 100, 2, earliest=5001), push(t, 5100, 3, earliest=5002)]
+    assert all(accepted for accepted, _ in kept)
+    assert lib.phase_pop_due(t, 4999) == ffi.NULL
+    assert [lib.phase_pop_due(t, 5001).phase for _ in range(2)] == [1, 2]
+    assert lib.phase_pop_due(t, 5099) == ffi.NULL
+    assert lib.phase_pop_due(t, 5100).phase == 3
+
+
+@pytest.mark.parametrize(("asked", "given_"), [(0, 0), (20000, 20000), (20001, 20000), (45000, 20000)])
+def test_phase_is_held_to_the_configured_maximum(asked, given_):
+    t = track(phase_max=20000)
+    _, node = push(t, 1, asked)
+    assert node.phase == given_
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    start=st.sampled_from([0, 32, 2**32 - 64]),
+    steps=st.lists(st.tuples(st.integers(0, 40), st.integers(1, 9)), max_size=40),
+)
+def test_every_sample_gets_the_phase_that_held(start, steps):
+    """Steps arrive as time passes, read half a buffer behind, as the ADC interrupt does."""
+    t = track()
+    total = 64 + sum(gap for gap, _ in steps) + 32
+    expected = [0] * (total + 32)
+    arrivals, at = [], 0
+    for gap, phase in steps:
+        at += gap
+        arrivals.append((at, phase))
+        expected[at:] = [phase] * (len(expected) - at)
+    got: list[int] = []
+    for half in range(total // 32):
+        while arrivals and arrivals[0][0] <= half * 32 + 32:
+            index, phase = arrivals.pop(0)
+            lib.phase_applied(t, (start + index) & 0xFFFFFFFF, phase)
+        got += phases_at(t, start + half * 32, 32)
+    assert got == expected[: len(got)]
+
+
+def test_two_steps_before_one_sample_leave_the_later():
+    t = track()
+    lib.phase_applied(t, 10, 5)
+    lib.phase_applied(t, 10, 7)
+    assert phases_at(t, 0, 32) == [0] * 10 + [7] * 22
+
+
+def test_more_steps_than_the_ring_keeps_the_newest_right():
+    """A step every sample for two rings: what the double buffer can still hold (64 samples) is exact."""
+    t = track()
+    for index in range(2 * RING):
+        lib.phase_applied(t, index, index)
+    assert phases_at(t, RING, RING) == list(range(RING, 2 * RING))
+    assert t.commanded == 2 * RING - 1
+
+
+def test_a_step_ahead_of_the_samples_waits_for_its_sample():
+    t = track()
+    lib.phase_applied(t, 100, 5)
+    assert phases_at(t, 0, 96) == [0] * 96
+    assert phases_at(t, 96, 32) == [0] * 4 + [5] * 28

@@ -1,0 +1,331 @@
+"""The whole induction unit through its messages: the real firmware on a simulated MCU."""
+
+from __future__ import annotations
+
+import itertools
+import struct
+from dataclasses import dataclass
+
+import pytest
+from mcu_harness import FREQ, Mcu
+from pure_harness import Plant
+
+PERIOD = 600  # ticks: 120 kHz
+MAX_DURATION = FREQ // 10
+RECORD = struct.Struct("<HHIHHHHH")
+SETTLE = 20
+
+
+@dataclass(frozen=True)
+class Record:
+    number: int  # running, from the message's sequence
+    clock: int  # of its first sample
+    count: int
+    value: int
+    phase: int
+    min: int
+    max: int
+    discarded: int
+    lost: int
+    message: int  # which message brought it
+    sent: int  # when that was sent
+
+
+class Unit:
+    def __init__(
+        self, *limits: tuple[int, int, int, int], y: int = 5, shift: int = 0, **changes: int
+    ) -> None:
+        self.mcu = Mcu()
+        config = {"oid": 0, "bridge": 0, "adc_pin": 3, "period_ticks": PERIOD, "phase_max": 45000}
+        config |= {"max_duration": MAX_DURATION} | changes
+        sense = {"oid": 0, "oversample": y, "settle_samples": SETTLE, "ema_shift": shift}
+        rows = [
+            dict(zip(("oid", "phase", "low", "high", "trip_blocks"), (0, *row), strict=True))
+            for row in limits
+        ]
+        self.mcu.configure(
+            1,
+            ("config_induction", config),
+            ("config_induction_sense", sense),
+            *(("config_induction_limit", row) for row in rows),
+        )
+
+    def phase(self, phase: int, delay_s: float = 0.001) -> int:
+        clock = self.mcu.now + round(delay_s * FREQ)
+        self.mcu.send("queue_induction_phase", oid=0, clock=clock & 0xFFFFFFFF, phase=phase)
+        return clock
+
+    def hold(self, phase: int, seconds: float) -> None:
+        """Keep telling the same phase, as a live host does."""
+        end = self.mcu.now + round(seconds * FREQ)
+        while self.mcu.now < end:
+            self.phase(phase)
+            self.mcu.run_to(min(end, self.mcu.now + FREQ // 25))
+
+    def report(self, enable: int = 1) -> None:
+        self.mcu.send("induction_report", oid=0, enable=enable)
+
+    def state(self):
+        return self.mcu.ask("induction_query", oid=0)
+
+    def records(self) -> list[Record]:
+        out: list[Record] = []
+        for index, message in enumerate(self.mcu.replies("induction_block")):
+            assert len(message["data"]) in (RECORD.size, 2 * RECORD.size)
+            for place, fields in enumerate(RECORD.iter_unpack(message["data"])):
+                clock = message["clock"] + fields[0] * PERIOD
+                number = message["sequence"] + place
+                out.append(Record(number, clock, *fields[1:], message=index, sent=message.clock))
+        return out
+
+
+def test_blocks_follow_one_another_without_a_hole():
+    unit = Unit()
+    unit.report()
+    unit.mcu.run(0.2)
+    records = unit.records()
+    assert len(records) == 22  # 0.2 s / 8.53 ms = 23.4 blocks, the last whole pair sent
+    assert [r.number for r in records] == list(range(22))
+    for before, after in itertools.pairwise(records):
+        assert after.clock == before.clock + before.count * PERIOD
+    assert {(r.count, r.value, r.phase, r.min, r.max, r.discarded, r.lost) for r in records} == {
+        (1024, 1000 * 32, 0, 1000, 1000, 0, 0)
+    }
+
+
+def test_records_go_out_in_pairs_unless_that_would_take_too_long():
+    pairs = Unit()
+    pairs.report()
+    pairs.mcu.run(0.1)
+    assert [r.message for r in pairs.records()][:6] == [0, 0, 1, 1, 2, 2]
+    single = Unit(y=6)  # 34 ms a block: waiting for a second one would be longer than 20 ms
+    single.report()
+    single.mcu.run(0.15)
+    records = single.records()
+    assert len(records) == 4 and len({r.message for r in records}) == 4
+    for record in records:  # sent at the half buffer that completes it
+        end = record.clock + (record.count - 1) * PERIOD
+        assert 0 <= record.sent - end <= 32 * PERIOD
+
+
+def test_phase_takes_effect_at_its_clock_and_cuts_the_block_there():
+    unit = Unit()
+    unit.report()
+    unit.mcu.run(0.010)
+    clock = unit.phase(20000, 0.005)
+    unit.mcu.run(0.05)
+    changed = next(at for at, phase in unit.mcu.bridge_sets if phase == 20000)
+    assert clock < changed <= clock + PERIOD  # the next period edge
+    records = unit.records()
+    cut = next(i for i, r in enumerate(records) if r.phase == 20000)
+    before, after = records[cut - 1], records[cut]
+    assert before.phase == 0 and before.count < 1024
+    assert before.clock + before.count * PERIOD == changed
+    assert after.clock == changed + SETTLE * PERIOD
+    assert after.discarded == SETTLE and after.count == 1024
+    assert before.value == before.count * 1000 >> 5
+
+
+def test_every_sample_is_told_of():
+    unit = Unit(max_duration=FREQ)
+    unit.report()
+    for phase, delay in ((5000, 0.013), (5100, 0.0135), (9000, 0.03), (0, 0.0441), (7000, 0.0442)):
+        unit.phase(phase, delay)
+    unit.mcu.run(0.2)
+    records = unit.records()
+    for before, after in itertools.pairwise(records):
+        between = (after.clock - before.clock) // PERIOD - before.count
+        assert between == after.discarded + after.lost
+    assert [r.phase for r in records if r.count < 1024] == [0, 5100, 9000]
+
+
+def test_queued_phases_are_applied_in_order():
+    unit = Unit()
+    clocks = [unit.phase(1000 * (i + 1), 0.001 * (i + 1)) for i in range(20)]
+    unit.mcu.run(0.03)
+    told = [(at, phase) for at, phase in unit.mcu.bridge_sets if phase]
+    assert [phase for _, phase in told] == [1000 * (i + 1) for i in range(20)]
+    assert all(0 < at - clock <= PERIOD for (at, _), clock in zip(told, clocks, strict=True))
+
+
+def test_a_late_phase_is_applied_at_once():
+    unit = Unit()
+    unit.mcu.run(0.01)
+    unit.phase(3000, -0.005)
+    unit.phase(4000, -0.004)
+    unit.mcu.run(0.001)
+    assert unit.mcu.bridge_sets[-1][1] == 4000
+    assert unit.mcu.shutdown_reason() is None
+
+
+def test_phase_above_the_configured_maximum_is_held_to_it():
+    unit = Unit(phase_max=20125)
+    unit.phase(30000)
+    unit.mcu.run(0.01)
+    assert unit.mcu.bridge_sets[-1][1] == 20125
+
+
+@pytest.mark.parametrize("last_phase", [2012, 45000])
+def test_a_dead_host_has_the_bridge_off_within_max_duration(last_phase):
+    unit = Unit()
+    clock = unit.phase(last_phase)
+    unit.mcu.run(0.2)
+    at, phase = unit.mcu.bridge_sets[-1]
+    assert phase == 0
+    assert clock < at <= clock + MAX_DURATION + PERIOD
+    assert unit.mcu.shutdown_reason() == "Missed scheduling of next induction phase"
+    assert unit.state()["trip"] == 5
+
+
+def test_a_phase_queued_too_far_ahead_does_not_keep_the_bridge_on():
+    unit = Unit()
+    clock = unit.phase(2012)
+    unit.phase(2012, 0.15)
+    unit.mcu.run(0.3)
+    assert unit.mcu.bridge_sets[-1][1] == 0
+    assert unit.mcu.bridge_sets[-1][0] <= clock + MAX_DURATION + PERIOD
+
+
+def test_a_live_host_keeps_it_on_and_phase_0_needs_no_host():
+    unit = Unit()
+    unit.hold(2012, 0.5)
+    unit.phase(0)
+    unit.mcu.run(1.0)
+    assert unit.mcu.shutdown_reason() is None
+    assert unit.state()["trip"] == 0
+
+
+def test_shutdown_switches_off_at_once_and_forgets_what_was_queued():
+    unit = Unit()
+    unit.report()
+    unit.hold(9000, 0.05)
+    unit.phase(45000, 0.02)
+    now = unit.mcu.now
+    unit.mcu.send("emergency_stop")
+    assert unit.mcu.bridge_sets[-1] == (now, 0)
+    told = len(unit.records())
+    unit.mcu.run(0.1)
+    assert unit.mcu.bridge_sets[-1][1] == 0
+    assert len(unit.records()) == told, "no reports to a host that is not listening"
+    assert unit.state()["phase"] == 0
+
+
+def test_after_clear_shutdown_it_works_again():
+    unit = Unit()
+    unit.hold(9000, 0.05)
+    unit.mcu.send("emergency_stop")
+    unit.mcu.run(0.01)
+    unit.mcu.send("clear_shutdown")
+    unit.report()
+    unit.hold(9000, 0.1)
+    assert unit.mcu.bridge_sets[-1][1] == 9000
+    records = unit.records()
+    assert records[0].number == 0 and records[-1].phase == 9000
+    assert sum(r.lost for r in records) == 0
+
+
+@pytest.mark.parametrize(
+    ("codes", "reason", "trip"),
+    [
+        (lambda clock: 100 + clock // PERIOD % 2, "Induction signal below limit", 1),
+        (lambda clock: 2000 + clock // PERIOD % 2, "Induction signal above limit", 2),
+        (lambda clock: 0 if clock // PERIOD % 3 == 0 else 900, "ADC out of range", 3),
+        (lambda clock: 700, "ADC out of range", 4),
+    ],
+)
+def test_guard_trips_after_its_blocks_with_the_bridge_off(codes, reason, trip):
+    unit = Unit((2000, 300, 1500, 3))
+    unit.mcu.sample_code = lambda clock: 800 + clock // PERIOD % 2
+    unit.hold(5000, 0.1)
+    assert unit.mcu.shutdown_reason() is None
+    unit.mcu.sample_code = codes
+    broke = unit.mcu.now
+    unit.hold(5000, 0.1)
+    assert unit.mcu.shutdown_reason() == reason
+    off = unit.mcu.bridge_sets[-1]
+    assert off[1] == 0
+    assert off[0] - broke < (4 * 1024 + 64) * PERIOD, "three whole blocks after the one it broke in, at most"
+    state = unit.state()
+    assert state["trip"] == trip
+    mean = sum(codes(i * PERIOD) for i in range(6)) / 6
+    assert state["value"] == pytest.approx(mean * 32, abs=16)
+
+
+def test_a_tripped_guard_refuses_power_after_clear_shutdown():
+    unit = Unit()
+    unit.phase(2012)
+    unit.mcu.run(0.2)
+    unit.mcu.send("clear_shutdown")
+    unit.phase(2012)
+    unit.mcu.run(0.01)
+    assert unit.mcu.bridge_sets[-1][1] == 0
+    assert unit.mcu.shutdown_reason() == "Missed scheduling of next induction phase"
+
+
+def test_without_limits_a_dead_sensor_does_not_trip():
+    unit = Unit()
+    unit.mcu.sample_code = lambda clock: 0
+    unit.hold(5000, 0.2)
+    assert unit.mcu.shutdown_reason() is None
+
+
+@pytest.mark.parametrize(
+    ("name", "values", "reason"),
+    [
+        ("queue_induction_phase", {"clock": 10**6, "phase": 45001}, "Induction phase out of range"),
+        ("config_induction_sense", {"oversample": 8, "settle_samples": 0, "ema_shift": 0}, None),
+        ("config_induction_limit", {"phase": 1, "low": 9, "high": 3, "trip_blocks": 1}, None),
+    ],
+)
+def test_values_out_of_range_shut_down_with_a_reason(name, values, reason):
+    unit = Unit()
+    unit.mcu.send(name, oid=0, **values)
+    unit.mcu.run(0.01)
+    assert unit.mcu.shutdown_reason() == (reason or "Invalid induction configuration")
+
+
+def test_phases_out_of_order_are_refused():
+    unit = Unit()
+    unit.phase(1000, 0.02)
+    unit.phase(2000, 0.01)
+    unit.mcu.run(0.03)
+    assert unit.mcu.shutdown_reason() == "Induction phase commands out of order"
+    assert unit.mcu.bridge_sets[-1][1] == 0
+
+
+def test_a_stalled_reader_is_told_what_it_missed():
+    """Reports off and on again start a new sequence; blocks in between are not kept."""
+    unit = Unit()
+    unit.report()
+    unit.mcu.run(0.05)
+    unit.report(0)
+    told = len(unit.records())
+    unit.mcu.run(0.05)
+    assert len(unit.records()) == told
+    unit.report()
+    unit.mcu.run(0.05)
+    assert unit.records()[told].number == 0
+
+
+def test_the_plants_temperature_comes_through_the_whole_chain():
+    """Plant at 300 degC, 10 % power, through ADC, block sum and message: the law's error, as Table 1 has it.
+
+    Tolerance: the phasor fits Table 1 within 4.5 units; the mean of 1024 samples adds 0.03 LSB."""
+    unit, plant = Unit(), Plant(start_c=300.0, seed=7)
+    clock_told = [0]
+
+    def code(clock: int) -> int:
+        for at, phase in unit.mcu.bridge_sets[clock_told[0] :]:
+            if at <= clock:
+                plant.phase(phase)
+                clock_told[0] += 1
+        return int(plant.sample(1)[0])
+
+    unit.mcu.sample_code = code
+    unit.report()
+    unit.hold(14230, 0.08)
+    means = [r.value * 32 / r.count for r in unit.records() if r.phase == 14230 and r.count == 1024]
+    expected = 256 + 0.801361 * 300 * 2.718281828 ** (-1.058014 * 0.1) + 1.397019 + 0.5139702
+    assert len(means) >= 6
+    assert max(means) - min(means) < 0.3  # 8 sigma of a block mean
+    assert means[-1] == pytest.approx(expected, abs=4.5)

@@ -1,0 +1,36 @@
+"""What every test may use: the checkout's folders and the sliced sample files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from sample_gcode import SampleMissing, sample_path
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+@pytest.fixture(scope="session")
+def root() -> Path:
+    """The checkout."""
+    return ROOT
+
+
+@pytest.fixture(scope="session")
+def cubhelix() -> Path:
+    """A small real print (140 KB, PrusaSlicer)."""
+    return _sample("cubhelix")
+
+
+@pytest.fixture(scope="session")
+def benchy() -> Path:
+    """A large real print (5 MB, PrusaSlicer)."""
+    return _sample("benchy")
+
+
+def _sample(name: str) -> Path:
+    try:
+        return sample_path(name)
+    except SampleMissing as e:
+        pytest.fail(str(e))

@@ -1,0 +1,317 @@
+"""Closed-loop rig: the thermal chain against the C plant, with a plain model of the MCU and the link between.
+
+    InductionLoop ──PhaseCommand (down_s late)──> phase queue ─> plant.c (heat, tank, ADC)
+         ^                                                          │ one code a bridge period
+         └── messages of two records (up_s late + jitter) <── block sums of 4^y, cut at phase steps
+
+The MCU model is written from the message contract, independent of src/: its blocks are packed to bytes and
+unpacked by thermal/convert.py, so that stage takes part. It refuses late commands (counted) and runs the
+bridge's watchdog.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import random
+import struct
+import subprocess
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import cffi
+import numpy as np
+
+from thermal import actuator, control, convert, estimator, features, loop, model, supervise
+from thermal.records import PhaseCommand
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+SOURCES = ("plant.c", "plant_tank.c", "plant_noise.c")
+CDEF = """
+struct plant;
+struct plant_param { const char *name, *unit, *doc; double reference, strong, min, max; };
+extern const struct plant_param plant_params[];
+extern int plant_param_count;
+struct plant_outputs { double skin_c, bore_c, melt_c, second_c, power_w, electrical_w, flow_mm3_s; };
+struct plant *plant_new(void);
+void plant_free(struct plant *p);
+void plant_init(struct plant *p, const double *values, uint64_t seed);
+void plant_set_param(struct plant *p, int index, double value);
+void plant_set_phase(struct plant *p, double phase_ticks);
+void plant_set_inputs(struct plant *p, double flow_mm3_s, double fan);
+void plant_advance(struct plant *p, double dt_s);
+void plant_sample(struct plant *p, uint16_t *out, uint32_t n, double period_s);
+void plant_read(const struct plant *p, struct plant_outputs *out);
+"""
+CLOCK_HZ = 72e6
+PERIOD_TICKS = 600
+PERIOD_S = PERIOD_TICKS / CLOCK_HZ
+CHUNK = 32  # the firmware's ADC half buffer
+LONE_RECORD_S = 0.020
+
+_loaded: tuple[Any, Any] | None = None
+
+
+def plant_library() -> tuple[Any, Any]:
+    """(ffi, lib) of the plant, built once per content of its sources."""
+    global _loaded
+    if _loaded is None:
+        folder = ROOT / "src" / "simulator"
+        digest = hashlib.sha256()
+        for path in sorted(folder.glob("plant*")):
+            digest.update(path.read_bytes())
+        target = ROOT / "out" / "test" / f"plant-{digest.hexdigest()[:16]}.so"
+        if not target.exists():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            part = target.with_suffix(f".{random.getrandbits(32):08x}")
+            files = [str(folder / name) for name in SOURCES]
+            subprocess.run(["gcc", "-O2", "-shared", "-fPIC", "-o", str(part), *files, "-lm"], check=True)
+            part.rename(target)
+        ffi = cffi.FFI()
+        ffi.cdef(CDEF)
+        _loaded = ffi, ffi.dlopen(str(target))
+    return _loaded
+
+
+class Plant:
+    """The C plant with parameters by name."""
+
+    def __init__(self, seed: int, preset: str = "reference", **values: float) -> None:
+        self.ffi, self.lib = plant_library()
+        count = self.lib.plant_param_count
+        self.index = {self.ffi.string(self.lib.plant_params[i].name).decode(): i for i in range(count)}
+        table = [getattr(self.lib.plant_params[i], preset) for i in range(count)]
+        for name, value in values.items():
+            table[self.index[name]] = value
+        self._p = self.ffi.gc(self.lib.plant_new(), self.lib.plant_free)
+        self.lib.plant_init(self._p, self.ffi.new("double[]", table), seed)
+        self._codes = np.zeros(CHUNK, dtype=np.uint16)
+        self._codes_p = self.ffi.cast("uint16_t *", self._codes.ctypes.data)
+        self._out = self.ffi.new("struct plant_outputs *")
+
+    def set_param(self, name: str, value: float) -> None:
+        self.lib.plant_set_param(self._p, self.index[name], value)
+
+    def set_phase(self, phase: float) -> None:
+        self.lib.plant_set_phase(self._p, phase)
+
+    def set_inputs(self, flow_mm3_s: float, fan: float) -> None:
+        self.lib.plant_set_inputs(self._p, flow_mm3_s, fan)
+
+    def run(self, periods: int) -> np.ndarray:
+        """Let `periods` (up to CHUNK) bridge periods pass; their ADC codes."""
+        self.lib.plant_advance(self._p, periods * PERIOD_S)
+        self.lib.plant_sample(self._p, self._codes_p, periods, PERIOD_S)
+        return self._codes[:periods]
+
+    def read(self) -> Any:
+        self.lib.plant_read(self._p, self._out)
+        return self._out
+
+
+def default_parameters(**changes: Any) -> loop.LoopParameters:
+    """The chain as [induction_heater] configures it by default.
+
+    `changes` by field name of PidParameters/Timing.
+    """
+    from extras import induction_heater as defaults
+
+    block_s, settle_s = 1024 * PERIOD_S, 20 * PERIOD_S
+    timing = loop.Timing(block_s, settle_s, changes.pop("lead_s", defaults.DEFAULT_LEAD_S), 0.100 / 3.0)
+    pid = {
+        "kp": defaults.DEFAULT_KP_W_PER_K,
+        "ki": defaults.DEFAULT_KI_W_PER_K_S,
+        "kd": defaults.DEFAULT_KD_W_S_PER_K,
+        "output_low": 0.0,
+        "output_high": 81.3,
+        "derivative_s": defaults.DEFAULT_DERIVATIVE_S,
+    }
+    law = changes.pop("law", estimator.ExpLaw())
+    drive = actuator.DriveLaw(power_full_w=changes.pop("power_full_w", 81.3))
+    pulse_s = block_s + settle_s + defaults.SETTLE_MARGIN_SAMPLES * PERIOD_S
+    max_temp_c = changes.pop("max_temp_c", 350.0)
+    pid.update(changes)
+    return loop.LoopParameters(
+        features.FeatureParameters(),
+        estimator.EstimatorParameters(law),
+        control.PidParameters(**pid),
+        model.LossLaw(),
+        actuator.ActuatorParameters(drive, pulse_s),
+        supervise.SuperviseParameters(-10.0, max_temp_c),
+        timing,
+        loop.Approach(),
+    )
+
+
+@dataclass
+class Trace:
+    """What happened, one row a chunk (0.27 ms)."""
+
+    t_s: list[float] = field(default_factory=list)
+    target_c: list[float] = field(default_factory=list)
+    skin_c: list[float] = field(default_factory=list)
+    estimate_c: list[float] = field(default_factory=list)
+    request_w: list[float] = field(default_factory=list)
+    phase: list[int] = field(default_factory=list)
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        return {name: np.asarray(getattr(self, name), dtype=float) for name in self.__dataclass_fields__}
+
+
+class Rig:
+    """One nozzle in closed loop; call `run(until)` after changing target or plant inputs."""
+
+    def __init__(
+        self,
+        plant: Plant,
+        parameters: loop.LoopParameters,
+        seed: int = 0,
+        up_s: float = 0.003,
+        down_s: float = 0.002,
+        jitter_s: float = 0.005,
+        drop: Callable[[random.Random], bool] | None = None,
+    ) -> None:
+        self.plant = plant
+        self.loop = loop.InductionLoop(parameters)
+        self.random = random.Random(seed)
+        self.up_s, self.down_s, self.jitter_s = up_s, down_s, jitter_s
+        self.drop = drop or (lambda _random: False)
+        self.convert = convert.ConvertParameters(5, PERIOD_TICKS, CLOCK_HZ)
+        self.convert_state = convert.ConvertState()
+        self.period = 0  # bridge periods since the start
+        self.phase = 0
+        self.late = 0  # commands that came after their time
+        self.watchdog_trips = 0
+        self._queue: list[tuple[int, int]] = []  # (period, phase)
+        self._applied = 0  # period of the newest phase command
+        self._settle = 0
+        self._sum = self._count = self._max = self._first = self._discarded = 0
+        self._min = 65535
+        self._records: list[tuple[int, ...]] = []
+        self._sequence = 0
+        self._mail: list[tuple[float, int, int, bytes]] = []  # (arrival, sequence, clock, data)
+        self._last_arrival = 0.0
+        self._timer_s = 0.0
+        self.trace = Trace()
+        self.power_j = 0.0
+        self.loop.start(0.0)
+
+    @property
+    def now_s(self) -> float:
+        return self.period * PERIOD_S
+
+    # The MCU
+
+    def _close_block(self) -> None:
+        if self._count >= 64:
+            value = self._sum >> 5
+            record = (self._first, self._count, value, self.phase, self._min, self._max, self._discarded, 0)
+            self._records.append(record)
+            self._discarded = 0
+        else:
+            self._discarded += self._count
+        self._sum = self._count = self._max = 0
+        self._min = 65535
+
+    def _take(self, codes: np.ndarray) -> None:
+        start = self.period
+        skip = min(self._settle, len(codes))
+        self._settle -= skip
+        self._discarded += skip
+        codes, start = codes[skip:], start + skip
+        while len(codes):
+            if not self._count:
+                self._first = start
+            part = codes[: 1024 - self._count]
+            self._sum += int(part.sum(dtype=np.int64))
+            self._min = min(self._min, int(part.min()))
+            self._max = max(self._max, int(part.max()))
+            self._count += len(part)
+            codes, start = codes[len(part) :], start + len(part)
+            if self._count == 1024:
+                self._close_block()
+
+    def _flush(self) -> None:
+        """Send two records together, a lone one when it has waited long enough."""
+        while self._records:
+            first = self._records[0]
+            waited_s = (self.period - first[0] - first[1]) * PERIOD_S
+            if len(self._records) < 2 and waited_s < LONE_RECORD_S:
+                return
+            batch, self._records = self._records[:2], self._records[2:]
+            base = batch[0][0]
+            data = b"".join(struct.pack("<HHIHHHHH", r[0] - base, *r[1:]) for r in batch)
+            sequence, self._sequence = self._sequence, self._sequence + len(batch)
+            if self.drop(self.random):
+                continue
+            arrival = self.now_s + self.up_s + self.random.random() * self.jitter_s
+            arrival = max(arrival, self._last_arrival)
+            self._last_arrival = arrival
+            self._mail.append((arrival, sequence & 0xFFFF, base * PERIOD_TICKS, data))
+
+    def _set_phase(self, phase: int) -> None:
+        self._applied = self.period
+        if phase == self.phase:
+            return
+        self._close_block()
+        self.phase = phase
+        self._settle = 20
+        self.plant.set_phase(phase)
+
+    # The host
+
+    def _send(self, commands: list[PhaseCommand]) -> None:
+        for command in commands:
+            period = round(command.time_s / PERIOD_S)
+            if command.time_s < self.now_s + self.down_s:
+                self.late += 1
+            assert not self._queue or period >= self._queue[-1][0], "commands out of order"
+            self._queue.append((max(period, self.period), command.phase_ticks))
+
+    def set_target(self, target_c: float) -> None:
+        self._send(self.loop.set_target(target_c, self.now_s))
+
+    def _host(self) -> None:
+        now_s = self.now_s
+        while self._mail and self._mail[0][0] <= now_s:
+            _, sequence, clock, data = self._mail.pop(0)
+            blocks = convert.convert_message(
+                self.convert, self.convert_state, sequence, clock, data, lambda c: c / CLOCK_HZ
+            )
+            self._send(self.loop.on_blocks(blocks, now_s))
+        if now_s >= self._timer_s:
+            refresh_s = self.loop.parameters.timing.refresh_s
+            self._timer_s = now_s + refresh_s
+            if now_s - self.loop.state.decided_s >= refresh_s:
+                self._send(self.loop.on_timer(now_s))
+
+    # The world
+
+    def run(self, duration_s: float) -> None:
+        """Let time pass."""
+        end = self.period + round(duration_s / PERIOD_S)
+        trace = self.trace
+        while self.period < end:
+            self._host()
+            while self._queue and self._queue[0][0] <= self.period:
+                self._set_phase(self._queue.pop(0)[1])
+            if self.phase and (self.period - self._applied) * PERIOD_S > 0.100:
+                self.watchdog_trips += 1
+                self._set_phase(0)
+            periods = min(CHUNK, end - self.period)
+            if self._queue:
+                periods = min(periods, self._queue[0][0] - self.period)
+            codes = self.plant.run(periods)
+            self._take(codes)
+            self.period += periods
+            self._flush()
+            out = self.plant.read()
+            self.power_j += out.power_w * periods * PERIOD_S
+            state = self.loop.state
+            trace.t_s.append(self.now_s)
+            trace.target_c.append(state.target_c)
+            trace.skin_c.append(out.skin_c)
+            trace.estimate_c.append(state.estimate.temp_c)
+            trace.request_w.append(state.request.power_w)
+            trace.phase.append(self.phase)

@@ -1,0 +1,93 @@
+"""A G-code file through the whole stack: host, wire, firmware, nozzle, and what simulate.py says of it."""
+
+from __future__ import annotations
+
+import pytest
+
+from system.conftest import TWO_MCUS, Simulate, square
+
+TRACE_COLUMNS = (
+    "t_s,target_c,estimate_c,true_c,bore_c,melt_c,phase_ticks,power_w,flow_mm3_s,x_mm,y_mm,z_mm,e_mm"
+)
+
+
+def steps(run: object) -> dict[str, tuple[int, int]]:
+    axes = run.summary["axes"]  # type: ignore[attr-defined]
+    return {name: (axis["steps_forward"], axis["steps_backward"]) for name, axis in axes.items()}
+
+
+def test_a_part_is_printed_where_the_file_says_and_hot(simulate: Simulate) -> None:
+    run = simulate(square())
+    assert run.status == 0, run.stderr
+    facts = run.summary
+    assert facts["faults"] == []
+    # homing leaves each axis with the error of its switch: the sampling interval at the second, slow approach
+    for name, mm in (("x", 60.0), ("y", 60.0), ("z", 0.3)):
+        assert facts["axes"][name]["position_mm"] == pytest.approx(mm, abs=0.02), name
+    assert facts["axes"]["extruder"]["position_mm"] == pytest.approx(
+        8 * 20 * 0.4 * 0.2 / 2.405 - 1, abs=0.005
+    )
+    # the retraction at the end moves no melt back into the figures
+    assert facts["extruded_mm3"] == pytest.approx(8 * 20 * 0.4 * 0.2, rel=0.002)
+    assert facts["heater"]["settled_max_error_c"] <= 3.0
+    assert facts["moves"] >= 8
+    header = run.trace.read_text().splitlines()[0]
+    assert header.startswith(TRACE_COLUMNS)
+    rows = run.column("t_s")
+    assert len(rows) == pytest.approx(100 * facts["simulated_s"], abs=2)
+    assert max(run.column("estimate_c")) == pytest.approx(max(run.column("true_c")), abs=5.0)
+
+
+def test_the_same_seed_gives_the_same_trace_and_another_seed_other_noise(simulate: Simulate) -> None:
+    first, again, other = (simulate(square(1), seed=seed).trace.read_bytes() for seed in (7, 7, 8))
+    assert first == again
+    assert first != other
+
+
+def test_it_stops_when_told_to(simulate: Simulate) -> None:
+    run = simulate(square(100), more=["--until", "8"])
+    assert run.status == 0
+    assert run.summary["simulated_s"] == pytest.approx(8.0, abs=0.5)
+    assert "as asked" in run.summary["reason"]
+
+
+def test_two_mcus_with_drifting_clocks_print_the_same_part(simulate: Simulate) -> None:
+    one, two = simulate(square()), simulate(square(), config=TWO_MCUS)
+    assert two.status == 0, two.stderr
+    assert set(two.summary["links"]) == {"mcu", "heater"}
+    assert two.summary["heater"]["settled_max_error_c"] <= 3.0
+    # homing's trigger falls on another step, as its clock is another: two 1/16 steps
+    for name, (forward, backward) in steps(one).items():
+        assert abs(steps(two)[name][0] - forward) <= 2, name
+        assert abs(steps(two)[name][1] - backward) <= 2, name
+
+
+def test_a_lossy_line_gives_the_same_motion_as_a_clean_one(simulate: Simulate) -> None:
+    clean = simulate(square(4))
+    lossy = simulate(square(4), settings=["simulator mcu.corrupt=0.001", "simulator mcu.drop=0.001"])
+    assert lossy.status == 0, lossy.stderr
+    link = lossy.summary["links"]["mcu"]
+    assert link["corrupted"] > 10
+    assert link["dropped"] > 10
+    assert steps(lossy) == steps(clean)
+    assert lossy.summary["heater"]["settled_max_error_c"] <= 3.0
+
+
+@pytest.mark.parametrize("mass", [0.8, 1.2])
+@pytest.mark.parametrize("loss", [0.8, 1.2])
+@pytest.mark.parametrize("efficiency", [0.8, 1.2])
+def test_an_unlike_nozzle_still_holds_three_degrees(
+    simulate: Simulate, mass: float, loss: float, efficiency: float
+) -> None:
+    nozzle = "simulator nozzle nozzle"
+    run = simulate(
+        square(6),
+        settings=[
+            f"{nozzle}.mass_factor={mass}",
+            f"{nozzle}.loss_factor={loss}",
+            f"{nozzle}.efficiency_factor={efficiency}",
+        ],
+    )
+    assert run.status == 0, run.stderr
+    assert run.summary["heater"]["settled_s"] > 5.0
+    assert run.summary["heater"]["settled_max_error_c"] <= 3.0

@@ -1,0 +1,94 @@
+"""What simulate.py says, and its exit status, when it cannot print: one clear paragraph, no traceback."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from system.conftest import CONFIG, Run, Simulate
+
+HOT = "G28\nM109 S250\nG90\nM83\n"
+
+
+def assert_clear(run: Run, status: int, *words: str) -> None:
+    assert run.status == status, run.stderr
+    assert "Traceback" not in run.stderr
+    assert "\n\n" not in run.stderr.strip()
+    for word in words:
+        assert word in run.stderr, run.stderr
+
+
+def test_missing_files_are_named(simulate: Simulate, tmp_path: Path) -> None:
+    assert_clear(simulate(tmp_path / "nothing.gcode"), 2, "nothing.gcode")
+    assert_clear(simulate("G28\n", config=tmp_path / "nothing.cfg"), 2, "nothing.cfg")
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("stepper_q.step_pin=PA1", ("stepper_q",)),
+        ("extruder.colour=red", ("colour", "extruder")),
+        ("extruder.nozzle_diameter=wide", ("nozzle_diameter", "wide")),
+        ("printer.max_velocity=-1", ("max_velocity",)),
+        ("stepper_x.step_pin=PZ9", ("PZ9",)),
+        ("fan.pin=PA1", ("PA1",)),
+        ("simulator nozzle nozzle.mass=1", ("mass", "mass_g")),
+        ("simulator nozzle nozzle.mass_g=900", ("mass_g", "20")),
+        ("simulator nozzle nozzle.fan=none_such", ("none_such",)),
+        ("no_dot", ("SECTION.OPTION=VALUE",)),
+    ],
+)
+def test_settings_that_cannot_be_are_explained(
+    simulate: Simulate, setting: str, words: tuple[str, ...]
+) -> None:
+    assert_clear(simulate("G28\n", settings=[setting]), 2, *words)
+
+
+def test_a_missing_section_is_named(simulate: Simulate, tmp_path: Path) -> None:
+    config = tmp_path / "printer.cfg"
+    config.write_text(CONFIG.read_text().replace("[stepper_y]", "[stepper_w]"))
+    assert_clear(simulate("G28\n", config=config), 2, "stepper_")
+
+
+@pytest.mark.parametrize(
+    ("gcode", "words"),
+    [
+        ("G1 X10 Y10 F3000\n", ("home",)),
+        ("G28\nG1 X500 F3000\n", ("range",)),
+        ("G28\nG1 X50 E5 F600\n", ("extrude",)),
+        ("G28\nM104 S900\n", ("temperature",)),
+        ("G28\nG1 Xabc\n", ("abc",)),
+    ],
+)
+def test_a_file_that_asks_for_the_impossible_ends_with_its_error(
+    simulate: Simulate, gcode: str, words: tuple[str, ...]
+) -> None:
+    run = simulate(gcode)
+    assert run.status == 2, run.stderr
+    assert "Traceback" not in run.stderr
+    for word in words:
+        assert word in run.stderr.lower(), run.stderr
+    assert run.summary["exit_status"] == 2
+    assert run.summary["faults"]
+
+
+def test_an_unknown_command_is_mentioned_and_passed_over(simulate: Simulate) -> None:
+    assert simulate("G28\nM9876\nG1 X10 F6000\n").status == 0
+
+
+def test_an_emergency_stop_in_the_file_is_a_shutdown(simulate: Simulate) -> None:
+    run = simulate(HOT + "M112\n")
+    assert run.status == 3
+    assert run.summary["reason"]
+    assert run.summary["reason"] in run.stderr
+    # the nozzle is on its way down two seconds later
+    assert run.column("phase_ticks")[-1] == 0
+    assert run.column("true_c")[-1] < 240.0
+
+
+def test_a_nozzle_whose_signal_is_lost_shuts_the_printer_down(simulate: Simulate) -> None:
+    run = simulate(HOT + "G4 P20000\n", settings=["simulator nozzle nozzle.fault=5"])
+    assert run.status == 3
+    assert run.summary["reason"]
+    assert max(run.column("true_c")) < 400.0, "the guard acts before harm is done"

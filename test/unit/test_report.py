@@ -1,0 +1,298 @@
+"""The report of a simulated print, on traces whose figures are known beforehand."""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from simulation.report import ReportError, render_page, write_report
+from simulation.report_data import (
+    COLUMNS,
+    Trace,
+    envelope,
+    extruding,
+    find_layers,
+    read_trace,
+    settled,
+    thin_path,
+)
+from simulation.report_figures import Figure, PrintRun
+
+ROWS_PER_S = 100
+ERROR_AMPLITUDE_C = 0.8
+SUMMARY = {"wall_s": 2.0, "moves": 1234, "seed": 7, "faults": []}
+
+
+def made_up_print(seconds: float = 60.0, layers: int = 4) -> Trace:
+    """Heats to 250 degC in 5 s, then prints squares of 20 mm with a slow sine on the temperature.
+
+    Each layer has a travel move with a lift of 0.6 mm in its middle.
+    """
+    t = np.arange(int(seconds * ROWS_PER_S)) / ROWS_PER_S
+    target = np.where(t < 1.0, 0.0, 250.0)
+    true = np.minimum(20.0 + np.maximum(t - 1.0, 0.0) * 46.0, 250.0)
+    printed = (t >= 10.0) & (t < seconds - 2.0)
+    true += np.where(t > 8.0, ERROR_AMPLITUDE_C * np.sin(2.0 * math.pi * t), 0.0)
+    part = np.clip((t - 10.0) / (seconds - 12.0), 0.0, 0.999999) * layers
+    lap = part % 1.0
+    travel = (lap > 0.5) & (lap < 0.55)
+    side = (4.0 * lap * 5.0) % 4.0
+    x = 90.0 + 20.0 * np.clip(np.abs(side - 2.5) * -1.0 + 1.5, 0.0, 1.0)
+    y = 90.0 + 20.0 * np.clip(np.abs(side - 1.5) * -1.0 + 1.5, 0.0, 1.0)
+    z = np.where(printed, 0.2 * (np.floor(part) + 1.0) + np.where(travel, 0.6, 0.0), 5.0)
+    flow = np.where(printed & ~travel, 6.0, 0.0)
+    power = np.where(t < 1.0, 0.0, 30.0)
+    columns = (
+        target,
+        true + 0.3,
+        true,
+        true - 0.2,
+        true - 12.0,
+        45000 * np.sqrt(power / 81.3),
+        power,
+        flow,
+        x,
+        y,
+        z,
+    )
+    e = np.cumsum(flow) / ROWS_PER_S / 2.405
+    return Trace(t, *(c.astype(np.float32) for c in (*columns, e)))
+
+
+def write_csv(trace: Trace, path: Path, columns: tuple[str, ...] = COLUMNS) -> Path:
+    table = np.column_stack([getattr(trace, name) for name in columns])
+    np.savetxt(path, table, delimiter=",", fmt="%.4f", header=",".join(columns), comments="")
+    return path
+
+
+def value_of(table: list[Figure] | tuple[Figure, ...], label: str) -> str:
+    return next(figure.value for figure in table if figure.label == label)
+
+
+def data_of(page: str) -> dict[str, object]:
+    found = re.search(r'<script type="application/json" id="data">(.*?)</script>', page, re.S)
+    assert found is not None
+    data = json.loads(found.group(1))
+    assert isinstance(data, dict)
+    return data
+
+
+@pytest.fixture(scope="module")
+def trace() -> Trace:
+    return made_up_print()
+
+
+@pytest.fixture(scope="module")
+def run(trace: Trace) -> PrintRun:
+    return PrintRun.of(trace, SUMMARY)
+
+
+def test_a_trace_comes_back_from_its_file(trace: Trace, tmp_path: Path) -> None:
+    back = read_trace(write_csv(trace, tmp_path / "t.csv"))
+    for name in COLUMNS:
+        # the file has four decimals, the columns single precision (2e-3 ticks at 45000)
+        np.testing.assert_allclose(getattr(back, name), getattr(trace, name), atol=3e-3)
+
+
+def test_columns_may_stand_in_any_order_among_others(trace: Trace, tmp_path: Path) -> None:
+    path = write_csv(trace, tmp_path / "t.csv", tuple(reversed(COLUMNS)))
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join(["bed_c," + lines[0], *("60.0," + line for line in lines[1:])]))
+    np.testing.assert_allclose(read_trace(path).true_c, trace.true_c, atol=1e-3)
+
+
+def test_the_table_holds_the_figures_of_the_trace(run: PrintRun) -> None:
+    assert value_of(run.table, "Simulated time") == "60.0 s"
+    # 46 K/s from 1 s: within 3 degC after (250 - 3 - 20)/46 = 4.93 s, and it stays there
+    assert value_of(run.table, "Heat-up") == "4.9 s"
+    rms_c = float(value_of(run.table, "Temperature error, rms").split()[0])
+    assert rms_c == pytest.approx(
+        ERROR_AMPLITUDE_C / math.sqrt(2.0), abs=0.01
+    )  # whole periods; printed with 2 digits
+    assert value_of(run.table, "Temperature error, range") == "−0.80 to +0.80 °C"
+    assert value_of(run.table, "Estimator error, mean") == "+0.30 °C"
+    assert value_of(run.table, "Power into the nozzle") == "30.0 W"
+    assert value_of(run.table, "Moves") == "1,234"
+    assert value_of(run.table, "Faults") == "none"
+
+
+def test_a_fault_is_told_in_the_table(trace: Trace) -> None:
+    faulty = PrintRun.of(trace, {**SUMMARY, "faults": ["guard tripped"]})
+    assert value_of(faulty.table, "Faults") == "guard tripped"
+
+
+def test_layers_are_found_by_height_and_a_lift_does_not_split_them(trace: Trace) -> None:
+    layers = find_layers(trace, extruding(trace))
+    assert [round(layer.z_mm, 3) for layer in layers] == [0.2, 0.4, 0.6, 0.8]
+    for layer in layers:
+        assert layer.duration_s == pytest.approx(12.0, abs=0.1)  # 48 s in four layers; ends are rows
+        assert layer.flow_mean_mm3_s == pytest.approx(6.0)
+        assert layer.error_max_c == pytest.approx(ERROR_AMPLITUDE_C, abs=0.01)  # rows fall close to the crest
+
+
+def test_a_continuous_spiral_has_layers_too() -> None:
+    spiral = made_up_print()
+    climb = np.linspace(0.0, 2.0, len(spiral.t_s)).astype(np.float32)
+    trace = Trace(*(climb if name == "z_mm" else getattr(spiral, name) for name in COLUMNS))
+    assert (
+        20 < len(find_layers(trace, extruding(trace))) < 60
+    )  # 1.6 mm climbed while printing, a step each 0.04 mm
+
+
+def test_settled_begins_when_the_band_is_kept_and_lasts_to_the_next_target() -> None:
+    t = np.arange(0.0, 20.0, 0.01)
+    target = np.where(t < 10.0, 200.0, 0.0)
+    # passes through the band at 1 s for 1 s, comes to stay at 4 s, is disturbed at 8 s
+    true = np.where(((t > 1.0) & (t < 2.0)) | (t > 4.0), 200.0, 100.0)
+    true = np.where((t > 8.0) & (t < 8.5), 210.0, true)
+    zeros = np.zeros_like(t)
+    trace = Trace(t, target, zeros, true, *([zeros] * 9))
+    rows = t[settled(trace)]
+    assert rows[0] == pytest.approx(4.0, abs=0.02)
+    assert rows[-1] == pytest.approx(10.0, abs=0.02)
+    assert len(rows) == pytest.approx(600, abs=2)
+
+
+def test_a_target_never_reached_is_not_settled() -> None:
+    t = np.arange(0.0, 20.0, 0.01)
+    target, true = np.full_like(t, 200.0), np.full_like(t, 150.0)
+    zeros = np.zeros_like(t)
+    assert not settled(Trace(t, target, zeros, true, *([zeros] * 9))).any()
+
+
+def test_thinning_keeps_a_spike_of_one_row() -> None:
+    t = np.arange(600_000) / ROWS_PER_S
+    values = np.zeros(len(t), dtype=np.float32)
+    values[123_457], values[400_001] = 9.0, -4.0
+    thin = envelope(t, values, 1000)
+    assert len(thin.t_s) <= 1000
+    assert thin.high.max() == 9.0
+    assert thin.low.min() == -4.0
+    at = int(np.argmax(thin.high))
+    assert thin.t_s[at] <= t[123_457] < thin.t_s[at + 1]
+
+
+def test_a_short_series_is_not_thinned() -> None:
+    t, values = np.arange(10.0), np.arange(10, dtype=np.float32)
+    thin = envelope(t, values, 10)
+    assert np.array_equal(thin.low, values)
+    assert np.array_equal(thin.high, values)
+
+
+def test_the_thinned_path_keeps_its_corners_and_lifts_the_pen_over_travel(trace: Trace) -> None:
+    extrudes = extruding(trace)
+    layers = find_layers(trace, extrudes)
+    path = thin_path(trace, layers, extrudes, max_points=400)
+    assert len(path.x_mm) < 1.2 * 400
+    assert len(path.layer_start) == len(layers)
+    for corner in ((90.0, 90.0), (110.0, 90.0), (110.0, 110.0), (90.0, 110.0)):
+        distance = np.hypot(path.x_mm - corner[0], path.y_mm - corner[1])
+        assert distance.min() < 0.5  # a row is 0.33 mm long
+    # each layer starts with the pen up, and once more after its travel move
+    assert np.count_nonzero(path.pen == 0) == 2 * len(layers)
+
+
+def test_the_page_needs_nothing_but_itself(run: PrintRun) -> None:
+    page = render_page("part.gcode", run)
+    assert not re.search(r"https?:|@import|url\(|<link|<img|\bsrc=|\bhref=|\bfetch\(|XMLHttpRequest", page)
+    for figure in run.table:
+        assert figure.label in page
+        assert figure.value in page
+
+
+def test_the_page_carries_the_series(run: PrintRun) -> None:
+    data = data_of(render_page("part.gcode", run))
+    charts = data["charts"]
+    assert isinstance(charts, list)
+    shown = {series["label"]: series for chart in charts for series in chart["series"]}
+    flow = np.frombuffer(base64.b64decode(shown["flow"]["low"]), dtype="<f4")
+    assert np.array_equal(flow, run.trace.flow_mm3_s)
+
+
+def test_names_from_outside_cannot_break_the_page(run: PrintRun) -> None:
+    page = render_page("</script><b>.gcode", run)
+    assert "</script><b>" not in page
+
+
+def test_the_page_of_a_long_print_stays_small() -> None:
+    run = PrintRun.of(made_up_print(seconds=6000.0, layers=300), SUMMARY)  # 600,000 rows
+    assert len(run.layers) == 300
+    assert len(render_page("long.gcode", run).encode()) < 5_000_000
+
+
+def test_the_picture_is_drawn(trace: Trace, tmp_path: Path) -> None:
+    from matplotlib.image import imread
+
+    path = tmp_path / "report.png"
+    write_report(write_csv(trace, tmp_path / "t.csv"), SUMMARY, "part.gcode", png=path)
+    pixels = imread(path)
+    assert pixels.shape[0] > 1000
+    assert pixels.shape[1] > 1000
+    ink = np.mean(np.any(pixels[..., :3] < 0.95, axis=2))
+    assert 0.02 < ink < 0.9  # neither blank nor a blot
+
+
+def test_a_print_that_lays_nothing_down_is_reported_all_the_same(tmp_path: Path) -> None:
+    still = made_up_print()
+    nothing = np.zeros_like(still.flow_mm3_s)
+    trace = Trace(*(nothing if name == "flow_mm3_s" else getattr(still, name) for name in COLUMNS))
+    table = write_report(
+        write_csv(trace, tmp_path / "t.csv"),
+        {},
+        "empty.gcode",
+        html=tmp_path / "r.html",
+        png=tmp_path / "r.png",
+    )
+    assert value_of(table, "Printed") == "nothing"
+    assert "there are no layers" in (tmp_path / "r.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("t_s,target_c\n0,1\n", "no column estimate_c, true_c"),
+        (",".join(COLUMNS) + "\n", "no rows"),
+        (",".join(COLUMNS) + "\n" + ",".join("0" * 12 + "x") + "\n", "not a number"),
+        ("", "no column"),
+    ],
+)
+def test_an_unusable_trace_is_told_in_one_sentence(text: str, complaint: str, tmp_path: Path) -> None:
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    with pytest.raises(ReportError, match=complaint):
+        write_report(path, {}, "part.gcode", html=tmp_path / "r.html")
+
+
+def test_missing_files_are_told_by_name(trace: Trace, tmp_path: Path) -> None:
+    with pytest.raises(ReportError, match=r"cannot read the trace .*absent\.csv"):
+        write_report(tmp_path / "absent.csv", {}, "part.gcode")
+    path = write_csv(trace, tmp_path / "t.csv")
+    with pytest.raises(ReportError, match=r"cannot read the summary .*absent\.json"):
+        write_report(path, tmp_path / "absent.json", "part.gcode")
+    with pytest.raises(ReportError, match="cannot write the report"):
+        write_report(path, {}, "part.gcode", html=tmp_path / "absent" / "r.html")
+
+
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs chromium to run the page's script")
+def test_the_page_comes_alive_in_a_browser(run: PrintRun, tmp_path: Path) -> None:
+    page = tmp_path / "r.html"
+    page.write_text(render_page("part.gcode", run), encoding="utf-8")
+    command = [
+        "chromium",
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        f"--user-data-dir={tmp_path / 'profile'}",
+    ]
+    command += ["--virtual-time-budget=2000", "--dump-dom", page.as_uri()]
+    dom = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+    assert "3 of 4, z = 0.60 mm" in dom  # the script opens the page at the middle layer
+    assert len(re.findall(r'<div class="chart"><div class="legend">', dom)) == 5

@@ -1,0 +1,109 @@
+"""Watts to phase and back, and mean power at requests too small to measure with."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from thermal import actuator
+from thermal.records import PhaseCommand
+
+LAW = actuator.DriveLaw()
+PULSE_S = (1024 + 20 + 4) / 120e3
+PARAMETERS = actuator.ActuatorParameters(LAW, PULSE_S)
+STEP_S = 2 * 1024 / 120e3
+
+
+@given(st.floats(0.0, 81.3))
+def test_power_to_phase_to_power_is_exact(power: float) -> None:
+    assert LAW.power_w(LAW.phase_ticks(power)) == pytest.approx(power, abs=1e-9)
+
+
+@given(st.integers(0, 45000))
+def test_phase_to_power_to_phase_is_exact(phase: int) -> None:
+    # asin is flat at full phase: half a tick there is 1e-9 of the power, so allow 0.01 ticks.
+    assert LAW.phase_ticks(LAW.power_w(phase)) == pytest.approx(phase, abs=1e-2)
+
+
+def test_drive_law_has_the_seeds_values() -> None:
+    assert LAW.power_w(45000) == pytest.approx(81.3)
+    assert LAW.power_w(2012) == pytest.approx(81.3 * math.sin(math.pi * 2012 / 90000) ** 1.5)
+    assert LAW.power_w(2012) == pytest.approx(1.51, abs=0.01)
+
+
+def test_supply_voltage_scales_the_power_with_the_drive_exponent() -> None:
+    weak = actuator.DriveLaw(vdc_v=12.0)
+    assert weak.power_max_w == pytest.approx(81.3 * 0.5**1.5)
+    assert weak.power_w(20000) == pytest.approx(LAW.power_w(20000) * 0.5**1.5)
+
+
+def test_a_request_beyond_the_drive_gives_full_phase() -> None:
+    assert LAW.phase_ticks(1000.0) == pytest.approx(45000)
+
+
+@given(st.floats(1.52, 81.3))
+def test_quantised_phase_costs_less_than_a_thousandth(power: float) -> None:
+    command = actuator.actuate(PARAMETERS, actuator.ActuatorState(), power, 1.0)[0]
+    # A tick at the least phase is 1.5/2012 of the power = 0.075 %; half of it is lost in rounding.
+    assert command.power_w == pytest.approx(power, rel=4e-4)
+    assert command.time_s == 1.0
+
+
+def mean_power(request: float, duration_s: float, idle: bool = False) -> tuple[float, list[PhaseCommand]]:
+    """Mean delivered power and all commands of a constant request, stepped as the loop does."""
+    state = actuator.ActuatorState()
+    commands: list[PhaseCommand] = []
+    time_s = 0.0
+    while time_s < duration_s:
+        at_s = max(time_s, commands[-1].time_s if commands else 0.0)
+        commands += actuator.actuate(PARAMETERS, state, request, at_s, idle)
+        time_s += STEP_S
+    ends = [c.time_s for c in commands[1:]] + [duration_s]
+    energy = sum(c.power_w * (min(e, duration_s) - c.time_s) for c, e in zip(commands, ends, strict=True))
+    return energy / duration_s, commands
+
+
+@pytest.mark.parametrize("request_w", [0.2, 0.4, 0.75, 1.0, 1.3, 1.45])
+def test_small_requests_are_met_on_average_by_pulses(request_w: float) -> None:
+    got, commands = mean_power(request_w, 20.0)
+    # Debt is bounded by four pulses of 13 mJ; over 20 s that is under 3 mW.
+    assert got == pytest.approx(request_w, abs=0.003)
+    assert {c.phase_ticks for c in commands} <= {0, 2012}
+
+
+@pytest.mark.parametrize(("idle", "interval_s", "most_w"), [(False, 0.1, 0.14), (True, 0.5, 0.03)])
+def test_measuring_goes_on_without_a_request(idle: bool, interval_s: float, most_w: float) -> None:
+    got, commands = mean_power(0.0, 10.0, idle)
+    starts = [c.time_s for c in commands if c.phase_ticks]
+    gaps = [b - a for a, b in itertools.pairwise(starts)]
+    assert max(gaps) <= interval_s + PULSE_S + STEP_S + 1e-9  # a pulse's length and one step of waiting
+    assert got < most_w  # 1.51 W * 8.73 ms / interval, at most
+
+
+def test_each_pulse_holds_a_whole_block_and_ends_by_itself() -> None:
+    _, commands = mean_power(0.3, 5.0)
+    for on, off in zip(commands[0::2], commands[1::2], strict=True):
+        assert (on.phase_ticks, off.phase_ticks) == (2012, 0)
+        assert off.time_s - on.time_s >= (1024 + 20) / 120e3
+
+
+def test_from_driving_to_no_request_turns_the_bridge_off() -> None:
+    state = actuator.ActuatorState()
+    actuator.actuate(PARAMETERS, state, 20.0, 0.0)
+    assert actuator.actuate(PARAMETERS, state, 0.0, STEP_S) == [PhaseCommand(STEP_S, 0, 0.0)]
+
+
+@given(st.lists(st.floats(0.0, 90.0), min_size=1, max_size=60))
+def test_commands_come_in_order_and_never_exceed_full_phase(requests: list[float]) -> None:
+    state = actuator.ActuatorState()
+    time_s, last_s = 0.0, -1.0
+    for request in requests:
+        for command in actuator.actuate(PARAMETERS, state, request, time_s):
+            assert command.time_s >= last_s
+            assert 0 <= command.phase_ticks <= 45000
+            last_s = command.time_s
+        time_s = max(time_s + STEP_S, last_s + 1e-6)

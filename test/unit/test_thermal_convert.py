@@ -1,0 +1,69 @@
+"""Block messages become blocks with times, sequence and losses; garbage is refused."""
+
+from __future__ import annotations
+
+import struct
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from thermal import convert
+
+PARAMETERS = convert.ConvertParameters(oversample=5, period_ticks=600, clock_hz=72e6)
+RECORD = "<HHIHHHHH"
+
+
+def record(offset: int = 0, count: int = 1024, value: int = 8192, phase: int = 2012, **more: int) -> bytes:
+    tail = {"low": 250, "high": 262, "discarded": 0, "lost": 0} | more
+    return struct.pack(RECORD, offset, count, value, phase, *tail.values())
+
+
+def convert_one(state: convert.ConvertState, sequence: int, data: bytes, clock: int = 7200) -> list:
+    return convert.convert_message(PARAMETERS, state, sequence, clock, data, lambda c: c / 72e6)
+
+
+@given(st.lists(st.integers(0, 4095), min_size=64, max_size=1024))
+def test_mean_of_the_samples_comes_back_whatever_the_count(samples: list[int]) -> None:
+    value = sum(samples) >> 5
+    block = convert_one(convert.ConvertState(), 0, record(count=len(samples), value=value))[0]
+    # The MCU's shift drops 0..31 of the sum, the host adds the mean of that: at most 15.5 off over the count.
+    assert abs(block.mean_raw - sum(samples) / len(samples)) <= 15.5 / len(samples) + 1e-9
+
+
+def test_clock_and_time_belong_to_the_first_sample_of_each_record() -> None:
+    blocks = convert_one(convert.ConvertState(), 0, record() + record(offset=1024), clock=72_000_000)
+    assert [b.clock for b in blocks] == [72_000_000, 72_000_000 + 1024 * 600]
+    assert blocks[1].time_s == pytest.approx(1.0 + 1024 / 120e3, abs=1e-12)
+    assert blocks[0].centre_s == pytest.approx(1.0 + 512 / 120e3, abs=1e-12)
+    assert blocks[0].duration_s == pytest.approx(1024 / 120e3)
+
+
+def test_a_gap_in_the_sequence_counts_missing_blocks_across_the_16_bit_wrap() -> None:
+    state = convert.ConvertState()
+    convert_one(state, 65534, record())
+    convert_one(state, 65535, record() + record(offset=1024))  # indices 65535 and 65536
+    blocks = convert_one(state, 4, record())  # 65537..65539 never came
+    assert state.missing_blocks == 3
+    assert blocks[0].sequence == 65540
+    assert state.blocks == 4
+
+
+def test_a_message_seen_before_is_dropped() -> None:
+    state = convert.ConvertState()
+    convert_one(state, 10, record() + record(offset=1024))
+    assert convert_one(state, 10, record() + record(offset=1024)) == []
+    assert (state.blocks, state.missing_blocks) == (2, 0)
+
+
+def test_losses_told_by_the_mcu_are_added_up() -> None:
+    state = convert.ConvertState()
+    blocks = convert_one(state, 0, record(discarded=20, lost=7) + record(offset=1024, discarded=3))
+    assert (blocks[0].discarded, blocks[0].lost) == (20, 7)
+    assert (state.discarded_samples, state.lost_samples) == (23, 7)
+
+
+@pytest.mark.parametrize("data", [b"", b"\0" * 17, b"\0" * 19, record(count=0)])
+def test_a_malformed_message_is_refused(data: bytes) -> None:
+    with pytest.raises(convert.ConvertError):
+        convert_one(convert.ConvertState(), 0, data)
