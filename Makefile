@@ -5,6 +5,11 @@ OUT    := out
 PYTHON := .venv/bin/python
 JOBS   ?= 2
 
+# make V=1 shows the commands.
+ifndef V
+.SILENT:
+endif
+
 .DEFAULT_GOAL := help
 .PHONY: help setup setup-test sim chelper demo test check format bench fuzz clean distclean
 
@@ -46,8 +51,12 @@ bench: setup sim chelper
 	@$(PYTHON) scripts/bench.py --out $(OUT)/bench $(if $(QUICK),--quick)
 
 # --- test ----------------------------------------------------------------------------------------
-test: setup-test sim chelper check
-	$(PYTHON) -m pytest -n $(JOBS) --dist worksteal $(TEST_ARGS)
+# Both are run to their end whatever the other finds; the tests' closing line comes last.
+test: setup-test sim chelper
+	@status=0; \
+	$(MAKE) --no-print-directory --keep-going check || status=1; \
+	$(PYTHON) -m pytest -n $(JOBS) --dist worksteal $(TEST_ARGS) || status=1; \
+	exit $$status
 
 CHECKS := check-format check-lint check-types check-c check-layers check-paths check-formats check-cross
 .PHONY: $(CHECKS)

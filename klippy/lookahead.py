@@ -78,6 +78,8 @@ class Move:
         "toolhead",
     )
 
+    print_time: float  # of the start; set when the move is committed
+
     def __init__(
         self, toolhead: ToolHead, start_pos: Sequence[float], end_pos: Sequence[float], speed: float
     ) -> None:
@@ -162,7 +164,7 @@ def corner_v2(prev: Move, move: Move) -> float:
     A circle is laid into the corner, touching both lines, and run at the speed whose centripetal acceleration is
     allowed: v^2 = a*R. With theta the angle between the lines (pi: straight on),
       - the circle that comes within `junction_deviation` of the corner has R = dev * s/(1-s), s = sin(theta/2);
-      - the circle that touches the lines half a move away from the corner has R = d/2 * tan(theta/2).    """
+      - the circle that touches the lines half a move away from the corner has R = d/2 * tan(theta/2)."""
     if not (prev.is_kinematic_move and move.is_kinematic_move):
         return 0.0
     ax, ay, az, _ = prev.axes_r
@@ -213,7 +215,9 @@ def _settled_count(moves: Sequence[Move], entry: Sequence[float], smoothed: Sequ
     return 0
 
 
-def _run_downhill(moves: Sequence[Move], entry: Sequence[float], first: int, last: int, top_v2: float) -> None:
+def _run_downhill(
+    moves: Sequence[Move], entry: Sequence[float], first: int, last: int, top_v2: float
+) -> None:
     """Fix the moves first..last, the falling side of a hill: never faster than before."""
     cap = top_v2
     for i in range(first, last + 1):

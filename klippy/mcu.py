@@ -126,6 +126,7 @@ class MCU:
         self._load = TaskLoad()
         self._mcu_freq = 0.0
         self._move_count = 0
+        self._kept_configuration = False
         self._is_shutdown = self._is_timeout = False
         self._shutdown_clock = 0
         self._shutdown_msg = ""
@@ -215,7 +216,8 @@ class MCU:
         version, build = parser.get_version_info()
         constants = " ".join(f"{k}={v}" for k, v in self.get_constants().items())
         count = len(parser.get_messages())
-        return f"Loaded MCU '{self._name}' {count} messages ({version} / {build})\nMCU '{self._name}' config: {constants}"
+        head = f"Loaded MCU '{self._name}' {count} messages ({version} / {build})"
+        return f"{head}\nMCU '{self._name}' config: {constants}"
 
     # --- start: configuration ---
 
@@ -236,6 +238,7 @@ class MCU:
             self._send_all(commands)
         else:
             self._check_unchanged(state["crc"])
+            self._kept_configuration = True
             self._send_all(restart)
         self._send_all(init)
         if not self._is_fileoutput:
@@ -272,9 +275,8 @@ class MCU:
         )
         state = query.send()
         if self._is_shutdown:
-            self._fail(
-                f"MCU '{self._name}' error during config: {self._shutdown_msg}. {shutdown_help(self._shutdown_msg)}"
-            )
+            reason = self._shutdown_msg
+            self._fail(f"MCU '{self._name}' error during config: {reason}. {shutdown_help(reason)}")
         if state["is_shutdown"]:
             self._fail(f"Can not update MCU '{self._name}' config as it is shutdown. {shutdown_help('')}")
         return state
@@ -388,6 +390,10 @@ class MCU:
         print_time = self.estimated_print_time(self._reactor.monotonic()) + 1.5 + oid * 0.01
         return self.print_time_to_clock(print_time)
 
+    def kept_configuration(self) -> bool:
+        """The MCU was configured already when this host started: it got the on_restart commands."""
+        return self._kept_configuration
+
     def get_step_writer(self) -> StepWriter:
         """The way of finished step commands into the link."""
         if self._step_writer is None:
@@ -400,7 +406,7 @@ class MCU:
 
     def _missing_command_text(self, msgformat: str, e: msgproto.error) -> str:
         version = self._serial.get_msgparser().get_version_info()[0] or "unknown"
-        name = msgformat.split()[0] if msgformat.split() else msgformat
+        name = msgformat.partition(" ")[0]
         section = "mcu" if self._name == "mcu" else f"mcu {self._name}"
         return (
             f"The configuration asks the board of section [{section}] for the command '{name}', which its firmware"

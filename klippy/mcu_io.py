@@ -97,6 +97,7 @@ class MCU_pwm:
         self._hardware_pwm = False
         self._oid = mcu.create_oid()
         self._pwm_max = 0.0  # value of a duty cycle of 1, in what the command takes
+        self._start_clock = 0  # of the start value, if that was sent as a queued command
         self._last_clock = 0
         self._set: Any = None
         mcu.register_config_callback(self._build_config)
@@ -135,12 +136,13 @@ class MCU_pwm:
         cycle_ticks = _duration_ticks(mcu, self._pin, self._cycle_time_s)
         max_ticks = _duration_ticks(mcu, self._pin, self._max_duration_s)
         # The clock is chosen once at each start: it must not be in the configuration's CRC.
-        self._last_clock = start_clock = mcu.get_query_slot(self._oid)
+        self._start_clock = mcu.get_query_slot(self._oid)
         if self._hardware_pwm:
             start = self._build_hardware(cycle_ticks, max_ticks)
         else:
             start = self._build_software(cycle_ticks, max_ticks)
-        mcu.add_config_cmd(start.format(clock=start_clock), on_restart=True)
+        by_queue = self._starts_by_queue()
+        mcu.add_config_cmd(start.format(clock=self._start_clock), is_init=by_queue, on_restart=not by_queue)
 
     def _build_hardware(self, cycle_ticks: int, max_ticks: int) -> str:
         mcu, oid = self._mcu, self._oid
@@ -168,13 +170,17 @@ class MCU_pwm:
             "queue_digital_out oid=%c clock=%u on_ticks=%u", cq=mcu.alloc_command_queue()
         )
         start = f"queue_digital_out oid={oid} clock={{clock}} on_ticks={self._raw(self._start_value)}"
-        if 0.0 < self._start_value < 1.0:
-            mcu.add_config_cmd(start.format(clock=self._last_clock), is_init=True)
         return start
+
+    def _starts_by_queue(self) -> bool:
+        """config_digital_out can only set on or off."""
+        return not self._hardware_pwm and 0.0 < self._start_value < 1.0
 
     def set_pwm(self, print_time: float, value: float) -> None:
         """The duty cycle from print_time on; times must not decrease."""
         clock = self._mcu.print_time_to_clock(print_time)
+        if not self._last_clock and (self._starts_by_queue() or self._mcu.kept_configuration()):
+            clock = max(clock, self._start_clock + 1)
         data = [self._oid, clock, self._raw(self._duty(value))]
         self._set.send(data, minclock=self._last_clock, reqclock=clock)
         self._last_clock = clock

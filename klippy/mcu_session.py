@@ -80,7 +80,7 @@ SHUTDOWN_HELP = (
         ),
         "The board was asked to do something at a time already past. Usually the host computer was too busy, swapping"
         " memory, or too slow for the step rate (microsteps, speed); a bad cable has the same effect.",
-    ),  # fmt: skip
+    ),
     (
         ("ADC out of range",),
         "A temperature sensor reads outside the range its section allows (min_temp, max_temp). Check the sensor and"

@@ -31,10 +31,13 @@ IDENTIFY_COMMAND = "identify offset=%u count=%c"
 IDENTIFY_RESPONSE = "identify_response offset=%u data=%.*s"
 IDENTIFY_IDS = {IDENTIFY_COMMAND: 1, IDENTIFY_RESPONSE: 0}
 
+DICTIONARY_MAX = 1 << 22  # bytes; real ones have some 20,000
+ENUMERATION_MAX = 1 << 16  # names in one range
+
 Params = dict[str, Any]
 
 
-class error(Exception):  # noqa: N801  (plugins catch msgproto.error)
+class error(Exception):
     """A message, block or dictionary that cannot be; the text is for people."""
 
 
@@ -50,7 +53,7 @@ class enumeration_error(error):
 
 
 def encode_vlq(value: int) -> bytes:
-    """Big-endian groups of 7 bits, 0x80 = more follow. n groups hold -2**(7n-2) .. 3*2**(7n-2)-1; five hold the rest."""
+    """Big-endian groups of 7 bits, 0x80 = more follow. n groups hold -2**(7n-2) .. 3*2**(7n-2)-1, five all."""
     groups = 1
     reach = 1 << 5
     while groups < 5 and not -reach <= value < 3 * reach:
@@ -105,7 +108,7 @@ def encode_block(seq: int, content: bytes) -> bytes:
 
 
 def check_block(data: bytes | bytearray | memoryview) -> int:
-    """What the first bytes of `data` are: n > 0 a valid block of n bytes, 0 too few bytes to tell, -n no block: drop n bytes."""
+    """What `data` begins with: n > 0 a valid block of n bytes, 0 too few to tell, -n no block: drop n bytes."""
     if not len(data):
         return 0
     if data[0] == BLOCK_SYNC:
@@ -138,6 +141,11 @@ class BlockReader:
     def __init__(self) -> None:
         self._buffer = bytearray()
         self.invalid_bytes = 0
+
+    @property
+    def pending(self) -> int:
+        """Bytes of a block that is not complete yet."""
+        return len(self._buffer)
 
     def feed(self, data: bytes) -> Iterator[Block | None]:
         """Blocks completed by `data`; None stands for a run of bytes that was no block."""
@@ -269,13 +277,17 @@ class MessageFormat:
         words = msgformat.split()
         if not words:
             raise error("the dictionary has a message without a name")
-        return cls(
-            msgid,
-            msgformat,
-            words[0],
-            tuple(_build_param(word, msgformat, enumerations) for word in words[1:]),
-            encode_vlq(msgid),
+        params = tuple(_build_param(word, msgformat, enumerations) for word in words[1:])
+        return cls(msgid, msgformat, words[0], params, encode_vlq(msgid))
+
+    @classmethod
+    def build_output(cls, msgid: int, text: str) -> MessageFormat:
+        """A debugging text of the firmware: any words, with %-codes among them."""
+        codes = re.findall(r"%(?:\.?\*)?(?:h?[uic]|s)", text)
+        params = tuple(
+            Param(f"value{n}", PARAM_TYPES[code]) for n, code in enumerate(codes) if code in PARAM_TYPES
         )
+        return cls(msgid, text, "#output", params, encode_vlq(msgid))
 
     def encode(self, values: Sequence[Any]) -> bytes:
         """The message with its parameters in order. Enumerated ones may be given by name."""
@@ -344,6 +356,8 @@ def _expand_enumeration(entries: Mapping[str, Any]) -> dict[str, int]:
             out[text] = value
             continue
         start, count = value
+        if not 0 <= count <= ENUMERATION_MAX:
+            raise error(f"the enumeration of '{text}' has {count} values")
         root = text.rstrip("0123456789")
         first = int(text[len(root) :] or 0)
         out.update({f"{root}{first + i}": start + i for i in range(count)})
@@ -372,6 +386,10 @@ class MessageParser:
         self._add("response", IDENTIFY_RESPONSE, IDENTIFY_IDS[IDENTIFY_RESPONSE])
 
     def _add(self, kind: str, msgformat: str, msgid: int) -> None:
+        if kind == "output":
+            self._by_id[msgid] = MessageFormat.build_output(msgid, msgformat)
+            self._tags.append((msgid, kind, msgformat))
+            return
         message = MessageFormat.build(msgid, msgformat, self._enumerations)
         table = self._commands if kind == "command" else self._responses
         table[message.name] = message
@@ -381,7 +399,7 @@ class MessageParser:
     def process_identify(self, data: bytes, decompress: bool = True) -> None:
         """Take the dictionary as fetched from an MCU (compressed) or read from a file. Raises `error`."""
         try:
-            raw = zlib.decompress(data) if decompress else bytes(data)
+            raw = zlib.decompressobj().decompress(data, DICTIONARY_MAX) if decompress else bytes(data)
             tables = json.loads(raw)
             self._load(tables)
         except (zlib.error, ValueError, KeyError, TypeError, AttributeError, RecursionError) as e:
@@ -503,8 +521,8 @@ class MessageParser:
         try:
             return parser(self._config[name])
         except (TypeError, ValueError):
-            text = f"{self.warn_prefix}the firmware's constant '{name}' is '{self._config[name]}', not a {parser.__name__}"
-            raise error(text) from None
+            text = f"the firmware's constant '{name}' is '{self._config[name]}', not a {parser.__name__}"
+            raise error(self.warn_prefix + text) from None
 
     def get_constant_float(self, name: str, default: Any = ...) -> float:
         return self.get_constant(name, default, parser=float)

@@ -178,7 +178,7 @@ def _open_unix_socket(reactor: Reactor, path: str) -> Port:
 
 
 def _open_serial(reactor: Reactor, path: str, baud: int) -> Port:
-    import serial  # noqa: PLC0415  (batch and simulated runs do without pyserial)
+    import serial  # here: batch and simulated runs do without it
 
     try:
         device = serial.serial_for_url(path, do_not_open=True)

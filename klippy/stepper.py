@@ -28,11 +28,11 @@ MAX_STEP_PULSE_S = 0.001
 STEPPER_REGISTRARS = ("stepper_enable", "force_move", "motion_report")
 
 
-class error(Exception):  # noqa: N801 (plugins catch stepper.error)
+class error(Exception):
     """A stepper is used in a way its configuration does not allow."""
 
 
-class MCU_stepper:  # noqa: N801 (public name)
+class MCU_stepper:
     """One stepper motor on one MCU."""
 
     def __init__(
@@ -66,7 +66,9 @@ class MCU_stepper:  # noqa: N801 (public name)
         self._mcu.register_config_callback(self._build_config)
         self._active_callbacks: list[Callable[[float], None]] = []
         self._ffi, self._lib = chelper.get_ffi()
-        self._stepcompress = self._ffi.gc(self._lib.stepcompress_alloc(self._oid), self._lib.stepcompress_free)
+        self._stepcompress = self._ffi.gc(
+            self._lib.stepcompress_alloc(self._oid), self._lib.stepcompress_free
+        )
         self._lib.stepcompress_set_invert_dir(self._stepcompress, self._invert_dir)
         self._solver: Any = None
         self._trapq: Any = None
@@ -144,7 +146,10 @@ class MCU_stepper:  # noqa: N801 (public name)
             f"invert_step={invert_step} step_pulse_ticks={pulse_ticks}"
         )
         self._mcu.add_config_cmd(f"reset_step_clock oid={self._oid} clock=0", on_restart=True)
-        tags = [self._mcu.lookup_command(f).get_command_tag() for f in (QUEUE_STEP, SET_NEXT_STEP_DIR, RESET_STEP_CLOCK)]
+        tags = [
+            self._mcu.lookup_command(f).get_command_tag()
+            for f in (QUEUE_STEP, SET_NEXT_STEP_DIR, RESET_STEP_CLOCK)
+        ]
         max_error_ticks = self._mcu.seconds_to_clock(self._mcu.get_max_stepper_error())
         self._lib.stepcompress_setup(self._stepcompress, max_error_ticks, *tags)
         self._position_query = self._mcu.lookup_query_command(
@@ -247,7 +252,9 @@ class MCU_stepper:  # noqa: N801 (public name)
     def dump_steps(self, count: int, start_clock: int, end_clock: int) -> tuple[Any, int]:
         """(array of struct step_record, number used) of the commands sent in a range of clocks, oldest first."""
         data = self._ffi.new("struct step_record[]", count)
-        used = self._lib.stepcompress_history(self._stepcompress, data, count, max(0, start_clock), max(0, end_clock))
+        used = self._lib.stepcompress_history(
+            self._stepcompress, data, count, max(0, start_clock), max(0, end_clock)
+        )
         return data, used
 
     def note_homing_end(self) -> None:
@@ -274,7 +281,9 @@ def parse_gear_ratio(config: Any, note_valid: bool = True) -> float:
     total = 1.0
     for driven, driving in ratios:
         if not driven > 0.0 or not driving > 0.0:
-            raise config.error(f"Option 'gear_ratio' in section '{config.get_name()}' must hold positive numbers")
+            raise config.error(
+                f"Option 'gear_ratio' in section '{config.get_name()}' must hold positive numbers"
+            )
         total *= driven / driving
     return total
 
@@ -302,7 +311,7 @@ def parse_step_distance(
     return rotation_dist, full_steps * microsteps * parse_gear_ratio(config, note_valid)
 
 
-def PrinterStepper(config: Any, units_in_radians: bool = False) -> MCU_stepper:  # noqa: N802 (public name)
+def PrinterStepper(config: Any, units_in_radians: bool = False) -> MCU_stepper:
     """Make the stepper a section describes and register it with stepper_enable."""
     printer = config.get_printer()
     ppins = printer.lookup_object("pins")
@@ -350,9 +359,12 @@ def _homing_direction(config: Any, position_min: float, position_max: float, pos
             return True
         raise config.error(
             f"Unable to infer homing_positive_dir in section '{config.get_name()}': position_endstop "
-            f"{position_endstop:g} is near neither end of {position_min:g} .. {position_max:g}. Set homing_positive_dir."
+            f"{position_endstop:g} is near neither end of {position_min:g} .. {position_max:g}. "
+            "Set homing_positive_dir."
         )
-    if configured and position_endstop == position_min or not configured and position_endstop == position_max:
+    if (configured and position_endstop == position_min) or (
+        not configured and position_endstop == position_max
+    ):
         raise config.error(
             f"Invalid homing_positive_dir / position_endstop in section '{config.get_name()}': homing would drive "
             "away from the endstop."
@@ -393,7 +405,9 @@ class GenericPrinterRail:
 
     @staticmethod
     def _find_position_endstop(config: Any, mcu_endstop: Any, default: float | None) -> float:
-        virtual = getattr(mcu_endstop, "get_position_endstop", None)  # virtual endstops (probes) know their own
+        virtual = getattr(
+            mcu_endstop, "get_position_endstop", None
+        )  # virtual endstops (probes) know their own
         if virtual is not None:
             return virtual()
         if default is None:
@@ -452,11 +466,15 @@ class GenericPrinterRail:
         query_endstops.register_endstop(mcu_endstop, name)
         return mcu_endstop
 
-    def add_stepper(self, stepper: MCU_stepper, endstop_pin: str | None = None, endstop_name: str | None = None) -> None:
+    def add_stepper(
+        self, stepper: MCU_stepper, endstop_pin: str | None = None, endstop_name: str | None = None
+    ) -> None:
         """Add a stepper; without a pin of its own it stops on the rail's endstop."""
         self.steppers.append(stepper)
         pin = endstop_pin or self._default_endstop_pin
-        mcu_endstop = self._lookup_endstop(pin, endstop_name or stepper.get_name(short=True), _NamedConfig(self))
+        mcu_endstop = self._lookup_endstop(
+            pin, endstop_name or stepper.get_name(short=True), _NamedConfig(self)
+        )
         mcu_endstop.add_stepper(stepper)
 
     def add_stepper_from_config(self, config: Any) -> None:
@@ -494,7 +512,7 @@ class _NamedConfig:
         return self._rail.printer
 
 
-def LookupRail(  # noqa: N802 (public name)
+def LookupRail(
     config: Any,
     need_position_minmax: bool = True,
     default_position_endstop: float | None = None,
@@ -509,7 +527,7 @@ def LookupRail(  # noqa: N802 (public name)
 PrinterRail = LookupRail
 
 
-def LookupMultiRail(  # noqa: N802 (public name)
+def LookupMultiRail(
     config: Any,
     need_position_minmax: bool = True,
     default_position_endstop: float | None = None,

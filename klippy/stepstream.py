@@ -70,10 +70,13 @@ class StepStream:
 
     def _fail(self, code: int) -> None:
         name = self.steppers[self._failed[0]].get_name() if self._failed[0] >= 0 else "?"
-        raise self.mcu.get_printer().command_error(
-            f"The steps of stepper '{name}' could not be put in order of time (internal error {code}). The print is "
+        text = (
+            f"The steps of stepper '{name}' could not be put in order of time (internal error {code}). The printer is "
             "stopped because the machine would lose its position."
         )
+        printer = self.mcu.get_printer()
+        printer.invoke_shutdown(text)
+        raise printer.command_error(text)
 
     def generate(self, print_time: float) -> None:
         """Work out all steps before print_time."""

@@ -91,7 +91,9 @@ class ToolHead:
         self.max_velocity = config.getfloat("max_velocity", above=0.0)
         self.max_accel = config.getfloat("max_accel", above=0.0)
         default_ratio = 0.5
-        to_decel = config.getfloat("max_accel_to_decel", None, above=0.0)  # the option's name before it was a ratio
+        to_decel = config.getfloat(
+            "max_accel_to_decel", None, above=0.0
+        )  # the option's name before it was a ratio
         if to_decel is not None:
             config.deprecate("max_accel_to_decel")
             default_ratio = 1.0 - min(1.0, to_decel / self.max_accel)
@@ -119,7 +121,9 @@ class ToolHead:
         gcode.register_command("G4", self.cmd_G4)
         gcode.register_command("M400", self.cmd_M400)
         gcode.register_command("M204", self.cmd_M204)
-        gcode.register_command("SET_VELOCITY_LIMIT", self.cmd_SET_VELOCITY_LIMIT, desc="Set printer velocity limits")
+        gcode.register_command(
+            "SET_VELOCITY_LIMIT", self.cmd_SET_VELOCITY_LIMIT, desc="Set printer velocity limits"
+        )
         self.printer.register_event_handler("klippy:shutdown", self._handle_shutdown)
         for module in ("gcode_move", "homing"):
             self.printer.load_object(config, module)
@@ -141,7 +145,9 @@ class ToolHead:
         self._forced_stop = False
         if self.print_time < earliest:
             self.print_time = earliest
-            self.printer.send_event("toolhead:sync_print_time", self.reactor.monotonic(), earliest, self.print_time)
+            self.printer.send_event(
+                "toolhead:sync_print_time", self.reactor.monotonic(), earliest, self.print_time
+            )
 
     def _commit(self, moves: Sequence[Move]) -> None:
         """Moves with fixed speeds get their times and go to the motion queues."""

@@ -29,7 +29,7 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
         ("link", "serialport serialhdl clocksync mcu mcu_io mcu_homing mcu_session"),
         ("motion", "stepper stepstream kinematics lookahead toolhead"),
         ("extras", "extras"),
-        ("app", "webhooks printer klippy"),
+        ("app", "webhooks printer klippy parsedump"),
         ("simulation", "simulation"),
     )
 )

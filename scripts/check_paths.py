@@ -29,7 +29,9 @@ def private_places() -> re.Pattern[str]:
 def project_files() -> list[Path]:
     """Files git knows or would add."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
-    listed = subprocess.run(command, cwd=ROOT, capture_output=True, check=True)
+    listed = subprocess.run(command, cwd=ROOT, capture_output=True, check=False)
+    if listed.returncode != 0:
+        sys.exit(f"check_paths: git cannot list the project's files: {listed.stderr.decode().strip()}")
     names = listed.stdout.decode().split("\0")
     return [ROOT / name for name in names if name and (ROOT / name).is_file()]
 

@@ -43,8 +43,8 @@ def simulate(config: Path, gcode: Path, out: Path) -> int:
 
 def show(figures: Sequence[Figure]) -> None:
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
-    table.add_column(style="dim")
-    table.add_column(style="bold")
+    table.add_column(style="dim", no_wrap=True)
+    table.add_column(style="bold", no_wrap=True)
     table.add_column(style="dim")
     for figure in figures:
         table.add_row(figure.label, figure.value, figure.note)

@@ -36,6 +36,19 @@
     X(SHUTDOWN_STEPPER_PAST, "Stepper too far in past") \
     X(SHUTDOWN_STEPPER_ACTIVE, "Can't reset time when stepper active") \
     X(SHUTDOWN_SIGNAL_ACTIVE, "Can't add signal that is already active") \
+    X(SHUTDOWN_SPI_BUS, "Invalid spi bus") \
+    X(SHUTDOWN_SPI_CONFIG, "Invalid spi config") \
+    X(SHUTDOWN_SPI_SETUP, "Invalid spi_setup parameters") \
+    X(SHUTDOWN_I2C_BUS, "Unsupported i2c bus") \
+    X(SHUTDOWN_I2C_SETUP, "Invalid i2c_setup parameters!") \
+    X(SHUTDOWN_BUTTONS_MAX, "Max of 8 buttons") \
+    X(SHUTDOWN_BUTTONS_POSITION, "Set button past maximum button count") \
+    X(SHUTDOWN_BUTTONS_RETRANSMIT, "Invalid buttons retransmit count") \
+    X(SHUTDOWN_NEOPIXEL_SIZE, "Invalid neopixel data_size") \
+    X(SHUTDOWN_NEOPIXEL_UPDATE, "Invalid neopixel update command") \
+    X(SHUTDOWN_THERMOCOUPLE_TYPE, "Invalid thermocouple chip type") \
+    X(SHUTDOWN_THERMOCOUPLE_FAULT, "Thermocouple reader fault") \
+    X(SHUTDOWN_TMCUART_SIZE, "tmcuart data too large") \
     /* induction heater */ \
     X(SHUTDOWN_INDUCTION_CONFIG, "Invalid induction configuration") \
     X(SHUTDOWN_INDUCTION_PHASE, "Induction phase out of range") \

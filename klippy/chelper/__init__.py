@@ -76,7 +76,7 @@ def _compile(target: Path) -> None:
 
 
 def _remove_outdated(directory: Path) -> None:
-    """Drop libraries nobody has built or needed for an hour (younger ones may be about to be loaded by another host)."""
+    """Drop libraries older than an hour (another host may be about to load a younger one)."""
     limit = time.time() - 3600.0
     for old in directory.glob("c_helper-*.so"):
         try:

@@ -40,6 +40,15 @@ rtoclock_sample(struct rtoclock *r, double rtt_s)
     r->rto_s = rto_clamp(r->srtt_s + 4.0 * r->rttvar_s);
 }
 
+// Something new was acknowledged, though nothing can be measured by it: the link is alive, the doubling has done its
+// work. Kept, it would turn each later loss on a line that loses often into a long silence.
+static inline void
+rtoclock_progress(struct rtoclock *r)
+{
+    if (r->has_sample)
+        r->rto_s = rto_clamp(r->srtt_s + 4.0 * r->rttvar_s);
+}
+
 // The timer expired. Section 5.5.
 static inline void
 rtoclock_backoff(struct rtoclock *r)

@@ -43,6 +43,8 @@ take_progress(struct serialqueue *sq, uint64_t acked, double now)
     sq->progress_time = now;
     if (sq->ack_sent_time)
         rtoclock_sample(&sq->rto, now > sq->ack_sent_time ? now - sq->ack_sent_time : 0.0);
+    else
+        rtoclock_progress(&sq->rto);
 }
 
 // The MCU stands at a sequence that we never reached: continue from there (only while nothing is settled).
@@ -81,6 +83,17 @@ is_doubtful(struct serialqueue *sq, int wire_seq, uint64_t ahead)
     return 1;
 }
 
+// After a retransmission the MCU still complains about what was on the wire before it. A complaint that comes when the
+// retransmitted block must itself have arrived is news: that one was lost too.
+static int
+is_echo(const struct serialqueue *sq, double now)
+{
+    if (sq->ack_seq != sq->resent_from && sq->ack_seq != sq->resent_to)
+        return 0;
+    double arrived = sq->window[sq->ack_seq % WINDOW_SLOTS].sent_time + 0.5 * sq->rto.srtt_s;
+    return !sq->rto.has_sample || now < arrived;
+}
+
 static void
 take_sequence(struct serialqueue *sq, int wire_seq, int is_empty, double now)
 {
@@ -101,8 +114,7 @@ take_sequence(struct serialqueue *sq, int wire_seq, int is_empty, double now)
         take_progress(sq, expected, now);
         if (!is_empty)
             sq->numbering_settled = 1;
-    } else if (is_duplicate && sq->ack_seq != sq->next_tx && sq->ack_seq != sq->resent_from
-               && sq->ack_seq != sq->resent_to) {
+    } else if (is_duplicate && sq->ack_seq != sq->next_tx && !is_echo(sq, now)) {
         sq_go_back(sq);
     }
 }

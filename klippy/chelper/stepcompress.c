@@ -236,7 +236,7 @@ put_head(const struct stepcompress *sc, uint8_t *p, int32_t tag)
 }
 
 static void
-emit(struct stepcompress *sc, struct queue_message *m, uint8_t *end, uint64_t req_clock,
+emit(struct stepcompress *sc, struct queue_message *m, const uint8_t *end, uint64_t req_clock,
      uint64_t free_clock, int takes_place)
 {
     m->len = (int)(end - m->data);

@@ -188,9 +188,8 @@ class GCodeMove:
                     continue
             except ValueError:
                 pass
-            return gcmd.error(
-                f"Unable to parse move '{gcmd.get_commandline()}': {letter} is '{text}', which is not a finite number"
-            )
+            what = f"is '{text}', which is not a finite number" if text else "needs a number"
+            return gcmd.error(f"Unable to parse move '{gcmd.get_commandline()}': {letter} {what}")
         return gcmd.error(f"Unable to parse move '{gcmd.get_commandline()}': the position is not finite")
 
     # -- modes --
@@ -325,7 +324,10 @@ class GCodeMove:
         gcmd.respond_info(
             "\n".join(
                 (
-                    "mcu: " + row([s.get_name() for s in steppers], [s.get_mcu_position() for s in steppers], "{}:{}"),
+                    "mcu: "
+                    + row(
+                        [s.get_name() for s in steppers], [s.get_mcu_position() for s in steppers], "{}:{}"
+                    ),
                     "stepper: " + row(list(spos), list(spos.values())),
                     "kinematic: " + row(AXES[:3], kin.calc_position(spos)),
                     "toolhead: " + row(AXES, toolhead.get_position()),
@@ -339,7 +341,7 @@ class GCodeMove:
     # -- names that other modules read --
 
     @property
-    def Coord(self) -> type[Coord]:  # noqa: N802 (public name)
+    def Coord(self) -> type[Coord]:
         return Coord
 
 

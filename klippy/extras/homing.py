@@ -1,9 +1,9 @@
 """Homing: drive to an endstop, learn where it is, come back slowly to learn it well. G28.
 
-    HomingMove      one move towards endstops: arms them, runs the move just in time, and works out where the
-                    head was when they triggered
-    Homing          the state of one G28, handed to the kinematics
-    PrinterHoming   printer object 'homing'
+HomingMove      one move towards endstops: arms them, runs the move just in time, and works out where the
+                head was when they triggered
+Homing          the state of one G28, handed to the kinematics
+PrinterHoming   printer object 'homing'
 """
 
 from __future__ import annotations
@@ -64,7 +64,8 @@ class HomingMove:
         distance = math.dist(startpos[:3], movepos[:3])
         kin = self.toolhead.get_kinematics()
         steps = [
-            abs(s.calc_position_from_coord(movepos) - s.calc_position_from_coord(startpos)) / s.get_step_dist()
+            abs(s.calc_position_from_coord(movepos) - s.calc_position_from_coord(startpos))
+            / s.get_step_dist()
             for s in endstop.get_steppers()
             if s in kin.get_steppers()
         ]
@@ -109,7 +110,9 @@ class HomingMove:
             toolhead.drip_move(movepos, speed, completion)
         except self.printer.command_error as e:
             problem = f"Error during homing move: {e}"
-        trigger_times, missing = self._wait(toolhead.get_last_move_time(), problem is None and check_triggered)
+        trigger_times, missing = self._wait(
+            toolhead.get_last_move_time(), problem is None and check_triggered
+        )
         toolhead.flush_step_generation()
         for position in self.stepper_positions:
             position.note_home_end(trigger_times.get(position.endstop_name, toolhead.get_last_move_time()))
@@ -247,7 +250,9 @@ class Homing:
             move = self._approach_again(info, endstops, startpos, homepos)
         self._finish(rails, move, homepos, homing_axes)
 
-    def _approach_again(self, info: Any, endstops: Any, startpos: list[float], homepos: list[float]) -> HomingMove:
+    def _approach_again(
+        self, info: Any, endstops: Any, startpos: list[float], homepos: list[float]
+    ) -> HomingMove:
         """Back off and come again at the second speed."""
         start, home = self._fill_coord(startpos), self._fill_coord(homepos)
         axes_d = [h - s for h, s in zip(home, start, strict=True)]
@@ -264,7 +269,9 @@ class Homing:
             raise self.printer.command_error(f"Endstop {name} still triggered after retract")
         return move
 
-    def _finish(self, rails: Sequence[Any], move: HomingMove, homepos: list[float], homing_axes: list[int]) -> None:
+    def _finish(
+        self, rails: Sequence[Any], move: HomingMove, homepos: list[float], homing_axes: list[int]
+    ) -> None:
         """The trigger happened at homepos: place the head by how far each stepper ran on after it."""
         self.toolhead.flush_step_generation()
         self.trigger_mcu_pos = {p.stepper_name: p.trig_pos for p in move.stepper_positions}
@@ -273,7 +280,8 @@ class Homing:
         kin = self.toolhead.get_kinematics()
         homed = self._fill_coord(homepos)
         overrun = {
-            p.stepper_name: (p.halt_pos - p.trig_pos) * p.stepper.get_step_dist() for p in move.stepper_positions
+            p.stepper_name: (p.halt_pos - p.trig_pos) * p.stepper.get_step_dist()
+            for p in move.stepper_positions
         }
         if not any(overrun.values()) and not any(self.adjust_pos.values()):
             self.toolhead.set_position(homed, homing_axes=homing_axes)

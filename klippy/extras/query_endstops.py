@@ -15,7 +15,9 @@ class QueryEndstops:
 
     def register_commands(self) -> None:
         gcode = self.printer.lookup_object("gcode")
-        gcode.register_command("QUERY_ENDSTOPS", self.cmd_QUERY_ENDSTOPS, desc="Report on the status of each endstop")
+        gcode.register_command(
+            "QUERY_ENDSTOPS", self.cmd_QUERY_ENDSTOPS, desc="Report on the status of each endstop"
+        )
         gcode.register_command("M119", self.cmd_QUERY_ENDSTOPS)
         webhooks = self.printer.lookup_object("webhooks", None)
         if webhooks is not None:

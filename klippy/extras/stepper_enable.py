@@ -84,7 +84,9 @@ class PrinterStepperEnable:
         gcode.register_command("M84", self.cmd_M18)
         gcode.register_command("M17", self.cmd_M17)
         gcode.register_command(
-            "SET_STEPPER_ENABLE", self.cmd_SET_STEPPER_ENABLE, desc="Enable/disable individual stepper by name"
+            "SET_STEPPER_ENABLE",
+            self.cmd_SET_STEPPER_ENABLE,
+            desc="Enable/disable individual stepper by name",
         )
         self.printer.register_event_handler("gcode:request_restart", self._handle_request_restart)
 

@@ -34,8 +34,8 @@ class CartKinematics:
         self.max_z_accel = config.getfloat("max_z_accel", max_accel, above=0.0, maxval=max_accel)
         self.limits = [UNHOMED] * 3
         ranges = [rail.get_range() for rail in self.rails]
-        self.axes_min = Coord(*(r[0] for r in ranges), 0.0)
-        self.axes_max = Coord(*(r[1] for r in ranges), 0.0)
+        self.axes_min = Coord(ranges[0][0], ranges[1][0], ranges[2][0], 0.0)
+        self.axes_max = Coord(ranges[0][1], ranges[1][1], ranges[2][1], 0.0)
 
     def get_steppers(self) -> list[stepper.MCU_stepper]:
         return [s for rail in self.rails for s in rail.get_steppers()]
@@ -66,9 +66,13 @@ class CartKinematics:
         forcepos = list(homepos)
         homepos[axis] = info.position_endstop
         if info.positive_dir:
-            forcepos[axis] = info.position_endstop - HOMING_OVERTRAVEL * (info.position_endstop - position_min)
+            forcepos[axis] = info.position_endstop - HOMING_OVERTRAVEL * (
+                info.position_endstop - position_min
+            )
         else:
-            forcepos[axis] = info.position_endstop + HOMING_OVERTRAVEL * (position_max - info.position_endstop)
+            forcepos[axis] = info.position_endstop + HOMING_OVERTRAVEL * (
+                position_max - info.position_endstop
+            )
         homing_state.home_rails([rail], forcepos, homepos)
 
     def _refuse(self, move: Move) -> None:

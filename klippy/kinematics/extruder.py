@@ -53,7 +53,11 @@ class ExtruderStepper:
             )  # fmt: skip
         for name in ("SET_PRESSURE_ADVANCE", "SET_EXTRUDER_ROTATION_DISTANCE", "SYNC_EXTRUDER_MOTION"):
             gcode.register_mux_command(
-                name, "EXTRUDER", self.name, getattr(self, f"cmd_{name}"), desc=getattr(self, f"cmd_{name}_help")
+                name,
+                "EXTRUDER",
+                self.name,
+                getattr(self, f"cmd_{name}"),
+                desc=getattr(self, f"cmd_{name}_help"),
             )
 
     def _handle_connect(self) -> None:
@@ -88,7 +92,9 @@ class ExtruderStepper:
         toolhead = self.printer.lookup_object("toolhead", None)
         if toolhead is not None:
             toolhead.flush_step_generation()
-        self._lib.extruder_set_pressure_advance(self.stepper.get_stepper_kinematics(), pressure_advance, smooth_time)
+        self._lib.extruder_set_pressure_advance(
+            self.stepper.get_stepper_kinematics(), pressure_advance, smooth_time
+        )
         self.pressure_advance = pressure_advance
         self.pressure_advance_smooth_time = smooth_time
 
@@ -152,7 +158,9 @@ class PrinterExtruder:
         _ffi, lib = chelper.get_ffi()
         self._trapq_append = lib.trapq_append
         self.extruder_stepper: ExtruderStepper | None = None
-        if any(config.get(option, None) is not None for option in ("step_pin", "dir_pin", "rotation_distance")):
+        if any(
+            config.get(option, None) is not None for option in ("step_pin", "dir_pin", "rotation_distance")
+        ):
             self.extruder_stepper = ExtruderStepper(config)
             self.extruder_stepper.stepper.set_trapq(self.trapq)
             self.extruder_stepper.motion_queue = self.name
@@ -179,9 +187,15 @@ class PrinterExtruder:
         self.max_e_velocity = config.getfloat(
             "max_extrude_only_velocity", max_velocity * self.max_extrude_ratio, above=0.0
         )
-        self.max_e_accel = config.getfloat("max_extrude_only_accel", max_accel * self.max_extrude_ratio, above=0.0)
-        self.max_e_dist = config.getfloat("max_extrude_only_distance", DEFAULT_MAX_EXTRUDE_ONLY_MM, minval=0.0)
-        self.instant_corner_v = config.getfloat("instantaneous_corner_velocity", DEFAULT_CORNER_VELOCITY, minval=0.0)
+        self.max_e_accel = config.getfloat(
+            "max_extrude_only_accel", max_accel * self.max_extrude_ratio, above=0.0
+        )
+        self.max_e_dist = config.getfloat(
+            "max_extrude_only_distance", DEFAULT_MAX_EXTRUDE_ONLY_MM, minval=0.0
+        )
+        self.instant_corner_v = config.getfloat(
+            "instantaneous_corner_velocity", DEFAULT_CORNER_VELOCITY, minval=0.0
+        )
 
     def _register_commands(self, extruder_num: int) -> None:
         toolhead = self.printer.lookup_object("toolhead")
@@ -230,7 +244,7 @@ class PrinterExtruder:
         extrude_d = move.axes_d[3]
         ratio = move.axes_r[3]
         x_d, y_d = move.axes_d[0], move.axes_d[1]
-        if not x_d and not y_d or ratio < 0.0:
+        if (not x_d and not y_d) or ratio < 0.0:
             self._check_extrude_only(move, extrude_d, ratio)
         elif ratio > self.max_extrude_ratio and extrude_d > self.nozzle_diameter * self.max_extrude_ratio:
             area = ratio * self.filament_area

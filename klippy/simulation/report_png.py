@@ -137,7 +137,7 @@ def _draw_layers(axes: Axes, layers: Sequence[Layer]) -> None:
     axes.plot(number, mean, ".", color=COLOURS["estimate_c"], markersize=4)
     limit = SETTLED_BAND_C * 1.2
     axes.set_ylim(
-        max(-4.0 * SETTLED_BAND_C, min(-limit, low.min())), min(4.0 * SETTLED_BAND_C, max(limit, high.max()))
+        max(-2.0 * SETTLED_BAND_C, min(-limit, low.min())), min(2.0 * SETTLED_BAND_C, max(limit, high.max()))
     )
 
 

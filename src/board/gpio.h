@@ -9,6 +9,9 @@
  *   gpio_out_toggle  the same; used by steppers, so it should be a few instructions
  *   gpio_in_setup    pull: 1 pull-up, 0 none, -1 pull-down; shuts down with SHUTDOWN_NOT_INPUT_PIN
  *   gpio_in_read     0 or 1; any context
+ *
+ * A pin may be set up again, also as the other kind and from any context: lines that are driven low and let go (I2C,
+ * single-wire UART).
  */
 #ifndef BOARD_GPIO_H
 #define BOARD_GPIO_H

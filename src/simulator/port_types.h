@@ -21,6 +21,16 @@ struct adc_in {
 struct pwm_out {
     uint32_t pin;
 };
+struct spi_bus {
+    uint32_t bus, rate_hz;
+    uint8_t mode;
+};
+struct i2c_bus {
+    uint32_t bus;
+    uint8_t address;
+};
+
+#define PORT_DELAY
 
 /* Firmware code is never interrupted here, so there is nothing to lock. */
 typedef uint8_t irqstatus_t;

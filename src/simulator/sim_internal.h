@@ -10,6 +10,8 @@ enum { SIM_PIN_COUNT = 128, SIM_RX_SIZE = 256, SIM_ARENA_SIZE = 256 * 1024, SIM_
 
 extern struct sim_board sim_board;
 extern uint64_t sim_clock;          /* the MCU's present */
+/* The present plus what the running task has waited in delay_ticks(); for the edges of waves made by hand. */
+uint64_t sim_now(void);
 
 #define SIM_NEVER UINT64_MAX
 uint64_t sim_bridge_next_event(void);   /* bridge edge or half buffer; SIM_NEVER if none */

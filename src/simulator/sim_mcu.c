@@ -7,6 +7,7 @@
 #include <string.h>
 
 #include "board/console.h"
+#include "board/delay.h"
 #include "board/irq.h"
 #include "board/misc.h"
 #include "board/timer.h"
@@ -28,6 +29,7 @@ enum power { POWER_OFF, POWER_ON, POWER_RESETTING, POWER_RESET };
 static struct {
     enum power power;
     uint8_t timers_changed;
+    uint32_t waited_ticks;           /* in delay_ticks(), by the task pass under way */
     uint64_t timer_clock;            /* of the first timer; valid if !timers_changed */
     uint8_t rx[SIM_RX_SIZE];
     uint32_t rx_read, rx_written;    /* running counts; indices are these modulo SIM_RX_SIZE */
@@ -42,7 +44,21 @@ static struct {
 uint32_t
 timer_read_time(void)
 {
-    return (uint32_t)sim_clock;
+    return (uint32_t)sim_now();
+}
+
+uint64_t
+sim_now(void)
+{
+    return sim_clock + chip.waited_ticks;
+}
+
+/* A task sees its own waiting, so that waves made by hand have the right shape; the rest of the world does not: the next
+ * event comes at its own clock, as if the wait had taken no time. */
+void
+delay_ticks(uint32_t ticks)
+{
+    chip.waited_ticks += ticks;
 }
 
 void
@@ -139,8 +155,10 @@ next_event(void)
 static void
 run_tasks(void)
 {
-    for (uint8_t pass = 0; pass < 10 && sched_tasks_waiting() && chip.power == POWER_ON; pass++)
+    for (uint8_t pass = 0; pass < 10 && sched_tasks_waiting() && chip.power == POWER_ON; pass++) {
         sched_run_tasks();
+        chip.waited_ticks = 0;
+    }
 }
 
 uint64_t

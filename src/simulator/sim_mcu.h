@@ -34,6 +34,12 @@ struct sim_board {
      * all samples asked for before. */
     void (*sync_adc_read)(void *ctx, uint16_t *samples, uint32_t count, uint64_t first_clock, uint32_t period_ticks);
     void (*console_send)(void *ctx, const uint8_t *data, uint32_t len, uint64_t clock);
+    /* Devices on hardware buses; either may be NULL: nothing is connected.  What comes back takes the place of `data`; which
+     * chip is selected has been told by pin_write. */
+    void (*spi_exchange)(void *ctx, uint32_t bus, uint8_t mode, uint8_t *data, uint32_t len, uint64_t clock);
+    /* Returns an enum i2c_status (src/board/i2c_status.h): 0 done, 3 nobody has this address, ... */
+    uint8_t (*i2c_exchange)(void *ctx, uint32_t bus, uint8_t address, const uint8_t *write, uint32_t write_len,
+                            uint8_t *read, uint32_t read_len, uint64_t clock);
 };
 
 /* Power on at `clock` (also after a reset, or in the middle of anything).  *board is copied. */

@@ -19,6 +19,7 @@ DECL_ENUMERATION_RANGE("pin", "PH0", 112, 16);
 
 static struct {
     uint8_t level[SIM_PIN_COUNT];          /* of outputs, as last written */
+    uint8_t driven[SIM_PIN_COUNT];         /* set up as an output last */
     uint32_t pwm_cycle_ticks[SIM_PIN_COUNT];
 } pins;
 
@@ -26,7 +27,7 @@ void
 sim_pins_init(void)
 {
     for (uint32_t pin = 0; pin < SIM_PIN_COUNT; pin++)
-        pins.level[pin] = pins.pwm_cycle_ticks[pin] = 0;
+        pins.level[pin] = pins.driven[pin] = pins.pwm_cycle_ticks[pin] = 0;
 }
 DECL_INIT(sim_pins_init);
 
@@ -34,7 +35,7 @@ static void
 drive(uint32_t pin, uint8_t value)
 {
     pins.level[pin] = value;
-    sim_board.pin_write(sim_board.ctx, pin, value, sim_clock);
+    sim_board.pin_write(sim_board.ctx, pin, value, sim_now());
 }
 
 struct gpio_out
@@ -42,6 +43,7 @@ gpio_out_setup(uint32_t pin, uint8_t value)
 {
     if (pin >= SIM_PIN_COUNT)
         shutdown(SHUTDOWN_NOT_OUTPUT_PIN);
+    pins.driven[pin] = 1;
     drive(pin, !!value);
     return (struct gpio_out){ pin };
 }
@@ -61,16 +63,19 @@ gpio_out_toggle(struct gpio_out g)
 struct gpio_in
 gpio_in_setup(uint32_t pin, int8_t pull)
 {
-    (void)pull;  /* the world's switches always drive their pins */
     if (pin >= SIM_PIN_COUNT)
         shutdown(SHUTDOWN_NOT_INPUT_PIN);
+    /* An output let go floats to its pull-up; otherwise the world's switches always drive their pins. */
+    if (pins.driven[pin] && pull > 0)
+        drive(pin, 1);
+    pins.driven[pin] = 0;
     return (struct gpio_in){ pin };
 }
 
 uint8_t
 gpio_in_read(struct gpio_in g)
 {
-    return !!sim_board.pin_read(sim_board.ctx, g.pin, sim_clock);
+    return !!sim_board.pin_read(sim_board.ctx, g.pin, sim_now());
 }
 
 /* Conversions take no time: time stands still while firmware runs, and nothing here depends on their duration. */

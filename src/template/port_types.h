@@ -28,6 +28,16 @@ struct pwm_out {
     volatile uint16_t *reg;
 };
 
+/* Only with spi_hardware.c and i2c_hardware.c in the source list. */
+struct spi_bus {
+    volatile uint8_t *regs;
+    uint8_t mode, divider;
+};
+struct i2c_bus {
+    volatile uint8_t *regs;
+    uint8_t address;
+};
+
 typedef uint8_t irqstatus_t;
 
 #endif

@@ -35,6 +35,9 @@ struct sim_board {
     void (*bridge_set)(void *ctx, uint16_t phase, uint64_t clock);
     void (*sync_adc_read)(void *ctx, uint16_t *samples, uint32_t count, uint64_t first_clock, uint32_t period_ticks);
     void (*console_send)(void *ctx, const uint8_t *data, uint32_t len, uint64_t clock);
+    void (*spi_exchange)(void *ctx, uint32_t bus, uint8_t mode, uint8_t *data, uint32_t len, uint64_t clock);
+    uint8_t (*i2c_exchange)(void *ctx, uint32_t bus, uint8_t address, const uint8_t *write, uint32_t write_len,
+                            uint8_t *read, uint32_t read_len, uint64_t clock);
 };
 void sim_mcu_boot(const struct sim_board *board, uint64_t clock);
 uint64_t sim_mcu_next_event(void);
@@ -194,6 +197,13 @@ class Mcu:
         self.input_level: Callable[[int, int], int] = lambda pin, clock: 0
         self.adc_code: Callable[[int, int], int] = lambda pin, clock: 2000
         self.sample_code: Callable[[int], int] = lambda clock: 1000
+        self.spi_transfers: list[tuple[int, int, int, bytes]] = []  # clock, bus, mode, bytes sent
+        self.spi_reply: Callable[[int, bytes], bytes] = lambda bus, sent: bytes(len(sent))
+        self.i2c_transfers: list[tuple[int, int, bytes, int]] = []  # bus, address, bytes written, bytes to read
+        self.i2c_reply: Callable[[int, bytes, int], tuple[int, bytes]] = lambda address, wrote, count: (
+            0,
+            bytes(count),
+        )
         self.replies_seen = 0
         self.sequence = 0
         self.board = self._make_board()
@@ -207,6 +217,21 @@ class Mcu:
             for i in range(count):
                 samples[i] = self.sample_code(first + i * period)
 
+        def spi_exchange(_ctx: Any, bus: int, mode: int, data: Any, length: int, clock: int) -> None:
+            sent = bytes(ffi.buffer(data, length))
+            self.spi_transfers.append((clock, bus, mode, sent))
+            ffi.buffer(data, length)[:] = self.spi_reply(bus, sent)
+
+        def i2c_exchange(
+            _ctx: Any, bus: int, address: int, write: Any, wrote: int, read: Any, count: int, _clock: int
+        ) -> int:
+            sent = bytes(ffi.buffer(write, wrote)) if wrote else b""
+            self.i2c_transfers.append((bus, address, sent, count))
+            status, reply = self.i2c_reply(address, sent, count)
+            if count:
+                ffi.buffer(read, count)[:] = reply
+            return status
+
         functions = {
             "pin_write": lambda _c, pin, value, clock: self.pin_writes.append((clock, pin, value)),
             "pin_read": lambda _c, pin, clock: self.input_level(pin, clock),
@@ -217,6 +242,8 @@ class Mcu:
             "bridge_set": lambda _c, phase, clock: self.bridge_sets.append((clock, phase)),
             "sync_adc_read": sync_adc_read,
             "console_send": lambda _c, data, n, clock: self.sent.append((clock, bytes(ffi.buffer(data, n)))),
+            "spi_exchange": spi_exchange,
+            "i2c_exchange": i2c_exchange,
         }
         board = ffi.new("struct sim_board *")
         kinds = dict(ffi.typeof("struct sim_board").fields)
@@ -281,7 +308,7 @@ class Mcu:
         (reply,) = self.send(name, **values)
         return reply
 
-    def configure(self, oids: int, *commands: tuple[str, dict[str, int]]) -> None:
+    def configure(self, oids: int, *commands: tuple[str, dict[str, Any]]) -> None:
         self.send("allocate_oids", count=oids)
         for name, values in commands:
             self.send(name, **values)

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import pytest
 
-from system.conftest import TWO_MCUS, Simulate, square
+from system.conftest import TWO_MCUS, Run, Simulate, square
 
 TRACE_COLUMNS = (
     "t_s,target_c,estimate_c,true_c,bore_c,melt_c,phase_ticks,power_w,flow_mm3_s,x_mm,y_mm,z_mm,e_mm"
 )
 
 
-def steps(run: object) -> dict[str, tuple[int, int]]:
-    axes = run.summary["axes"]  # type: ignore[attr-defined]
+def steps(run: Run) -> dict[str, tuple[int, int]]:
+    axes = run.summary["axes"]
     return {name: (axis["steps_forward"], axis["steps_backward"]) for name, axis in axes.items()}
 
 
@@ -91,3 +93,18 @@ def test_an_unlike_nozzle_still_holds_three_degrees(
     assert run.status == 0, run.stderr
     assert run.summary["heater"]["settled_s"] > 5.0
     assert run.summary["heater"]["settled_max_error_c"] <= 3.0
+
+
+@pytest.mark.slow
+def test_a_sliced_part_prints_to_its_end_also_over_a_lossy_line(simulate: Simulate, cubhelix: Path) -> None:
+    clean = simulate(cubhelix)
+    assert clean.status == 0, clean.stderr
+    assert clean.summary["file_progress"] == 1.0
+    assert clean.summary["faults"] == []
+    assert clean.summary["heater"]["settled_s"] > 300.0
+    assert clean.summary["heater"]["settled_max_error_c"] <= 3.0
+    assert clean.summary["peak_memory_mb"] < 300.0
+    lossy = simulate(cubhelix, settings=["simulator mcu.corrupt=0.001", "simulator mcu.drop=0.001"])
+    assert lossy.status == 0, lossy.stderr
+    assert steps(lossy) == steps(clean)
+    assert lossy.summary["heater"]["settled_max_error_c"] <= 3.0

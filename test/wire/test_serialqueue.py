@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import random
 import sys
 import time
@@ -21,11 +22,12 @@ import msgproto
 BYTE_S = 10 / 250_000  # 250 kBd
 
 
-def make_rig(seed: int = 1, damage: Damage | None = None, mcu: ReferenceMcu | None = None, **line: float) -> Rig:
+def make_rig(
+    seed: int = 1, damage: Damage | None = None, mcu: ReferenceMcu | None = None, **line: float
+) -> Rig:
     rng = random.Random(seed)
     damage = damage or Damage()
-    rig = Rig(mcu or ReferenceMcu(), Line(rng, damage, **line), Line(rng, damage, **line))
-    return rig
+    return Rig(mcu or ReferenceMcu(), Line(rng, damage, **line), Line(rng, damage, **line))
 
 
 def numbered(count: int, length: int = 8) -> list[bytes]:
@@ -148,7 +150,7 @@ def test_command_waits_until_it_is_needed_within_100_ms() -> None:
     start = rig.now
     rig.send(rig.queue(), b"\x05", req_clock=clock + 500_000)
     rig.run(rig.now + 1.0)
-    (when, _), = rig.mcu.executed
+    ((when, _),) = rig.mcu.executed
     assert when - start == pytest.approx(0.400 + rig.to_mcu.latency_s, abs=1e-5)
 
 
@@ -277,7 +279,9 @@ def test_any_traffic_survives_any_line(
     rig.run(rig.now + 600.0, done)
     assert b"".join(c for _, c in rig.mcu.executed) == sent
     rig.run(rig.now + 0.1)
-    assert [n for _, _, _, n in rig.received if n] == list(range(1, len(commands) + 1)), "each notice once, in order"
+    assert [n for _, _, _, n in rig.received if n] == list(range(1, len(commands) + 1)), (
+        "each notice once, in order"
+    )
 
 
 def test_lost_block_is_sent_again_at_once_when_a_later_one_is_refused() -> None:
@@ -368,7 +372,7 @@ def test_time_out_starts_as_rfc6298_says_doubles_and_ends_at_5_s() -> None:
     start = rig.now
     rig.run(rig.now + 60.0)
     times = [t - start for t, _ in rig.written if t >= start]
-    gaps = [b - a for a, b in zip(times, times[1:], strict=False)]
+    gaps = [b - a for a, b in itertools.pairwise(times)]
     expected = [0.025 * 2**n for n in range(20)]
     assert gaps[:8] == pytest.approx(expected[:8], rel=1e-3)
     assert max(gaps) == pytest.approx(5.0, rel=1e-6)
@@ -416,7 +420,9 @@ def test_answer_and_notice_carry_when_the_command_had_left() -> None:
     rig.send(rig.queue(), b"\x05\x06", notify_id=42)
     rig.run(rig.now + 0.1)
     (_, nothing, sent0, notify), (_, content, sent1, no_notify) = rig.received
-    assert (nothing, notify, content, no_notify) == (b"", 42, b"\x07\x08", 0), "the notice comes before the answer"
+    assert (nothing, notify, content, no_notify) == (b"", 42, b"\x07\x08", 0), (
+        "the notice comes before the answer"
+    )
     assert sent0 == sent1 == pytest.approx(start + 7 * BYTE_S)
 
 

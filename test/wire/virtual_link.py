@@ -50,11 +50,10 @@ class Line:
         for byte in data:
             if rng.random() < d.drop:
                 continue
-            if rng.random() < d.corrupt:
-                byte ^= 1 << rng.randrange(8)
-            out.append(byte)
+            flipped = 1 << rng.randrange(8) if rng.random() < d.corrupt else 0
+            out.append(byte ^ flipped)
             if rng.random() < d.duplicate:
-                out.append(byte)
+                out.append(byte ^ flipped)
         if rng.random() < d.truncate:
             del out[rng.randrange(len(out) + 1) :]
         deliveries = [(arrival, bytes(out)), *((arrival, late) for _, late in self.held)]
@@ -154,7 +153,9 @@ class Rig:
             if upcoming > until:
                 self.now = until
                 return
-            assert wake > self.now or arrival <= self.now, "transmit asks to be called at once, but has nothing"
+            assert wake > self.now or arrival <= self.now, (
+                "transmit asks to be called at once, but has nothing"
+            )
             self.now = max(self.now, upcoming)
             while self._events and self._events[0][0] <= self.now:
                 _, _, where, data = heapq.heappop(self._events)

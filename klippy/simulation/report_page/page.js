@@ -315,13 +315,16 @@
   function drawBars() {
     const { g, width, height } = fitted(byId("layer-bars"), 190);
     const plot = { left: LEFT, right: width - RIGHT, top: TOP, bottom: height - BOTTOM };
-    const least = Math.min(-data.band_c, ...layers.map((l) => Math.max(l.min, -4 * data.band_c)));
-    const greatest = Math.max(data.band_c, ...layers.map((l) => Math.min(l.max, 4 * data.band_c)));
+    const least = Math.min(-data.band_c, ...layers.map((l) => Math.max(l.min, -2 * data.band_c)));
+    const greatest = Math.max(data.band_c, ...layers.map((l) => Math.min(l.max, 2 * data.band_c)));
     const y = (v) => plot.bottom - ((v - least) / (greatest - least)) * (plot.bottom - plot.top);
     const step = (plot.right - plot.left) / layers.length;
     g.fillStyle = css("--band");
     g.fillRect(plot.left, y(data.band_c), plot.right - plot.left, y(-data.band_c) - y(data.band_c));
     drawBarGrid(g, plot, y, least, greatest, step);
+    g.beginPath();
+    g.rect(plot.left, plot.top, plot.right - plot.left, plot.bottom - plot.top);
+    g.clip(); // an odd layer may go beyond the scale
     layers.forEach((layer, i) => {
       const x = plot.left + (i + 0.5) * step, w = Math.max(Math.min(step * 0.6, 9), 1);
       const tall = Math.max(y(layer.min) - y(layer.max), 1);
