@@ -138,13 +138,11 @@ class MCU_pwm:
         # The clock is chosen once at each start: it must not be in the configuration's CRC.
         self._start_clock = mcu.get_query_slot(self._oid)
         if self._hardware_pwm:
-            start = self._build_hardware(cycle_ticks, max_ticks)
+            self._build_hardware(cycle_ticks, max_ticks)
         else:
-            start = self._build_software(cycle_ticks, max_ticks)
-        by_queue = self._starts_by_queue()
-        mcu.add_config_cmd(start.format(clock=self._start_clock), is_init=by_queue, on_restart=not by_queue)
+            self._build_software(cycle_ticks, max_ticks)
 
-    def _build_hardware(self, cycle_ticks: int, max_ticks: int) -> str:
+    def _build_hardware(self, cycle_ticks: int, max_ticks: int) -> None:
         mcu, oid = self._mcu, self._oid
         self._pwm_max = mcu.get_constant_float("PWM_MAX")
         mcu.add_config_cmd(
@@ -154,9 +152,12 @@ class MCU_pwm:
         self._set = mcu.lookup_command(
             "queue_pwm_out oid=%c clock=%u value=%hu", cq=mcu.alloc_command_queue()
         )
-        return f"queue_pwm_out oid={oid} clock={{clock}} value={self._raw(self._start_value)}"
+        start_raw = self._raw(self._start_value)
+        mcu.add_config_cmd(
+            f"queue_pwm_out oid={oid} clock={self._start_clock} value={start_raw}", on_restart=True
+        )
 
-    def _build_software(self, cycle_ticks: int, max_ticks: int) -> str:
+    def _build_software(self, cycle_ticks: int, max_ticks: int) -> None:
         mcu, oid = self._mcu, self._oid
         if self._shutdown_value not in (0.0, 1.0):
             raise pins.error(f"Pin {self._pin}: the shutdown value of software pwm must be 0 or 1.")
@@ -169,8 +170,12 @@ class MCU_pwm:
         self._set = mcu.lookup_command(
             "queue_digital_out oid=%c clock=%u on_ticks=%u", cq=mcu.alloc_command_queue()
         )
-        start = f"queue_digital_out oid={oid} clock={{clock}} on_ticks={self._raw(self._start_value)}"
-        return start
+        by_queue = self._starts_by_queue()
+        mcu.add_config_cmd(
+            f"queue_digital_out oid={oid} clock={self._start_clock} on_ticks={self._raw(self._start_value)}",
+            is_init=by_queue,
+            on_restart=not by_queue,
+        )
 
     def _starts_by_queue(self) -> bool:
         """config_digital_out can only set on or off."""

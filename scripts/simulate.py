@@ -131,7 +131,7 @@ def write_results(options: argparse.Namespace, outcome: Outcome) -> None:
         options.summary.write_text(json.dumps(outcome.summary, indent=2) + "\n", encoding="utf-8")
     if options.report is None or "axes" not in outcome.summary:
         return
-    from simulation.report import ReportError, write_report  # noqa: PLC0415  (numpy, matplotlib: only if asked for)
+    from simulation.report import ReportError, write_report
 
     try:
         write_report(

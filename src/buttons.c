@@ -29,7 +29,7 @@ struct buttons {
     uint8_t looks_to_send;             /* until the reports are sent (again) */
     uint8_t retransmit_count;
     uint8_t send_due;
-    uint8_t button_count;
+    uint8_t button_count, added;       /* added: a bit per pin that buttons_add has set up */
     struct gpio_in pins[];
 };
 
@@ -59,7 +59,8 @@ buttons_event(struct timer *t)
     struct buttons *b = container_of(t, struct buttons, timer);
     uint8_t look = b->invert;
     for (uint8_t i = 0; i < b->button_count; i++)
-        look ^= (uint8_t)(gpio_in_read(b->pins[i]) << i);
+        if (b->added >> i & 1)
+            look ^= (uint8_t)(gpio_in_read(b->pins[i]) << i);
     if (look == b->last_look && look != b->told)
         note_state(b, look);
     b->last_look = look;
@@ -101,6 +102,7 @@ command_buttons_add(const struct command_args *args)
     if (args->val[1] >= b->button_count)
         shutdown(SHUTDOWN_BUTTONS_POSITION);
     b->pins[args->val[1]] = gpio_in_setup(args->val[2], (int8_t)args->val[3]);
+    b->added |= (uint8_t)(1 << args->val[1]);
 }
 DECL_COMMAND(command_buttons_add, "buttons_add oid=%c pos=%c pin=%u pull_up=%c");
 

@@ -14,7 +14,7 @@
 #include "i2ccmds.h"
 #include "sched.h"
 
-enum { STRETCH_US = 1000 };
+enum { STRETCH_US = 1000, PULSE_MAX_US = 100 };
 
 struct i2c_software {
     uint32_t scl_pin, sda_pin;
@@ -161,7 +161,7 @@ command_i2c_set_sw_bus(const struct command_args *args)
 {
     struct i2c_device *d = i2c_device_lookup((uint8_t)args->val[0]);
     struct i2c_software *s = alloc_chunk(sizeof(*s));
-    if (args->val[4] > 0x7f)
+    if (args->val[4] > 0x7f || !args->val[3] || args->val[3] > timer_from_us(PULSE_MAX_US))
         shutdown(SHUTDOWN_I2C_SETUP);
     s->scl_pin = args->val[1];
     s->sda_pin = args->val[2];

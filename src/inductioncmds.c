@@ -37,10 +37,11 @@
 enum {
     HALF_LEN = 32,           /* power of two; 2 * HALF_LEN <= PHASE_RING_LEN */
     SYNC_ADC_MAX = 4095,     /* the synchronous ADC has 12 bits on every port */
-    BLOCKS_WAITING_MAX = 8,  /* power of two; 68 ms of whole blocks at y = 5 for a host link that stalls */
-    RECORD_SIZE = 18,
-    RECORDS_PER_MESSAGE = 2,
-    LONE_RECORD_US = 20000,  /* a record that would wait longer for a second one goes alone */
+    BLOCKS_WAITING_MAX = 32, /* power of two; 51 ms of blocks of 192 samples for a host link that stalls */
+    RECORD_SIZE_MAX = 16,
+    RECORDS_DEFAULT = 2,
+    RECORDS_MAX = 3,         /* 3 * RECORD_SIZE_MAX fit one message */
+    LONE_RECORD_US = 20000,  /* a record that would wait longer for others goes without them */
     LATE_MARGIN_US = 20,     /* a late phase command is applied so much after its arrival */
     DEFAULT_Y = 5,           /* Oskolkov et al. 2021: 12 -> 17 bit */
     DEFAULT_SETTLE = 20,     /* samples; tank settles with 27 us, 18 periods to 0.1 degrees of phase */
@@ -67,6 +68,7 @@ struct induction {
     uint32_t next_index;    /* first sample not yet accounted for */
     uint32_t hold_samples;  /* how long a lone record waits */
     uint8_t oid, sampling, reporting, resync;
+    uint8_t records;        /* sent together */
     struct phase_track track;
     struct oversample oversample;
     struct guard guard;
@@ -197,13 +199,13 @@ take_samples(struct induction *u, const uint16_t *samples, uint16_t count)
     }
 }
 
-/* Is there something to send, and if it is a lone record, has it waited long enough? */
+/* Are there enough records to send, and if not, have they waited long enough? */
 static uint8_t
 records_to_send(const struct induction *u)
 {
     uint8_t waiting = blocks_waiting(u);
-    if (waiting >= RECORDS_PER_MESSAGE)
-        return RECORDS_PER_MESSAGE;
+    if (waiting >= u->records)
+        return u->records;
     if (!waiting || u->oversample.block_len > u->hold_samples)
         return waiting;
     const struct oversample_block *b = &u->waiting[u->block_tail & (BLOCKS_WAITING_MAX - 1)];
@@ -242,6 +244,20 @@ samples_ready(const uint16_t *samples, uint16_t count)
  * Reports (task context)
  ****************************************************************/
 
+/* A record, little endian, the optional parts in this order:
+ *
+ *     u16 bits 0-11 lowest sample, bits 12-15 flags · u8 highest - lowest · u24 value
+ *     PHASE u16 phase (else as in the record before; always in a message's first)
+ *     CUT   u16 count (else block_len)
+ *     GAP   u16 discarded · u16 lost (else 0)
+ *     WIDE  u16 highest sample (the u8 is then 255)
+ *
+ * 6 bytes for a whole block under an unchanged phase, 16 at most.  The message's clock is that of its first record's first
+ * sample; the next record's lies count periods on, and discarded + lost more, because every sample is told of.  Only
+ * where those two saturate that would not hold: such a record begins a message.
+ */
+enum { RECORD_PHASE = 0x1000, RECORD_CUT = 0x2000, RECORD_GAP = 0x4000, RECORD_WIDE = 0x8000, WIDE_SPAN = 255 };
+
 static uint8_t *
 put_u16(uint8_t *p, uint16_t v)
 {
@@ -250,30 +266,51 @@ put_u16(uint8_t *p, uint16_t v)
     return p;
 }
 
+/* `before` is the record before in the same message, or NULL. */
 static uint8_t *
-put_record(uint8_t *p, const struct oversample_block *b, uint32_t from)
+put_record(uint8_t *p, const struct oversample_block *b, const struct oversample_block *before, uint16_t block_len)
 {
-    p = put_u16(p, (uint16_t)(b->first - from));
-    p = put_u16(p, b->count);
+    uint16_t span = b->max - b->min, flags = 0;
+    flags |= !before || before->phase != b->phase ? RECORD_PHASE : 0;
+    flags |= b->count != block_len ? RECORD_CUT : 0;
+    flags |= b->discarded || b->lost ? RECORD_GAP : 0;
+    flags |= span >= WIDE_SPAN ? RECORD_WIDE : 0;
+    p = put_u16(p, (b->min & SYNC_ADC_MAX) | flags);
+    *p++ = flags & RECORD_WIDE ? WIDE_SPAN : (uint8_t)span;
     p = put_u16(p, (uint16_t)b->value);
-    p = put_u16(p, (uint16_t)(b->value >> 16));
-    p = put_u16(p, b->phase);
-    p = put_u16(p, b->min);
-    p = put_u16(p, b->max);
-    p = put_u16(p, b->discarded);
-    return put_u16(p, b->lost);
+    *p++ = (uint8_t)(b->value >> 16);
+    if (flags & RECORD_PHASE)
+        p = put_u16(p, b->phase);
+    if (flags & RECORD_CUT)
+        p = put_u16(p, b->count);
+    if (flags & RECORD_GAP)
+        p = put_u16(put_u16(p, b->discarded), b->lost);
+    return flags & RECORD_WIDE ? put_u16(p, b->max) : p;
+}
+
+static uint8_t
+saturated(const struct oversample_block *b)
+{
+    return b->discarded == UINT16_MAX || b->lost == UINT16_MAX;
 }
 
 static uint8_t
 send_report(struct induction *u)
 {
-    uint8_t data[RECORDS_PER_MESSAGE * RECORD_SIZE], *end = data;
+    uint8_t data[RECORDS_MAX * RECORD_SIZE_MAX], *end = data;
+    const struct oversample_block *before = NULL;
     irqstatus_t flag = irq_save();
-    uint8_t records = u->reporting ? records_to_send(u) : 0;
+    uint8_t ready = u->reporting ? records_to_send(u) : 0, records = 0;
     uint16_t sequence = u->sequence;
     uint32_t from = u->waiting[u->block_tail & (BLOCKS_WAITING_MAX - 1)].first;
-    for (uint8_t i = 0; i < records; i++)
-        end = put_record(end, &u->waiting[u->block_tail++ & (BLOCKS_WAITING_MAX - 1)], from);
+    for (; records < ready; records++) {
+        const struct oversample_block *b = &u->waiting[u->block_tail & (BLOCKS_WAITING_MAX - 1)];
+        if (before && saturated(b))
+            break;
+        end = put_record(end, b, before, u->oversample.block_len);
+        before = b;
+        u->block_tail++;
+    }
     u->sequence += records;
     irq_restore(flag);
     if (records)
@@ -309,6 +346,7 @@ command_config_induction(const struct command_args *args)
     u->adc = sync_adc_setup(args->val[2], u->bridge, HALF_LEN, samples_ready);
     u->period_ticks = period_ticks;
     u->hold_samples = timer_from_us(LONE_RECORD_US) / period_ticks;
+    u->records = RECORDS_DEFAULT;
     u->timer.func = phase_timer;
     phase_init(&u->track, (uint16_t)phase_max);
     guard_init(&u->guard, SYNC_ADC_MAX, max_duration);
@@ -333,6 +371,20 @@ command_config_induction_sense(const struct command_args *args)
 }
 DECL_COMMAND(command_config_induction_sense,
              "config_induction_sense oid=%c oversample=%c settle_samples=%hu ema_shift=%c");
+
+/* Shorter blocks than 4^oversample samples, and how many records go together; after config_induction_sense. */
+void
+command_config_induction_block(const struct command_args *args)
+{
+    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
+    struct oversample_config config = u->oversample.config;
+    config.block_len = (uint16_t)args->val[1];
+    uint8_t records = (uint8_t)args->val[2];
+    if (u->sampling || !records || records > RECORDS_MAX || !oversample_init(&u->oversample, config))
+        shutdown(SHUTDOWN_INDUCTION_CONFIG);
+    u->records = records;
+}
+DECL_COMMAND(command_config_induction_block, "config_induction_block oid=%c samples=%hu records=%c");
 
 void
 command_config_induction_limit(const struct command_args *args)

@@ -22,7 +22,7 @@ DECL_RESPONSE(response_neopixel, "neopixel_result oid=%c success=%c");
 
 /* WS2812B data sheet: T0H 250..550 ns, T1H 650..950 ns, T0L/T1L from 450 ns on. */
 enum { HIGH_0_NS = 300, HIGH_1_NS = 750, LOW_NS = 450 };
-enum { DATA_SIZE_MAX = 0x7fff };
+enum { DATA_SIZE_MAX = 0x7fff, RESET_MAX_US = 2000 };  /* a longer wait would keep everything else waiting too */
 
 struct neopixel {
     struct gpio_out pin;
@@ -43,11 +43,12 @@ void
 command_config_neopixel(const struct command_args *args)
 {
     uint32_t data_size = args->val[2];
-    if (!data_size || data_size > DATA_SIZE_MAX)
+    if (!data_size || data_size > DATA_SIZE_MAX || args->val[4] > timer_from_us(RESET_MAX_US))
         shutdown(SHUTDOWN_NEOPIXEL_SIZE);
     uint16_t size = (uint16_t)(sizeof(struct neopixel) + data_size);
+    struct gpio_out pin = gpio_out_setup(args->val[1], 0);
     struct neopixel *n = oid_alloc((uint8_t)args->val[0], command_config_neopixel, size);
-    n->pin = gpio_out_setup(args->val[1], 0);
+    n->pin = pin;
     n->data_size = (uint16_t)data_size;
     n->bit_max_ticks = args->val[3];
     n->reset_min_ticks = args->val[4];
@@ -95,8 +96,9 @@ send_bit(const struct neopixel *n, uint8_t bit, uint32_t *low_since)
 static uint8_t
 send_all(struct neopixel *n)
 {
-    while (timer_read_time() - n->sent_clock < n->reset_min_ticks)
-        delay_ticks(n->reset_min_ticks - (timer_read_time() - n->sent_clock));
+    uint32_t rested_ticks = timer_read_time() - n->sent_clock;
+    if (rested_ticks < n->reset_min_ticks)
+        delay_ticks(n->reset_min_ticks - rested_ticks);
     uint32_t low_since = timer_read_time();
     for (uint16_t i = 0; i < n->data_size; i++)
         for (uint8_t bit = 0, byte = n->data[i]; bit < 8; bit++, byte = (uint8_t)(byte << 1))

@@ -23,8 +23,11 @@ oversample_init(struct oversample *o, struct oversample_config config)
 {
     if (config.y < OVERSAMPLE_Y_MIN || config.y > OVERSAMPLE_Y_MAX || config.ema_shift > EMA_SHIFT_MAX)
         return 0;
+    uint16_t longest = (uint16_t)(1u << (2 * config.y)), length = config.block_len ? config.block_len : longest;
+    if (length > longest || length < longest >> 4)
+        return 0;
     *o = (struct oversample){.config = config};
-    o->block_len = (uint16_t)(1u << (2 * config.y));
+    o->block_len = length;
     o->cut_len = o->block_len >> OVERSAMPLE_CUT_SHIFT;
     ema_init(&o->ema, config.ema_shift);
     begin_block(o);

@@ -1,12 +1,13 @@
 /* Block sums of the fast ADC: 4^y samples give y more bits (Oskolkov et al. 2021, eq 2; y = 5: 12 -> 17 bit).
+ * Shorter blocks than that are for a host that filters in temperature: 192 samples come every 1.6 ms.
  * Pure: no board, no clock; samples and their phase come in, blocks go out.
  *
  *     phase      ......11111111111111111111111111111111111111112222222222222222222222222
- *     samples          |settling|  block: 4^y samples    | next, cut |settling| block ...
+ *     samples          |settling|  block: block_len      | next, cut |settling| block ...
  *                       discarded                          ^ a phase step ends a block early
  *
- * A block ends at 4^y samples, at a phase step or at a gap in the samples, so one block has one phase and no hole.
- * A block that was cut carries its count; cut below 4^y/16 samples it is not worth a message and its samples count as
+ * A block ends at block_len samples (4^y unless told otherwise), at a phase step or at a gap in the samples, so one block
+ * has one phase and no hole.  A block that was cut carries its count; cut below block_len/16 samples it is not worth a message and its samples count as
  * discarded.  The EMA (filters.h) runs over whole blocks of one phase: it restarts at a phase step and at a gap, because
  * the value's meaning changes with the phase; a cut block is reported unfiltered and does not enter it (its scale
  * differs, and putting that right would take a division).
@@ -26,12 +27,13 @@
 
 #include "filters.h"
 
-enum { OVERSAMPLE_Y_MIN = 3, OVERSAMPLE_Y_MAX = 7, OVERSAMPLE_CUT_SHIFT = 4 /* shortest cut block: 4^y / 16 */ };
+enum { OVERSAMPLE_Y_MIN = 3, OVERSAMPLE_Y_MAX = 7, OVERSAMPLE_CUT_SHIFT = 4 /* shortest cut block: block_len / 16 */ };
 
 struct oversample_config {
     uint8_t y;
     uint8_t ema_shift;        /* 0 = no filter */
     uint16_t settle_samples;  /* discarded after a phase step */
+    uint16_t block_len;       /* 4^(y-2) ..= 4^y; 0 = 4^y */
 };
 
 /* A finished block. */

@@ -60,8 +60,9 @@ counter_event(struct timer *t)
 void
 command_config_counter(const struct command_args *args)
 {
+    struct gpio_in pin = gpio_in_setup(args->val[1], (int8_t)args->val[2]);
     struct counter *c = oid_alloc((uint8_t)args->val[0], command_config_counter, sizeof(*c));
-    c->pin = gpio_in_setup(args->val[1], (int8_t)args->val[2]);
+    c->pin = pin;
     c->timer.func = counter_event;
 }
 DECL_COMMAND(command_config_counter, "config_counter oid=%c pin=%u pull_up=%c");

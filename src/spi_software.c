@@ -14,6 +14,8 @@
 #include "sched.h"
 #include "spicmds.h"
 
+enum { PULSE_MAX_US = 100 };  /* slower, and a message would take too long for a task */
+
 struct spi_software {
     struct gpio_in miso;
     struct gpio_out mosi, sclk;
@@ -68,7 +70,7 @@ command_spi_set_sw_bus(const struct command_args *args)
     struct spi_device *d = spi_device_lookup((uint8_t)args->val[0]);
     struct spi_software *s = alloc_chunk(sizeof(*s));
     uint32_t mode = args->val[4];
-    if (mode > 3)
+    if (mode > 3 || args->val[5] > timer_from_us(PULSE_MAX_US))
         shutdown(SHUTDOWN_SPI_SETUP);
     s->idle_level = (uint8_t)(mode >> 1);
     s->late_phase = mode & 1;

@@ -35,9 +35,11 @@ struct spi_shutdown {
 void
 command_config_spi(const struct command_args *args)
 {
+    uint8_t active_level = !!args->val[2];
+    struct gpio_out cs = gpio_out_setup(args->val[1], !active_level);
     struct spi_device *d = oid_alloc((uint8_t)args->val[0], command_config_spi, sizeof(*d));
-    d->active_level = !!args->val[2];
-    d->cs = gpio_out_setup(args->val[1], !d->active_level);
+    d->active_level = active_level;
+    d->cs = cs;
     d->has_cs = 1;
 }
 DECL_COMMAND(command_config_spi, "config_spi oid=%c pin=%u cs_active_high=%c");
@@ -106,8 +108,9 @@ void
 command_config_spi_shutdown(const struct command_args *args)
 {
     uint16_t size = (uint16_t)(sizeof(struct spi_shutdown) + args->data_len);
+    struct spi_device *device = spi_device_lookup((uint8_t)args->val[1]);
     struct spi_shutdown *s = oid_alloc((uint8_t)args->val[0], command_config_spi_shutdown, size);
-    s->device = spi_device_lookup((uint8_t)args->val[1]);
+    s->device = device;
     s->len = args->data_len;
     memcpy(s->data, args->data, args->data_len);
 }
@@ -125,7 +128,7 @@ spi_shutdown(void)
     struct spi_shutdown *s;
     foreach_oid(i, s, command_config_spi_shutdown) {
         uint8_t data[SPI_DATA_MAX];
-        if (!s->device || !s->device->transport || s->len > sizeof(data))
+        if (!s->device->transport || s->len > sizeof(data))
             continue;
         memcpy(data, s->data, s->len);
         spi_device_exchange(s->device, data, s->len, 0);

@@ -119,10 +119,11 @@ thermocouple_event(struct timer *t)
 void
 command_config_thermocouple(const struct command_args *args)
 {
-    struct thermocouple *c = oid_alloc((uint8_t)args->val[0], command_config_thermocouple, sizeof(*c));
+    struct spi_device *spi = spi_device_lookup((uint8_t)args->val[1]);
     if (args->val[2] >= CHIP_TYPE_COUNT)
         shutdown(SHUTDOWN_THERMOCOUPLE_TYPE);
-    c->spi = spi_device_lookup((uint8_t)args->val[1]);
+    struct thermocouple *c = oid_alloc((uint8_t)args->val[0], command_config_thermocouple, sizeof(*c));
+    c->spi = spi;
     c->chip = (uint8_t)args->val[2];
     c->timer.func = thermocouple_event;
 }

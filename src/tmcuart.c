@@ -136,15 +136,15 @@ void
 command_config_tmcuart(const struct command_args *args)
 {
     struct tmcuart *u = oid_alloc((uint8_t)args->val[0], command_config_tmcuart, sizeof(*u));
-    u->rx_pin = args->val[1];
+    uint32_t rx_pin = args->val[1], tx_pin = args->val[3];
     u->pull_up = (int8_t)args->val[2];
-    u->tx_pin = args->val[3];
     u->bit_time = args->val[4];
-    u->shared_pin = u->rx_pin == u->tx_pin;
-    if (!u->shared_pin)
-        u->tx = gpio_out_setup(u->tx_pin, 1);
-    listen(u);
-    u->timer.func = tmcuart_event;
+    u->shared_pin = rx_pin == tx_pin;
+    u->tx = gpio_out_setup(tx_pin, 1);
+    u->rx = gpio_in_setup(rx_pin, u->pull_up);
+    u->rx_pin = rx_pin;
+    u->tx_pin = tx_pin;
+    u->timer.func = tmcuart_event;  /* from here on it may be used */
 }
 DECL_COMMAND(command_config_tmcuart, "config_tmcuart oid=%c rx_pin=%u pull_up=%c tx_pin=%u bit_time=%u");
 
@@ -156,7 +156,7 @@ command_tmcuart_send(const struct command_args *args)
     uint32_t read_len = args->val[1];
     if (args->data_len > DATA_MAX || read_len > DATA_MAX)
         shutdown(SHUTDOWN_TMCUART_SIZE);
-    if (u->state != IDLE)
+    if (u->state != IDLE || !u->timer.func)
         return;
     memcpy(u->data, args->data, args->data_len);
     u->write_len = args->data_len;
@@ -197,6 +197,8 @@ tmcuart_shutdown(void)
     struct tmcuart *u;
     foreach_oid(i, u, command_config_tmcuart) {
         u->state = IDLE;
+        if (!u->timer.func)
+            continue;
         if (u->shared_pin)
             listen(u);
         else

@@ -10,7 +10,8 @@ struct serialqueue;
 // fails. Both descriptors stay the caller's to close, after portthread_stop. NULL if no thread could be started.
 struct portthread *portthread_start(struct serialqueue *sq, int fd, int notify_fd);
 void portthread_kick(struct portthread *pt);  // something was queued
-int portthread_error(struct portthread *pt);  // errno that ended the work on the port; 0 while it works; -1 = end of file
+// errno that ended the work on the port; 0 while it works; -1 = end of file
+int portthread_error(struct portthread *pt);
 void portthread_stop(struct portthread *pt);  // ends and frees it
 
 #endif

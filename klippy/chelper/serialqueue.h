@@ -41,7 +41,7 @@ struct serialqueue_stats {
     double srtt, rttvar, rto; // seconds, RFC 6298
 };
 
-struct serialqueue *serialqueue_alloc(int file_mode); // file_mode: no MCU listens; all goes straight out, unacknowledged
+struct serialqueue *serialqueue_alloc(int file_mode); // file_mode: no MCU listens, all goes straight out
 void serialqueue_free(struct serialqueue *sq);
 // A new connection: drops all that is queued and received, forgets clock and wire. No port may be attached.
 void serialqueue_reset(struct serialqueue *sq, int file_mode);

@@ -12,23 +12,12 @@ import logging
 import math
 from typing import Any
 
-from thermal import actuator, control, estimator, features, limits, loop, model, supervise
+from thermal import features, loop
 from thermal.records import PhaseCommand, SampleBlock
 
 from . import heaters as heater_registry
-from .induction_mcu import InductionUnit, UnitSettings
-
-SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
-WATCH_FRACTION = 1.0 / 3.0  # of max_duration: how often commands are repeated at least
-GUARD_LOW_C = -60.0  # below any workshop by more than the law's error
-
-# Defaults for the reference nozzle (0.9 g, 0.45 J/K): found in test/loop, where mass, losses and efficiency
-# vary.
-DEFAULT_KP_W_PER_K = 5.0
-DEFAULT_KI_W_PER_K_S = 10.0
-DEFAULT_KD_W_S_PER_K = 0.15
-DEFAULT_DERIVATIVE_S = 0.010
-DEFAULT_LEAD_S = 0.015
+from . import induction_settings as settings
+from .induction_mcu import InductionUnit
 
 
 class InductionHeater:
@@ -209,130 +198,6 @@ class InductionHeater:
         return active, text
 
 
-######################################################################
-# Reading the section
-######################################################################
-
-
-def _read_law(config: Any) -> estimator.Law:
-    """`estimator: exp` or `eq5`, each coefficient an option with the seeds' value as default."""
-    choice = config.getchoice("estimator", {"exp": "exp", "eq5": "eq5"}, "exp")
-    if choice == "eq5":
-        paper = estimator.Eq5Law()
-        return estimator.Eq5Law(
-            config.getfloat("eq5_a", paper.a),
-            config.getfloat("eq5_b", paper.b),
-            config.getfloat("eq5_ab", paper.ab),
-            config.getfloat("eq5_bb", paper.bb),
-            config.getfloat("eq5_abb", paper.abb),
-            config.getfloat("eq5_c", paper.c),
-            config.getfloat("law_residual", paper.residual_units, minval=0.0),
-        )
-    fitted = estimator.ExpLaw()
-    return estimator.ExpLaw(
-        config.getfloat("exp_a", fitted.a, above=0.0),
-        config.getfloat("exp_b", fitted.b),
-        config.getfloat("exp_c", fitted.c),
-        config.getfloat("exp_d", fitted.d),
-        config.getfloat("law_residual", fitted.residual_units, minval=0.0),
-    )
-
-
-def _read_unit(config: Any) -> UnitSettings:
-    return UnitSettings(
-        config.getint("bridge", 0, minval=0, maxval=255),
-        config.getfloat("frequency", 120000.0, minval=20000.0, maxval=1000000.0),
-        config.getint("oversample", 5, minval=2, maxval=6),
-        config.getint("settle_samples", 20, minval=0, maxval=1000),
-        config.getint("ema_shift", 0, minval=0, maxval=8),
-        config.getfloat("max_duration", 0.100, minval=0.030, maxval=5.0),
-        config.getint("guard_trip_blocks", 4, minval=1, maxval=255),
-    )
-
-
-def _read_timing(config: Any, unit: UnitSettings) -> loop.Timing:
-    period_s = 1.0 / unit.frequency_hz
-    refresh_s = unit.max_duration_s * WATCH_FRACTION
-    return loop.Timing(
-        period_s * 4**unit.oversample,
-        period_s * unit.settle_samples,
-        config.getfloat("command_lead", DEFAULT_LEAD_S, minval=0.001, maxval=0.200),
-        refresh_s,
-    )
-
-
-def _read_drive(config: Any, timing: loop.Timing, frequency_hz: float) -> actuator.ActuatorParameters:
-    law = actuator.DriveLaw(
-        config.getfloat("power_full_w", 81.3, above=0.0),
-        config.getfloat("drive_exponent", 1.5, above=0.0),
-        config.getfloat("vdc", 24.0, above=0.0),
-    )
-    pulse_s = timing.block_s + timing.settle_s + SETTLE_MARGIN_SAMPLES / frequency_hz
-    return actuator.ActuatorParameters(
-        law,
-        pulse_s,
-        config.getfloat("sense_interval", 0.100, minval=2.0 * pulse_s, maxval=1.0),
-        config.getfloat("idle_interval", 0.500, minval=2.0 * pulse_s, maxval=1.0),
-    )
-
-
-def _read_pid(config: Any, drive: actuator.DriveLaw) -> control.PidParameters:
-    config.getchoice("control", {"pid": "pid"}, "pid")
-    max_power_w = config.getfloat("max_power_w", drive.power_max_w, above=0.0, maxval=drive.power_max_w)
-    return control.PidParameters(
-        config.getfloat("pid_kp_w_per_k", DEFAULT_KP_W_PER_K, above=0.0),
-        config.getfloat("pid_ki_w_per_k_s", DEFAULT_KI_W_PER_K_S, minval=0.0),
-        config.getfloat("pid_kd_w_s_per_k", DEFAULT_KD_W_S_PER_K, minval=0.0),
-        0.0,
-        max_power_w,
-        config.getfloat("pid_derivative_time", DEFAULT_DERIVATIVE_S, minval=0.0, maxval=1.0),
-    )
-
-
-def _read_approach(config: Any, drive: actuator.DriveLaw) -> loop.Approach:
-    default = loop.Approach()
-    band_c = config.getfloat("approach_band", default.band_c, minval=10.0, maxval=300.0)
-    power_w = config.getfloat(
-        "approach_power_w", min(default.power_w, drive.power_max_w), above=0.0, maxval=drive.power_max_w
-    )
-    return loop.Approach(power_w, band_c, band_c + default.leave_c - default.band_c)
-
-
-def _read_loss(config: Any) -> model.LossLaw:
-    return model.LossLaw(
-        config.getfloat("loss_w_per_k", model.LossLaw().conductance_w_k, minval=0.0),
-        config.getfloat("loss_radiation_m2", model.LossLaw().radiation_m2, minval=0.0),
-        config.getfloat("ambient_temp", model.LossLaw().ambient_c, minval=-50.0, maxval=100.0),
-    )
-
-
-def _read_parameters(config: Any, unit: UnitSettings, adc_max: int) -> loop.LoopParameters:
-    law = _read_law(config)
-    front = features.FeatureParameters(
-        config.getfloat("adc_zero", 256.0),
-        config.getfloat("units_per_lsb", 1.0, above=0.0),
-        config.getfloat("noise_lsb", 1.0, minval=0.0),
-        adc_max,
-    )
-    temp_low_c = config.getfloat("min_temp", -10.0, minval=-20.0)
-    temp_high_c = config.getfloat("max_temp", above=max(temp_low_c, 0.0), maxval=700.0)
-    timing = _read_timing(config, unit)
-    drive = _read_drive(config, timing, unit.frequency_hz)
-    return loop.LoopParameters(
-        front,
-        estimator.EstimatorParameters(law),
-        _read_pid(config, drive.law),
-        _read_loss(config),
-        drive,
-        supervise.SuperviseParameters(temp_low_c, temp_high_c),
-        timing,
-        _read_approach(config, drive.law),
-    )
-
-
-ADC_MAX_12_BIT = 4095
-
-
 class InductionSection:
     """The object under the section's own name: detailed status, and the heater for others."""
 
@@ -360,19 +225,10 @@ def load_config_prefix(config: Any) -> InductionSection:
     printer.load_object(config, "heaters")
     name = config.get_name().split()[-1]
     sense = printer.lookup_object("pins").lookup_pin(config.get("sense_pin"))
-    settings = _read_unit(config)
-    parameters = _read_parameters(config, settings, ADC_MAX_12_BIT)
-    margin_c = config.getfloat("guard_margin", 40.0, minval=5.0, maxval=200.0)
-    try:
-        rows = limits.guard_limits(
-            parameters.estimator.law,
-            parameters.front,
-            GUARD_LOW_C,
-            parameters.supervise.temp_high_c + margin_c,
-        )
-    except ValueError as e:
-        raise config.error(f"Section '{config.get_name()}': {e}") from None
-    unit = InductionUnit(sense["chip"], sense["pin"], settings, rows)
+    unit_settings = settings.read_unit(config)
+    parameters = settings.read_parameters(config, unit_settings)
+    rows = settings.guard_rows(config, parameters)
+    unit = InductionUnit(sense["chip"], sense["pin"], unit_settings, rows)
     heater = InductionHeater(
         printer,
         name,

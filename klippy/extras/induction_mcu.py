@@ -18,8 +18,8 @@ from thermal import convert
 from thermal.limits import LimitRow
 from thermal.records import PHASE_MAX_TICKS, PhaseCommand, SampleBlock
 
-# Phase commands that may wait on the MCU at one time: two for a sensing pulse and one refresh, twice over.
-MOVE_QUEUE_SLOTS = 6
+# Phase commands that may wait on the MCU at one time: two for a sensing pulse each 8 ms, 25 ms ahead, twice over.
+MOVE_QUEUE_SLOTS = 16
 
 OnBlocks = Callable[[list[SampleBlock]], None]
 
@@ -35,6 +35,8 @@ class UnitSettings:
     ema_shift: int  # 0 = no filter on the MCU
     max_duration_s: float  # the bridge's own watchdog
     trip_blocks: int  # consecutive blocks beyond a limit before the guard trips
+    block_samples: int  # samples of a whole block, at most 4^oversample
+    records: int  # blocks to a message
 
 
 class InductionUnit:
@@ -64,7 +66,9 @@ class InductionUnit:
         clock_hz = mcu.get_constant_float("CLOCK_FREQ")
         period_ticks = round(clock_hz / settings.frequency_hz)
         phase_max = int(mcu.get_constants().get("BRIDGE_PHASE_MAX", PHASE_MAX_TICKS))
-        self._converter = convert.ConvertParameters(settings.oversample, period_ticks, clock_hz)
+        self._converter = convert.ConvertParameters(
+            settings.oversample, period_ticks, clock_hz, settings.block_samples
+        )
         for _ in range(MOVE_QUEUE_SLOTS):
             mcu.request_move_queue_slot()
         mcu.add_config_cmd(
@@ -75,6 +79,9 @@ class InductionUnit:
         mcu.add_config_cmd(
             f"config_induction_sense oid={oid} oversample={settings.oversample}"
             f" settle_samples={settings.settle_samples} ema_shift={settings.ema_shift}"
+        )
+        mcu.add_config_cmd(
+            f"config_induction_block oid={oid} samples={settings.block_samples} records={settings.records}"
         )
         for row in self._limits:
             mcu.add_config_cmd(

@@ -202,7 +202,9 @@ class Simulation:
             self._end(SHUT_DOWN, _first_paragraph(message))
             self.reactor.pause(self.reactor.monotonic() + AFTERMATH_S)
         elif state == "error":
-            self._end(BAD_INPUT, _first_paragraph(message))
+            self._end(
+                SHUT_DOWN if message.startswith("Internal error") else BAD_INPUT, _first_paragraph(message)
+            )
         return state in ("shutdown", "error")
 
     def _end(self, status: int, reason: str) -> None:

@@ -59,6 +59,7 @@ class ActuatorParameters:
     sense_interval_s: float = 0.1  # longest time without a pulse while a target is set
     idle_interval_s: float = 0.5  # the same with the heater off: 1.5 W * 8.9 ms / 0.5 s = 27 mW
     phase_low_ticks: int = SENSING_PHASE_TICKS
+    pulses_max: int = 2  # in one piece: as many as fill the time until the next command
 
     @property
     def power_low_w(self) -> float:
@@ -84,7 +85,7 @@ def _account(parameters: ActuatorParameters, state: ActuatorState, time_s: float
         state.owed_j = 0.0
     elif state.last_s > -math.inf:
         state.owed_j += state.request_w * (time_s - state.last_s)
-    limit_j = 4.0 * parameters.power_low_w * parameters.pulse_s
+    limit_j = 2.0 * parameters.pulses_max * parameters.power_low_w * parameters.pulse_s
     state.owed_j = min(limit_j, max(-limit_j, state.owed_j))
 
 
@@ -108,7 +109,7 @@ def actuate(
     state.driving = False
     pulse_j = parameters.power_low_w * parameters.pulse_s
     interval_s = parameters.idle_interval_s if idle else parameters.sense_interval_s
-    pulses = min(2, math.floor(state.owed_j / pulse_j + 0.5))
+    pulses = min(parameters.pulses_max, math.floor(state.owed_j / pulse_j + 0.5))
     if pulses < 1 and time_s - state.last_excited_s >= interval_s:
         pulses = 1
     if pulses < 1:

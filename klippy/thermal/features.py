@@ -24,6 +24,59 @@ class FeatureParameters:
     phase_max_ticks: int = PHASE_MAX_TICKS
 
 
+# (noise of one sample, mean of highest minus lowest code of 192 samples), LSB: Gaussian noise, mean anywhere
+# between two codes; recomputed by test/unit/test_thermal_features.py.
+SPAN_SAMPLES = 192
+SPAN_OF_NOISE = (
+    (0.05, 0.28),
+    (0.1, 0.54),
+    (0.15, 0.82),
+    (0.2, 1.09),
+    (0.25, 1.37),
+    (0.3, 1.63),
+    (0.35, 1.91),
+    (0.4, 2.19),
+    (0.5, 2.74),
+    (0.6, 3.28),
+    (0.8, 4.36),
+    (1.0, 5.47),
+    (1.5, 8.19),
+    (2.0, 10.96),
+    (4.0, 21.81),
+)
+NOISE_BLOCKS = 200  # memory of the running mean: a third of a second
+
+
+@dataclass(slots=True)
+class NoiseState:
+    """Running mean of the samples' span over whole blocks."""
+
+    span_lsb: float = math.nan
+    blocks: int = 0
+
+
+def note_noise(state: NoiseState, block: SampleBlock) -> None:
+    """Take the span of a block with the bridge on; short cut ones say too little."""
+    if not block.phase_ticks or block.count < SPAN_SAMPLES // 2:
+        return
+    # A longer block spans more: expected extremes of n Gaussian samples go with sqrt(2 ln n).
+    span = (block.max_raw - block.min_raw) * math.sqrt(math.log(SPAN_SAMPLES) / math.log(block.count))
+    state.blocks = min(state.blocks + 1, NOISE_BLOCKS)
+    state.span_lsb = span if state.blocks == 1 else state.span_lsb + (span - state.span_lsb) / state.blocks
+
+
+def noise_lsb(state: NoiseState) -> float | None:
+    """Standard deviation of one sample in LSB, from the mean span; None before enough blocks."""
+    if state.blocks < NOISE_BLOCKS // 4:
+        return None
+    low_noise = low_span = 0.0
+    for noise, span in SPAN_OF_NOISE:
+        if state.span_lsb <= span:
+            return low_noise + (noise - low_noise) * (state.span_lsb - low_span) / (span - low_span)
+        low_noise, low_span = noise, span
+    return state.span_lsb * low_noise / low_span
+
+
 def power_fraction(phase_ticks: float, phase_max_ticks: int = PHASE_MAX_TICKS) -> float:
     """p of the sensing laws: source 000's power percentage / 100 = (ifi/45000)^2."""
     ratio = phase_ticks / phase_max_ticks

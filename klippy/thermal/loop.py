@@ -1,10 +1,9 @@
 """The whole chain of one induction nozzle, without a printer: blocks in, phase commands out.
 
-    on_blocks(blocks, now) ─ features ─ estimate ─ combine ─ PID + loss feed-forward ─ actuate ─>
-    [PhaseCommand]
+    on_blocks(blocks, now) ─ features ─ estimate ─ track ─ PID + loss feed-forward ─ actuate ─> [PhaseCommand]
     on_timer(now)          ─ the same without news: keeps the bridge's watchdog fed, or steps back to sensing
 
-When: a message brings the blocks of about 17 ms; each one makes a control step. The new phase is to start on
+When: a message brings the blocks of about 5 ms; each one makes a control step. The new phase is to start on
 the edge between two blocks, so that no block is cut: the first edge that lies at least `lead_s` ahead (time
 for the command to reach the MCU and for a busy host). A misjudged edge costs one short block, nothing else.
 
@@ -21,9 +20,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-from . import actuator, control, estimator, features, model, supervise
+from . import actuator, control, estimator, features, model, plausible, supervise, track
 from .records import PhaseCommand, PowerRequest, SampleBlock, TempEstimate
 
+BALANCE_S = 0.1
 TIME_SLACK_S = 1e-7  # rounding of print times against clocks, far below a bridge period
 
 
@@ -36,15 +36,16 @@ class Timing:
     lead_s: float  # a command is sent at least this much before it holds
     refresh_s: float  # longest time between commands while the bridge is on
     stale_s: float = 0.15  # no temperature for this long: stop heating blindly
+    control_s: float = 0.0  # commands are at least this much apart: a step costs settling samples
 
 
 @dataclass(frozen=True, slots=True)
 class Approach:
     """Less power near the target, where the temperature must be known well.
 
-    Both sensing laws rest on tables at 0.2, 10, 20 and 100 % power and are good to 2.5 degC up to 20 %;
+    The exp and eq5 laws rest on tables at 0.2, 10, 20 and 100 % power and are good to 2.5 degC up to 20 %;
     between 30 and 90 % the reference tank reads up to 25 degC too much. Full power is for the way, not for
-    the arrival.
+    the arrival. A calibrated tank law follows the drive and arrives with more.
     """
 
     power_w: float = 42.2  # heat at 20 % power
@@ -68,6 +69,8 @@ class LoopParameters:
     supervise: supervise.SuperviseParameters
     timing: Timing
     approach: Approach
+    track: track.TrackParameters
+    plausible: plausible.PlausibleParameters
 
 
 # Where a chain begins.
@@ -91,6 +94,13 @@ class LoopState:
     pid: control.PidState = field(default_factory=control.PidState)
     actuator: actuator.ActuatorState = field(default_factory=actuator.ActuatorState)
     supervise: supervise.SuperviseState = field(default_factory=supervise.SuperviseState)
+    track: track.TrackState = field(default_factory=track.TrackState)
+    plausible: plausible.PlausibleState = field(default_factory=plausible.PlausibleState)
+    heat_j: float = 0.0  # put in since the newest heat balance
+    balanced_s: float = -math.inf  # when that was
+    noise: features.NoiseState = field(default_factory=features.NoiseState)
+    warning: str = ""  # plausibility: text for people
+    latency_s: float = 0.0  # newest: from the centre of a block to its value here
 
 
 class InductionLoop:
@@ -102,6 +112,7 @@ class InductionLoop:
     def __init__(self, parameters: LoopParameters) -> None:
         self.parameters = parameters
         self.state = LoopState()
+        self.quiet = True  # told from outside: neither melt nor fan takes heat
 
     @property
     def fault(self) -> str:
@@ -128,23 +139,32 @@ class InductionLoop:
 
     def on_blocks(self, blocks: list[SampleBlock], now_s: float) -> list[PhaseCommand]:
         """Blocks of one message arrived."""
-        parameters, state = self.parameters, self.state
-        estimates = []
+        state = self.state
+        news = None
         for block in blocks:
-            end_s = block.time_s + block.duration_s
-            state.edge_s = end_s
-            if not block.phase_ticks:
-                supervise.observe(parameters.supervise, state.supervise, end_s, None)
-                continue
-            result = estimator.estimate(parameters.estimator, features.extract(parameters.front, block))
-            supervise.observe(parameters.supervise, state.supervise, end_s, result)
-            estimates.append(result)
-        news = estimator.combine(estimates)
+            news = self._take(block) or news
         if news is not None:
             before, state.estimate = state.estimate, news
+            state.latency_s = now_s - news.time_s
             self._note_settled(news)
+            self._note_balance(news)
             self._decide(news, before.phase_ticks, now_s)
         return self._step(now_s)
+
+    def _take(self, block: SampleBlock) -> TempEstimate | None:
+        """One block through conversion, supervision and filter."""
+        parameters, state = self.parameters, self.state
+        end_s = block.time_s + block.duration_s
+        state.edge_s = end_s
+        result = None
+        if block.phase_ticks:
+            result = estimator.estimate(parameters.estimator, features.extract(parameters.front, block))
+        supervise.observe(parameters.supervise, state.supervise, end_s, result)
+        heat_w = parameters.actuator.law.power_w(block.phase_ticks)
+        settle_s = block.discarded * block.duration_s / block.count
+        state.heat_j += heat_w * (block.duration_s + settle_s)
+        features.note_noise(state.noise, block)
+        return track.track(parameters.track, state.track, block, heat_w, result)
 
     def on_timer(self, now_s: float) -> list[PhaseCommand]:
         """Nothing came for a while; also the regular watch."""
@@ -161,6 +181,18 @@ class InductionLoop:
             state.settled_s = math.inf
         elif state.settled_s == math.inf:
             state.settled_s = news.time_s
+
+    def _note_balance(self, news: TempEstimate) -> None:
+        """Ten times a second is enough for a balance over half a minute."""
+        state, parameters = self.state, self.parameters
+        if news.time_s - state.balanced_s < BALANCE_S:
+            return
+        plausible.observe(
+            parameters.plausible, state.plausible, news.time_s, news.temp_c, state.heat_j, self.quiet
+        )
+        state.heat_j = 0.0
+        state.balanced_s = news.time_s
+        state.warning = plausible.warning(parameters.plausible, state.plausible)
 
     def _limit_w(self, below_c: float) -> float:
         """Power allowed this far below the target."""
@@ -219,8 +251,8 @@ class InductionLoop:
         state, parameters = self.state, self.parameters
         timing = parameters.timing
         at_s = self._next_edge(now_s + timing.lead_s)
-        if at_s <= state.commanded.time_s + TIME_SLACK_S:
-            return []  # the edge is taken by a command already sent
+        if at_s <= state.commanded.time_s + max(TIME_SLACK_S, timing.control_s - TIME_SLACK_S):
+            return []  # the edge is taken by a command already sent, or it is too soon after one
         power_w = state.request.power_w if state.target_c > 0.0 else 0.0
         if power_w > 0.0 and not now_s - state.estimate.time_s <= timing.stale_s + self._interval_s():
             power_w = parameters.actuator.power_low_w

@@ -24,6 +24,17 @@ class LossLaw:
     ambient_c: float = 25.0
 
 
+@dataclass(frozen=True, slots=True)
+class HeatCapacity:
+    """C(T) = at_25c (1 + slope (T - 25)): 0.9 g of AISI 430 at 460 J/kgK."""
+
+    at_25c_j_k: float = 0.414
+    slope_per_k: float = 4.5e-4
+
+    def at(self, temp_c: float) -> float:
+        return self.at_25c_j_k * (1.0 + self.slope_per_k * (temp_c - 25.0))
+
+
 def loss_w(law: LossLaw, temp_c: float) -> float:
     """Heat that leaves a nozzle held at `temp_c`, never negative."""
     rise_k = temp_c - law.ambient_c

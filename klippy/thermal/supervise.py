@@ -21,13 +21,14 @@ class SuperviseParameters:
     temp_high_c: float
     silence_s: float = 1.0  # no block at all
     invalid_s: float = 2.0  # blocks, but no believable temperature
-    limit_blocks: int = 3  # consecutive estimates beyond a limit: one alone may be a disturbance
+    limit_blocks: int = 6  # consecutive estimates beyond a limit (10 ms): one alone may be a disturbance
     gain_s: float = 3.0  # under demand the nozzle must warm within this time ...
     gain_c: float = 2.0  # ... by this much
     demand_c: float = 5.0  # "under demand": this far below target ...
     demand_fraction: float = 0.5  # ... with at least this fraction of full power asked
     stray_s: float = 2.0  # with the heater off the nozzle may in this time ...
     stray_c: float = 15.0  # ... not warm by this much
+    calibrated: bool = True  # else temperatures say nothing: only silence is a fault
 
 
 @dataclass(slots=True)
@@ -74,6 +75,9 @@ def observe(
     state.heard_s = time_s
     if state.fault or estimate is None:
         return state.fault
+    if not parameters.calibrated:
+        state.believed_s = time_s
+        return ""
     if not estimate.valid:
         state.reason = estimate.reason
         return ""
@@ -137,7 +141,7 @@ def watch(
     elif time_s - state.believed_s > parameters.invalid_s:
         why = state.reason or "no usable block"
         state.fault = f"no believable nozzle temperature for {time_s - state.believed_s:.1f} s ({why})"
-    elif not math.isnan(temp_c):
+    elif parameters.calibrated and not math.isnan(temp_c):
         demand = target_c - temp_c > parameters.demand_c and power_fraction >= parameters.demand_fraction
         state.fault = _gain(parameters, state, time_s, temp_c, demand)
         off = target_c <= 0.0 and power_fraction <= 0.0

@@ -8,7 +8,7 @@ void ema_init(struct ema *f, uint8_t shift);
 void ema_restart(struct ema *f);
 uint32_t ema_update(struct ema *f, uint32_t input);
 
-struct oversample_config { uint8_t y; uint8_t ema_shift; uint16_t settle_samples; };
+struct oversample_config { uint8_t y; uint8_t ema_shift; uint16_t settle_samples; uint16_t block_len; };
 struct oversample_block {
     uint32_t first; uint32_t value; uint32_t sum; uint16_t count; uint16_t phase; uint16_t min, max;
     uint16_t discarded, lost;

@@ -34,14 +34,14 @@ def terminal(tmp_path: Path) -> Iterator[Path]:
     process.wait(10)
 
 
-def exchange(path: Path, data: bytes, wanted: int) -> tuple[bytes, float]:
-    """Send, and read until `wanted` bytes have come or 2 s have passed; (bytes, seconds)."""
+def exchange(path: Path, data: bytes, wanted: bytes) -> tuple[bytes, float]:
+    """Send, and read until `wanted` has come or 2 s have passed; (bytes, seconds)."""
     fd = os.open(path, os.O_RDWR | os.O_NOCTTY)
     try:
         begin = time.monotonic()
         os.write(fd, data)
         answer = b""
-        while len(answer) < wanted and time.monotonic() < begin + 2.0:
+        while wanted not in answer and time.monotonic() < begin + 2.0:
             if select.select([fd], [], [], 0.1)[0]:
                 answer += os.read(fd, 4096)
         return answer, time.monotonic() - begin
@@ -50,7 +50,7 @@ def exchange(path: Path, data: bytes, wanted: int) -> tuple[bytes, float]:
 
 
 def test_an_mcu_answers_identify(terminal: Path) -> None:
-    answer, seconds = exchange(terminal, IDENTIFY, 0x30 + 5)
+    answer, seconds = exchange(terminal, IDENTIFY, ACK)
     start = answer.index(bytes.fromhex("3011"))  # `starting` and `stats` may come first
     assert answer[start + 2 : start + 5] == bytes.fromhex("000028")
     assert ACK in answer

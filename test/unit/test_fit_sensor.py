@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fit_sensor
-from thermal import fit, fit_data
+from thermal import fit, fit_data, laws
 
 TABLE1 = Path(__file__).parents[1] / "data" / "oskolkov2021_table1.csv"
 # Table 2 of Sensors 2021, 21(7), 2561: estimate, standard error
@@ -24,7 +24,8 @@ TABLE2 = {
     "ABB": (-1.207e-10, 4.562e-12),
 }
 EXP_LAW = {"a": 0.801361, "b": 1.058014, "c": 1.397019, "d": 5.139702}
-TANK_LAW = {"g": 1154.0, "t0": 390.0, "w": 1436.0, "b": 1.1, "c": 0.0, "d": 313.9, "m": 1.003}
+TANK_LAW = {"g": 1154.0, "t0": 390.0, "w": 1430.0, "delta": -60.0, "b": 0.5, "q": 0.55}
+TANK_LAW |= {"c": 20.0, "d": 300.0, "m": 1.05}
 
 
 @pytest.fixture(scope="module")
@@ -172,3 +173,22 @@ def test_unusable_input_is_refused_in_one_line(
     message = capsys.readouterr().err
     assert expected in message
     assert message.count("\n") == 1
+
+
+def test_offline_and_printing_code_agree_on_every_law() -> None:
+    temp, power = np.meshgrid(np.arange(30.0, 501.0, 47.0), [0.002, 0.07, 0.4, 1.0])
+    temp, ticks = temp.ravel(), fit.ticks_of_power(power.ravel())
+    for name, values in (("eq5", {k: v[0] for k, v in TABLE2.items()}), ("exp", EXP_LAW), ("tank", TANK_LAW)):
+        law = laws.law_of(name, values)
+        error = fit.predict(name, values, temp, ticks)
+        assert error == pytest.approx([law.error(t, n) for t, n in zip(temp, ticks, strict=True)], abs=1e-6)
+        back = [law.invert(e, n)[0] for e, n in zip(error, ticks, strict=True)]
+        assert fit.invert(name, values, error, ticks) == pytest.approx(back, abs=1e-6)
+
+
+def test_shipped_tank_law_is_the_fit_of_table_1(table1: fit.Points) -> None:
+    result = fit.fit_tank(table1)
+    shipped = laws.coefficients_of(laws.TankLaw())[1]
+    for name, value in result.values().items():
+        assert shipped[name] == pytest.approx(value, rel=1e-3, abs=0.01)  # rounded
+    assert result.residual_sd == pytest.approx(1.0, abs=0.1)

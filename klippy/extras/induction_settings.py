@@ -1,0 +1,181 @@
+"""The options of [induction_heater NAME] as the plain values of the thermal chain; nothing in here acts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from typing import Any
+
+from thermal import actuator, control, estimator, features, laws, limits, loop, model, plausible, supervise, track
+
+from .induction_mcu import UnitSettings
+
+SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
+WATCH_FRACTION = 1.0 / 3.0  # of max_duration: how often commands are repeated at least
+GUARD_LOW_C = -60.0  # below any workshop by more than the law's error
+ADC_MAX_12_BIT = 4095
+UNCALIBRATED = "uncalibrated"
+
+# Defaults for the reference nozzle (0.9 g, 0.45 J/K): found in test/loop, where mass, losses and efficiency
+# vary.
+DEFAULT_KP_W_PER_K = 5.0
+DEFAULT_KI_W_PER_K_S = 10.0
+DEFAULT_KD_W_S_PER_K = 0.15
+DEFAULT_DERIVATIVE_S = 0.010
+DEFAULT_LEAD_S = 0.015
+DEFAULT_BLOCK_SAMPLES = 192  # 1.6 ms at 120 kHz
+DEFAULT_RECORDS = 3  # a message each 4.8 ms: 7.5 kB/s of a 25 kB/s line
+DEFAULT_CONTROL_S = 0.008  # a phase step costs 20 samples of settling: 2 % of the signal
+
+# A calibrated law follows the drive at any power: it may arrive faster, and its steps are no jumps.
+CALIBRATED_APPROACH = loop.Approach(power_w=60.0, band_c=45.0, leave_c=80.0, rebase_fraction=math.inf)
+
+
+def read_law(config: Any) -> tuple[laws.Law, bool]:
+    """(sensing law, calibrated); each coefficient is an option with the seeds' value as default."""
+    names = {name: name for name in (*laws.LAWS, UNCALIBRATED)}
+    choice = config.getchoice("estimator", names, "exp")
+    law = laws.LAWS["exp" if choice == UNCALIBRATED else choice]()
+    values = {
+        f.name: config.getfloat(f"{choice}_{f.name}", getattr(law, f.name))
+        for f in fields(law)
+        if f.name != "residual_units" and choice != UNCALIBRATED
+    }
+    values["residual_units"] = config.getfloat("law_residual", law.residual_units, minval=0.0)
+    return replace(law, **values), choice != UNCALIBRATED
+
+
+def read_unit(config: Any) -> UnitSettings:
+    oversample = config.getint("oversample", 4, minval=3, maxval=7)
+    longest = 4**oversample
+    return UnitSettings(
+        config.getint("bridge", 0, minval=0, maxval=255),
+        config.getfloat("frequency", 120000.0, minval=20000.0, maxval=1000000.0),
+        oversample,
+        config.getint("settle_samples", 20, minval=0, maxval=1000),
+        config.getint("ema_shift", 0, minval=0, maxval=8),
+        config.getfloat("max_duration", 0.100, minval=0.030, maxval=5.0),
+        config.getint("guard_trip_blocks", 12, minval=1, maxval=255),
+        config.getint(
+            "block_samples",
+            DEFAULT_BLOCK_SAMPLES if oversample == 4 else longest,
+            minval=longest // 16,
+            maxval=longest,
+        ),
+        config.getint("records_per_message", DEFAULT_RECORDS, minval=1, maxval=3),
+    )
+
+
+def _timing(config: Any, unit: UnitSettings) -> loop.Timing:
+    period_s = 1.0 / unit.frequency_hz
+    return loop.Timing(
+        period_s * unit.block_samples,
+        period_s * unit.settle_samples,
+        config.getfloat("command_lead", DEFAULT_LEAD_S, minval=0.001, maxval=0.200),
+        unit.max_duration_s * WATCH_FRACTION,
+        control_s=config.getfloat("control_interval", DEFAULT_CONTROL_S, minval=0.0, maxval=0.025),
+    )
+
+
+def _drive(config: Any, timing: loop.Timing, frequency_hz: float) -> actuator.ActuatorParameters:
+    vdc_v = config.getfloat("vdc", 24.0, above=0.0)
+    law = actuator.DriveLaw(
+        config.getfloat("power_full_w", 81.3, above=0.0),
+        config.getfloat("drive_exponent", 1.5, above=0.0),
+        vdc_v,
+        config.getfloat("vdc_reference", 24.0, above=0.0),
+    )
+    pulse_s = timing.block_s + timing.settle_s + SETTLE_MARGIN_SAMPLES / frequency_hz
+    return actuator.ActuatorParameters(
+        law,
+        pulse_s,
+        config.getfloat("sense_interval", 0.100, minval=2.0 * pulse_s, maxval=1.0),
+        config.getfloat("idle_interval", 0.500, minval=2.0 * pulse_s, maxval=1.0),
+        pulses_max=max(2, math.ceil(timing.control_s / pulse_s) + 1),
+    )
+
+
+def _pid(config: Any, drive: actuator.DriveLaw) -> control.PidParameters:
+    config.getchoice("control", {"pid": "pid"}, "pid")
+    max_power_w = config.getfloat("max_power_w", drive.power_max_w, above=0.0, maxval=drive.power_max_w)
+    return control.PidParameters(
+        config.getfloat("pid_kp_w_per_k", DEFAULT_KP_W_PER_K, above=0.0),
+        config.getfloat("pid_ki_w_per_k_s", DEFAULT_KI_W_PER_K_S, minval=0.0),
+        config.getfloat("pid_kd_w_s_per_k", DEFAULT_KD_W_S_PER_K, minval=0.0),
+        0.0,
+        max_power_w,
+        config.getfloat("pid_derivative_time", DEFAULT_DERIVATIVE_S, minval=0.0, maxval=1.0),
+    )
+
+
+def _approach(config: Any, drive: actuator.DriveLaw, law: laws.Law) -> loop.Approach:
+    default = CALIBRATED_APPROACH if isinstance(law, laws.TankLaw) else loop.Approach()
+    band_c = config.getfloat("approach_band", default.band_c, minval=10.0, maxval=300.0)
+    power_w = config.getfloat(
+        "approach_power_w", min(default.power_w, drive.power_max_w), above=0.0, maxval=drive.power_max_w
+    )
+    return loop.Approach(power_w, band_c, band_c + default.leave_c - default.band_c, default.rebase_fraction)
+
+
+def _loss(config: Any) -> model.LossLaw:
+    default = model.LossLaw()
+    factor = config.getfloat("loss_factor", 1.0, above=0.0, maxval=10.0)
+    return model.LossLaw(
+        factor * config.getfloat("loss_w_per_k", default.conductance_w_k, minval=0.0),
+        factor * config.getfloat("loss_radiation_m2", default.radiation_m2, minval=0.0),
+        config.getfloat("ambient_temp", default.ambient_c, minval=-50.0, maxval=100.0),
+    )
+
+
+def _plausible(config: Any, heat: model.HeatCapacity, loss: model.LossLaw) -> plausible.PlausibleParameters:
+    return plausible.PlausibleParameters(
+        heat,
+        plausible.scaled(config.getfloat("loss_factor", 1.0, above=0.0), loss.ambient_c),
+        config.getfloat("loss_uncertainty", 0.25, above=0.0, maxval=2.0),
+        config.getfloat("drift_limit", 8.0, above=0.0, maxval=200.0),
+    )
+
+
+def read_parameters(config: Any, unit: UnitSettings) -> loop.LoopParameters:
+    """Everything the chain of one nozzle is told."""
+    law, calibrated = read_law(config)
+    front = features.FeatureParameters(
+        config.getfloat("adc_zero", 256.0),
+        config.getfloat("units_per_lsb", 1.0, above=0.0),
+        config.getfloat("noise_lsb", 1.0, minval=0.0),
+        ADC_MAX_12_BIT,
+    )
+    temp_low_c = config.getfloat("min_temp", -10.0, minval=-20.0)
+    temp_high_c = config.getfloat("max_temp", above=max(temp_low_c, 0.0), maxval=700.0)
+    timing = _timing(config, unit)
+    drive = _drive(config, timing, unit.frequency_hz)
+    loss = _loss(config)
+    heat = model.HeatCapacity(config.getfloat("heat_capacity_j_per_k", 0.414, above=0.0))
+    return loop.LoopParameters(
+        front,
+        estimator.EstimatorParameters(law, supply=drive.law.vdc_v / drive.law.vdc_reference_v),
+        _pid(config, drive.law),
+        loss,
+        drive,
+        supervise.SuperviseParameters(temp_low_c, temp_high_c, calibrated=calibrated),
+        timing,
+        _approach(config, drive.law, law),
+        track.TrackParameters(loss, heat),
+        _plausible(config, heat, loss),
+    )
+
+
+def guard_rows(config: Any, parameters: loop.LoopParameters) -> list[limits.LimitRow]:
+    """The MCU's table; without a calibration only the ends of the ADC can be judged."""
+    margin_c = config.getfloat("guard_margin", 40.0, minval=5.0, maxval=200.0)
+    if not parameters.supervise.calibrated:
+        return [limits.LimitRow(estimator.SENSING_PHASE_TICKS, 0, 65535)]
+    try:
+        return limits.guard_limits(
+            parameters.estimator.law,
+            parameters.front,
+            GUARD_LOW_C,
+            parameters.supervise.temp_high_c + margin_c,
+        )
+    except ValueError as e:
+        raise config.error(f"Section '{config.get_name()}': {e}") from None

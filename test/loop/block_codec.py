@@ -1,0 +1,67 @@
+"""The wire form of sample blocks, written from the message's description, for tests on both sides of it."""
+
+from __future__ import annotations
+
+import struct
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Row:
+    """One record; `offset` counts bridge periods from the message's clock and is worked out when unpacking."""
+
+    count: int
+    value: int
+    phase: int
+    low: int
+    high: int
+    discarded: int = 0
+    lost: int = 0
+    offset: int = 0
+
+
+def pack(rows: list[Row], block_len: int) -> bytes:
+    out, phase = b"", None
+    for row in rows:
+        span = row.high - row.low
+        flags = 0
+        tail = b""
+        if row.phase != phase:
+            flags |= 0x1000
+            tail += struct.pack("<H", row.phase)
+        if row.count != block_len:
+            flags |= 0x2000
+            tail += struct.pack("<H", row.count)
+        if row.discarded or row.lost:
+            flags |= 0x4000
+            tail += struct.pack("<HH", row.discarded, row.lost)
+        if span >= 255:
+            flags |= 0x8000
+            tail += struct.pack("<H", row.high)
+        out += struct.pack("<HB", flags | row.low, min(span, 255)) + row.value.to_bytes(3, "little") + tail
+        phase = row.phase
+    return out
+
+
+def unpack(data: bytes, block_len: int) -> list[Row]:
+    rows: list[Row] = []
+    at, phase, offset = 0, -1, 0
+
+    def take(size: int) -> int:
+        nonlocal at
+        at += size
+        assert at <= len(data), "a record ends within its fields"
+        return int.from_bytes(data[at - size : at], "little")
+
+    while at < len(data):
+        head, span, value = take(2), take(1), take(3)
+        phase = take(2) if head & 0x1000 else phase
+        count = take(2) if head & 0x2000 else block_len
+        discarded, lost = (take(2), take(2)) if head & 0x4000 else (0, 0)
+        low = head & 0x0FFF
+        high = take(2) if head & 0x8000 else low + span
+        if rows:
+            offset += discarded + lost
+        rows.append(Row(count, value, phase, low, high, discarded, lost, offset))
+        offset += count
+    return rows
