@@ -24,6 +24,7 @@ REPORTS_PER_TIMEOUT = 0.3
 SINGLE_TIMEOUT_S = 0.250
 MULTI_TIMEOUT_S = 0.050  # one board running on while another has stopped: at 100 mm/s 5 mm at worst
 SHUTDOWN_POLL_S = 0.5
+SILENCE_S = 0.5  # without a report: twice the longest time-out, so the board has stopped by itself
 
 
 class Stepper(Protocol):
@@ -145,6 +146,7 @@ class TriggerDispatch:
         self._trsyncs = [MCU_trsync(mcu, self)]
         self._completion: Any = None
         self._end_clock = 0  # of the board with the endstop; 0: not yet known
+        self._silence_timer: Any = None
 
     def get_oid(self) -> int:
         """Object id of the trsync that the endstop must trigger."""
@@ -175,7 +177,22 @@ class TriggerDispatch:
             trsync.start(print_time, number / len(self._trsyncs), timeout_s)
         if self._mcu.is_fileoutput():
             self._completion.complete(MCU_trsync.REASON_ENDSTOP_HIT)
+        else:
+            self._silence_timer = self._reactor.register_timer(self._check_silence, self._reactor.NOW)
         return self._completion
+
+    def _check_silence(self, eventtime: float) -> float:
+        """Timer. A board reports until it stops, and once then; that last report may be lost on the line.
+
+        A board this long silent has stopped, by its trigger or by its own time-out: `stop` asks it which.
+        """
+        if self._completion is None or self._completion.test():
+            return float(self._reactor.NEVER)
+        for trsync in self._trsyncs:
+            if trsync.get_mcu().estimated_print_time(eventtime) > trsync.alive_time() + SILENCE_S:
+                self._stop_all(None, MCU_trsync.REASON_COMMS_TIMEOUT)
+                return float(self._reactor.NEVER)
+        return eventtime + SHUTDOWN_POLL_S
 
     def note_alive(self) -> None:
         """A board has reported. Put off the time-outs, or stop all if the move is over."""
@@ -211,6 +228,9 @@ class TriggerDispatch:
         """End the watch on all boards; returns the reason why the first one stopped, or a time-out of any."""
         if self._completion is None:
             return 0
+        if self._silence_timer is not None:
+            self._reactor.unregister_timer(self._silence_timer)
+            self._silence_timer = None
         reasons = [trsync.stop() for trsync in self._trsyncs]
         self._completion = None
         if MCU_trsync.REASON_COMMS_TIMEOUT in reasons:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from . import pulse_counter
 from .scheduled_pin import ScheduledPin
 
 _PIN_MIN_TIME_S = 0.1  # how far ahead of the MCU's clock a change outside the move queue is placed
@@ -52,6 +53,7 @@ class Fan:
         if enable_pin is not None:
             self.enable_pin = pins.setup_pin("digital_out", enable_pin)
             self.enable_pin.setup_max_duration(0.0)
+        self.tachometer = pulse_counter.tachometer_from_config(config)
         self._output = ScheduledPin(self.printer, self.mcu_fan.get_mcu(), self._apply, 0.0)
         self.printer.register_event_handler("gcode:request_restart", self._handle_request_restart)
 
@@ -98,7 +100,8 @@ class Fan:
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
         """Speed 0..1 as requested (share of full power); rpm is None without tachometer."""
-        return {"speed": self.last_fan_value, "rpm": None}
+        rpm = self.tachometer.get_status(eventtime)["rpm"] if self.tachometer is not None else None
+        return {"speed": self.last_fan_value, "rpm": rpm}
 
 
 class PrinterFan:

@@ -21,7 +21,7 @@ from typing import Any, Protocol
 
 from thermal import control
 
-from . import adc_temperature, thermistor
+from . import sensor_types
 
 PWM_DELAY_S = 0.300  # from sample to PWM change; at least one report interval, so it is always in the future
 MAX_HEAT_TIME_S = 3.0  # the MCU turns the pin off after this long without a command
@@ -355,13 +355,12 @@ class PrinterHeaters:
         return factory(config)
 
     def _load_builtin(self, config: Any) -> None:
-        """Built-in types, then custom [thermistor] and [adc_temperature] sections, wherever they stand."""
+        """Built-in types, then the sections that define custom ones, wherever they stand."""
         if self._builtin_loaded:
             return
         self._builtin_loaded = True
-        thermistor.register_builtin(self)
-        adc_temperature.register_builtin(self)
-        for module in ("thermistor", "adc_temperature"):
+        sensor_types.register_builtin(self)
+        for module in sensor_types.CUSTOM_SECTIONS:
             for section in config.get_prefix_sections(f"{module} "):
                 self.printer.load_object(config, section.get_name())
 

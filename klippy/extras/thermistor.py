@@ -1,22 +1,36 @@
 """[thermistor NAME] and the built-in thermistor types.
 
-    reference ── pullup_resistor ──┬── ADC   ratio = R / (R + pull-up),  R = inline + thermistor
-                                   └── inline ── thermistor ── ground
+    reference ── pullup_resistor ──┬── ADC   ratio = R / (R + pull-up),  R = inline + thermistor (|| parallel_resistor)
+                                   └── inline ──┬── thermistor ──┬── ground
+                                                └── (parallel) ──┘
 
-Two curves. Beta:  1/T = 1/T1 + ln(R/R1)/beta.   Three points, Steinhart-Hart:  1/T = c1 + c2 ln R + c3 (ln R)^3.
+Three curves. Beta:  1/T = 1/T1 + ln(R/R1)/beta.   Three points, Steinhart-Hart:  1/T = c1 + c2 ln R + c3 (ln R)^3.
+Four points and more: a table, between whose rows ln R is linear in 1/T (a beta of its own for each step).
+
+The parallel resistor flattens the divider's curve (HydraRaptor notes 2007: more resolution where it prints, less where
+it is cold).
 """
 
 from __future__ import annotations
 
+import bisect
+import itertools
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from .adc_temperature import PrinterADCtoTemperature
 
 ZERO_CELSIUS_K = 273.15
 RATIO_LOW, RATIO_HIGH = 1e-5, 1.0 - 1e-5  # keeps the logarithm finite at an open or shorted sensor
 HOTTEST_INVERSE_K = 1.0 / 2273.15  # a shorted sensor reads as 2000 degC, where the law itself has a pole
+
+
+class Law(Protocol):
+    """A thermistor without its circuit."""
+
+    def temp_c(self, ohm: float) -> float: ...
+    def ohm(self, temp_c: float) -> float: ...
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,24 +87,62 @@ def fit_points(points: tuple[tuple[float, float], ...]) -> SteinhartHart:
     return SteinhartHart(y[0] - c2 * x[0] - c3 * x[0] ** 3, c2, c3)
 
 
+class Table:
+    """Rows of (degC, ohm), resistance falling with temperature; the end steps are prolonged."""
+
+    def __init__(self, rows: tuple[tuple[float, float], ...]) -> None:
+        """Raises ValueError if the rows cannot belong to one thermistor."""
+        ordered = sorted(rows)
+        for (temp0_c, ohm0), (temp1_c, ohm1) in itertools.pairwise(ordered):
+            if temp0_c == temp1_c:
+                raise ValueError(f"two rows are for {temp0_c:g} degrees")
+            if ohm1 >= ohm0:
+                raise ValueError(
+                    f"resistance must fall with temperature, it does not from {temp0_c:g} to {temp1_c:g} degrees"
+                )
+        # by rising ln R: bisect needs ascending keys
+        self._ln_r = [math.log(ohm) for _, ohm in reversed(ordered)]
+        self._inverse_t = [1.0 / (temp_c + ZERO_CELSIUS_K) for temp_c, _ in reversed(ordered)]
+
+    def temp_c(self, ohm: float) -> float:
+        """Temperature of a resistance."""
+        inverse_t = self._between(self._ln_r, self._inverse_t, math.log(ohm))
+        return 1.0 / max(inverse_t, HOTTEST_INVERSE_K) - ZERO_CELSIUS_K
+
+    def ohm(self, temp_c: float) -> float:
+        """Resistance at a temperature."""
+        return math.exp(self._between(self._inverse_t, self._ln_r, 1.0 / (temp_c + ZERO_CELSIUS_K)))
+
+    @staticmethod
+    def _between(x: list[float], y: list[float], at: float) -> float:
+        i = min(max(bisect.bisect_right(x, at), 1), len(x) - 1)
+        return y[i - 1] + (at - x[i - 1]) * (y[i] - y[i - 1]) / (x[i] - x[i - 1])
+
+
 class Thermistor:
     """The curve with its circuit: ADC ratio to degC and back."""
 
-    def __init__(self, law: SteinhartHart, pullup_ohm: float, inline_ohm: float) -> None:
+    def __init__(
+        self, law: Law, pullup_ohm: float, inline_ohm: float, parallel_ohm: float = math.inf
+    ) -> None:
         self.law = law
         self._pullup_ohm = pullup_ohm
         self._inline_ohm = inline_ohm
+        self._parallel_siemens = 1.0 / parallel_ohm
 
     def calc_temp(self, adc: float) -> float:
         ratio = min(RATIO_HIGH, max(RATIO_LOW, adc))
-        ohm = self._pullup_ohm * ratio / (1.0 - ratio) - self._inline_ohm
-        return self.law.temp_c(max(ohm, 1e-3))
+        load_ohm = max(self._pullup_ohm * ratio / (1.0 - ratio) - self._inline_ohm, 1e-3)
+        siemens = 1.0 / load_ohm - self._parallel_siemens
+        return self.law.temp_c(1.0 / max(siemens, 1e-9))  # a load above the parallel resistor: an open sensor
 
     def calc_adc(self, temp: float) -> float:
-        if temp <= -ZERO_CELSIUS_K:
+        ohm = math.inf if temp <= -ZERO_CELSIUS_K else self.law.ohm(temp)
+        siemens = 1.0 / ohm + self._parallel_siemens
+        if not siemens:
             return 1.0
-        ohm = self.law.ohm(temp) + self._inline_ohm
-        return ohm / (ohm + self._pullup_ohm)
+        load_ohm = 1.0 / siemens + self._inline_ohm
+        return load_ohm / (load_ohm + self._pullup_ohm)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,26 +170,29 @@ _POINT_PARTS = {
 }
 
 
-def build_sensor(config: Any, law: SteinhartHart) -> PrinterADCtoTemperature:
+def build_sensor(config: Any, law: Law) -> PrinterADCtoTemperature:
     """Sensor of a section that uses this thermistor."""
     curve = Thermistor(
         law,
         config.getfloat("pullup_resistor", 4700.0, above=0.0),
         config.getfloat("inline_resistor", 0.0, minval=0.0),
+        config.getfloat("parallel_resistor", math.inf, above=0.0),
     )
     return PrinterADCtoTemperature(config.get_printer(), config.get_name(), config.get("sensor_pin"), curve)
 
 
 def register_builtin(heaters: Any) -> None:
     """Tell the registry the types built in here."""
-    laws = {name: fit_beta(25.0, part.ohm_25c, part.beta_k) for name, part in _BETA_PARTS.items()}
+    laws: dict[str, Law] = {
+        name: fit_beta(25.0, part.ohm_25c, part.beta_k) for name, part in _BETA_PARTS.items()
+    }
     laws.update({name: fit_points(points) for name, points in _POINT_PARTS.items()})
     for name, law in laws.items():
         heaters.add_sensor_factory(name, lambda config, law=law: build_sensor(config, law))
 
 
-def read_law(config: Any) -> SteinhartHart:
-    """Curve of a [thermistor] section: by beta or by three points."""
+def read_law(config: Any) -> Law:
+    """Curve of a [thermistor] section: by beta, by three points, or by a table of more."""
     above_zero_k = -ZERO_CELSIUS_K
     temp1_c = config.getfloat("temperature1", above=above_zero_k)
     ohm1 = config.getfloat("resistance1", above=0.0)
@@ -145,11 +200,13 @@ def read_law(config: Any) -> SteinhartHart:
     if beta_k is not None:
         return fit_beta(temp1_c, ohm1, beta_k)
     points = [(temp1_c, ohm1)]
-    for n in (2, 3):
+    for n in itertools.count(2):
+        if n > 3 and config.get(f"temperature{n}", None) is None:
+            break
         temp_c = config.getfloat(f"temperature{n}", above=above_zero_k)
         points.append((temp_c, config.getfloat(f"resistance{n}", above=0.0)))
     try:
-        return fit_points(tuple(points))
+        return fit_points(tuple(points)) if len(points) == 3 else Table(tuple(points))
     except ValueError as e:
         raise config.error(f"Thermistor in section '{config.get_name()}': {e}") from None
 

@@ -18,6 +18,7 @@ still measures.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from . import actuator, control, estimator, features, model, plausible, supervise, track
@@ -73,6 +74,9 @@ class LoopParameters:
     plausible: plausible.PlausibleParameters
 
 
+# (block, its filtered estimate or None, print time of its arrival)
+BlockListener = Callable[[SampleBlock, TempEstimate | None, float], None]
+
 # Where a chain begins.
 NO_REQUEST = PowerRequest(-math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NOT_COMMANDED = PhaseCommand(-math.inf, 0, 0.0)
@@ -112,6 +116,7 @@ class InductionLoop:
     def __init__(self, parameters: LoopParameters) -> None:
         self.parameters = parameters
         self.state = LoopState()
+        self.listeners: list[BlockListener] = []  # told of every block, in order
         self.quiet = True  # told from outside: neither melt nor fan takes heat
 
     @property
@@ -135,14 +140,17 @@ class InductionLoop:
         state.arriving = False
         if state.estimate.valid:
             self._decide(state.estimate, state.estimate.phase_ticks, now_s)
-        return self._command(now_s)
+        return self._command(now_s, apart_s=0.0)
 
     def on_blocks(self, blocks: list[SampleBlock], now_s: float) -> list[PhaseCommand]:
         """Blocks of one message arrived."""
         state = self.state
         news = None
         for block in blocks:
-            news = self._take(block) or news
+            found = self._take(block)
+            news = found or news
+            for listener in self.listeners:
+                listener(block, found, now_s)
         if news is not None:
             before, state.estimate = state.estimate, news
             state.latency_s = now_s - news.time_s
@@ -246,12 +254,12 @@ class InductionLoop:
         state.commanded = PhaseCommand(time_s, 0, 0.0)
         return [state.commanded]
 
-    def _command(self, now_s: float) -> list[PhaseCommand]:
-        """Turn the request into commands from the next usable edge on."""
+    def _command(self, now_s: float, apart_s: float = math.inf) -> list[PhaseCommand]:
+        """Turn the request into commands from the next usable edge on, at least `apart_s` after the last."""
         state, parameters = self.state, self.parameters
         timing = parameters.timing
         at_s = self._next_edge(now_s + timing.lead_s)
-        if at_s <= state.commanded.time_s + max(TIME_SLACK_S, timing.control_s - TIME_SLACK_S):
+        if at_s <= state.commanded.time_s + max(TIME_SLACK_S, min(apart_s, timing.control_s) - TIME_SLACK_S):
             return []  # the edge is taken by a command already sent, or it is too soon after one
         power_w = state.request.power_w if state.target_c > 0.0 else 0.0
         if power_w > 0.0 and not now_s - state.estimate.time_s <= timing.stale_s + self._interval_s():

@@ -199,7 +199,9 @@ class Mcu:
         self.sample_code: Callable[[int], int] = lambda clock: 1000
         self.spi_transfers: list[tuple[int, int, int, bytes]] = []  # clock, bus, mode, bytes sent
         self.spi_reply: Callable[[int, bytes], bytes] = lambda bus, sent: bytes(len(sent))
-        self.i2c_transfers: list[tuple[int, int, bytes, int]] = []  # bus, address, bytes written, bytes to read
+        self.i2c_transfers: list[
+            tuple[int, int, bytes, int]
+        ] = []  # bus, address, bytes written, bytes to read
         self.i2c_reply: Callable[[int, bytes, int], tuple[int, bytes]] = lambda address, wrote, count: (
             0,
             bytes(count),

@@ -40,8 +40,8 @@ def ema_reference(state: int | None, value: int, shift: int) -> tuple[int, int]:
 class Reference:
     """The documented behaviour, one sample at a time, no regard for speed."""
 
-    def __init__(self, y: int, settle: int, shift: int) -> None:
-        self.y, self.settle, self.shift = y, settle, shift
+    def __init__(self, y: int, settle: int, shift: int, length: int = 0) -> None:
+        self.y, self.settle, self.shift, self.length = y, settle, shift, length or 4**y
         self.phase = self.settle_left = self.discarded = self.lost = 0
         self.held: list[int] = []
         self.first = 0
@@ -59,7 +59,7 @@ class Reference:
         self.held, self.discarded, self.lost = [], 0, 0
 
     def _cut(self) -> None:
-        if self.held and len(self.held) >= 4**self.y // 16:
+        if self.held and len(self.held) >= self.length // 16:
             self._finish(whole=False)
         else:
             self.discarded += len(self.held)
@@ -86,18 +86,18 @@ class Reference:
             if not self.held:
                 self.first = index & 0xFFFFFFFF
             self.held.append(sample)
-            if len(self.held) == 4**self.y:
+            if len(self.held) == self.length:
                 self._finish(whole=True)
 
 
 class Fast:
     """The firmware's code, driven as its interrupt drives it."""
 
-    def __init__(self, y: int, settle: int, shift: int) -> None:
+    def __init__(self, y: int, settle: int, shift: int, length: int = 0) -> None:
         self.c = ffi.new("struct oversample *")
         self.block = ffi.new("struct oversample_block *")
         self.blocks: list[Block] = []
-        assert lib.oversample_init(self.c, {"y": y, "ema_shift": shift, "settle_samples": settle})
+        assert lib.oversample_init(self.c, {"y": y, "ema_shift": shift, "settle_samples": settle, "block_len": length})
 
     def _take(self, finished: int) -> None:
         if finished:
@@ -127,11 +127,12 @@ gaps = st.tuples(st.just("gap"), st.integers(0, 100), st.just(0))
     y=st.integers(3, 4),
     settle=st.integers(0, 60),
     shift=st.integers(0, 8),
+    length=st.sampled_from([0, 16, 37, 64]),
     start=st.sampled_from([0, 5, 2**32 - 150]),
     events=st.lists(st.one_of(runs, runs, steps, gaps), max_size=40),
 )
-def test_blocks_equal_the_reference_whatever_comes(y, settle, shift, start, events):
-    fast, reference = Fast(y, settle, shift), Reference(y, settle, shift)
+def test_blocks_equal_the_reference_whatever_comes(y, settle, shift, length, start, events):
+    fast, reference = Fast(y, settle, shift, length), Reference(y, settle, shift, length)
     index, seen, lost = start, 0, 0
     for kind, count, seed in events:
         if kind == "feed":
@@ -175,11 +176,11 @@ def test_largest_samples_do_not_overflow_a_whole_block(y):
     assert [block.value for block in fast.blocks] == [(U16 * 4**y) >> y] * 3
 
 
-@pytest.mark.parametrize("config", [(2, 0), (8, 0), (5, 9)])
+@pytest.mark.parametrize("config", [(2, 0, 0), (8, 0, 0), (5, 9, 0), (4, 0, 257), (4, 0, 15)])
 def test_configuration_out_of_range_is_refused(config):
-    y, shift = config
+    y, shift, length = config
     c = ffi.new("struct oversample *")
-    assert not lib.oversample_init(c, {"y": y, "ema_shift": shift, "settle_samples": 0})
+    assert not lib.oversample_init(c, {"y": y, "ema_shift": shift, "settle_samples": 0, "block_len": length})
 
 
 def test_block_is_cut_at_a_phase_step_and_keeps_its_phase():

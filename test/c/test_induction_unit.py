@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import itertools
-import struct
 from dataclasses import dataclass
 
 import pytest
 from mcu_harness import FREQ, Mcu
 from pure_harness import Plant
 
+from loop.block_codec import unpack
+
 PERIOD = 600  # ticks: 120 kHz
 MAX_DURATION = FREQ // 10
-RECORD = struct.Struct("<HHIHHHHH")
 SETTLE = 20
 
 
@@ -33,9 +33,15 @@ class Record:
 
 class Unit:
     def __init__(
-        self, *limits: tuple[int, int, int, int], y: int = 5, shift: int = 0, **changes: int
+        self,
+        *limits: tuple[int, int, int, int],
+        y: int = 5,
+        shift: int = 0,
+        block: tuple[int, int] | None = None,
+        **changes: int,
     ) -> None:
         self.mcu = Mcu()
+        self.block_len = block[0] if block else 4**y
         config = {"oid": 0, "bridge": 0, "adc_pin": 3, "period_ticks": PERIOD, "phase_max": 45000}
         config |= {"max_duration": MAX_DURATION} | changes
         sense = {"oid": 0, "oversample": y, "settle_samples": SETTLE, "ema_shift": shift}
@@ -47,6 +53,7 @@ class Unit:
             1,
             ("config_induction", config),
             ("config_induction_sense", sense),
+            *([("config_induction_block", {"oid": 0, "samples": block[0], "records": block[1]})] if block else []),
             *(("config_induction_limit", row) for row in rows),
         )
 
@@ -71,11 +78,12 @@ class Unit:
     def records(self) -> list[Record]:
         out: list[Record] = []
         for index, message in enumerate(self.mcu.replies("induction_block")):
-            assert len(message["data"]) in (RECORD.size, 2 * RECORD.size)
-            for place, fields in enumerate(RECORD.iter_unpack(message["data"])):
-                clock = message["clock"] + fields[0] * PERIOD
-                number = message["sequence"] + place
-                out.append(Record(number, clock, *fields[1:], message=index, sent=message.clock))
+            for place, row in enumerate(unpack(bytes(message["data"]), self.block_len)):
+                clock = message["clock"] + row.offset * PERIOD
+                fields = (row.count, row.value, row.phase, row.low, row.high, row.discarded, row.lost)
+                out.append(
+                    Record(message["sequence"] + place, clock, *fields, message=index, sent=message.clock)
+                )
         return out
 
 
@@ -106,6 +114,37 @@ def test_records_go_out_in_pairs_unless_that_would_take_too_long():
     for record in records:  # sent at the half buffer that completes it
         end = record.clock + (record.count - 1) * PERIOD
         assert 0 <= record.sent - end <= 32 * PERIOD
+
+
+def test_short_blocks_go_out_three_together():
+    unit = Unit(y=4, block=(192, 3))
+    unit.report()
+    unit.mcu.run(0.1)
+    records = unit.records()
+    assert len(records) == 60  # 0.1 s / 1.6 ms = 62.5 blocks, the last three whole
+    assert [r.message for r in records][:6] == [0, 0, 0, 1, 1, 1]
+    assert {(r.count, r.value) for r in records} == {(192, 192 * 1000 >> 4)}
+    for before, after in itertools.pairwise(records):
+        assert after.clock == before.clock + 192 * PERIOD
+
+
+def test_a_wide_span_and_a_long_pause_come_through_whole():
+    unit = Unit(y=4, block=(192, 3))
+    unit.mcu.sample_code = lambda clock: 20 if clock // PERIOD % 2 else 4000
+    unit.report()
+    unit.phase(9000, 0.010)
+    unit.mcu.run(0.05)
+    records = unit.records()
+    assert {(r.min, r.max) for r in records} == {(20, 4000)}
+    assert sum(r.discarded for r in records) == SETTLE
+
+
+@pytest.mark.parametrize(("samples", "records"), [(257, 2), (15, 2), (192, 0), (192, 4)])
+def test_block_settings_out_of_range_are_refused(samples, records):
+    unit = Unit(y=4)
+    unit.mcu.send("config_induction_block", oid=0, samples=samples, records=records)
+    unit.mcu.run(0.01)
+    assert unit.mcu.shutdown_reason() == "Invalid induction configuration"
 
 
 def test_phase_takes_effect_at_its_clock_and_cuts_the_block_there():

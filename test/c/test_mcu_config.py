@@ -48,6 +48,30 @@ trsync_set_timeout oid=%c clock=%u
 trsync_start oid=%c report_clock=%u report_ticks=%u expire_reason=%c
 trsync_trigger oid=%c reason=%c
 update_digital_out oid=%c value=%c
+buttons_ack oid=%c count=%c
+buttons_add oid=%c pos=%c pin=%u pull_up=%c
+buttons_query oid=%c clock=%u rest_ticks=%u retransmit_count=%c invert=%c
+config_buttons oid=%c button_count=%c
+i2c_set_sw_bus oid=%c scl_pin=%u sda_pin=%u pulse_ticks=%u address=%u
+config_i2c oid=%c
+i2c_set_bus oid=%c i2c_bus=%u rate=%u address=%u
+i2c_transfer oid=%c write=%*s read_len=%u
+config_neopixel oid=%c pin=%u data_size=%hu bit_max_ticks=%u reset_min_ticks=%u
+neopixel_send oid=%c
+neopixel_update oid=%c pos=%hu data=%*s
+config_counter oid=%c pin=%u pull_up=%c
+query_counter oid=%c clock=%u poll_ticks=%u sample_ticks=%u
+spi_set_sw_bus oid=%c miso_pin=%u mosi_pin=%u sclk_pin=%u mode=%u pulse_ticks=%u
+config_spi oid=%c pin=%u cs_active_high=%c
+config_spi_shutdown oid=%c spi_oid=%c shutdown_msg=%*s
+config_spi_without_cs oid=%c
+spi_send oid=%c data=%*s
+spi_set_bus oid=%c spi_bus=%u mode=%u rate=%u
+spi_transfer oid=%c data=%*s
+config_thermocouple oid=%c spi_oid=%c thermocouple_type=%c
+query_thermocouple oid=%c clock=%u rest_ticks=%u min_value=%u max_value=%u max_invalid_count=%c
+config_tmcuart oid=%c rx_pin=%u pull_up=%c tx_pin=%u bit_time=%u
+tmcuart_send oid=%c write=%*s read=%c
 """  # noqa: E501
 STOCK_RESPONSES = """
 analog_in_state oid=%c next_clock=%u values=%*s
@@ -64,6 +88,13 @@ stats count=%u sum=%u sumsq=%u
 stepper_position oid=%c pos=%i
 trsync_state oid=%c can_trigger=%c trigger_reason=%c clock=%u
 uptime high=%u clock=%u
+buttons_state oid=%c ack_count=%c state=%*s
+i2c_response oid=%c i2c_bus_status=%c response=%*s
+neopixel_result oid=%c success=%c
+counter_state oid=%c next_clock=%u count=%u count_clock=%u
+spi_transfer_response oid=%c response=%*s
+thermocouple_result oid=%c next_clock=%u value=%u fault=%c
+tmcuart_response oid=%c read=%*s
 """
 
 

@@ -2,7 +2,7 @@
 
     InductionLoop ──PhaseCommand (down_s late)──> phase queue ─> plant.c (heat, tank, ADC)
          ^                                                          │ one code a bridge period
-         └── messages of two records (up_s late + jitter) <── block sums of 4^y, cut at phase steps
+         └── messages of three records (up_s late + jitter) <── block sums, cut at phase steps
 
 The MCU model is written from the message contract, independent of src/: its blocks are packed to bytes and
 unpacked by thermal/convert.py, so that stage takes part. It refuses late commands (counted) and runs the
@@ -12,8 +12,8 @@ bridge's watchdog.
 from __future__ import annotations
 
 import hashlib
+import math
 import random
-import struct
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -23,7 +23,21 @@ from typing import Any
 import cffi
 import numpy as np
 
-from thermal import actuator, control, convert, estimator, features, loop, model, supervise
+from loop.block_codec import Row, pack
+from thermal import (
+    actuator,
+    control,
+    convert,
+    estimator,
+    features,
+    laws,
+    loop,
+    model,
+    plausible,
+    supervise,
+    sweep,
+    track,
+)
 from thermal.records import PhaseCommand
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -110,15 +124,24 @@ class Plant:
         return self._out
 
 
+BLOCK_LEN, OVERSAMPLE, RECORDS = 192, 4, 3  # as [induction_heater] has them by default
+
+
 def default_parameters(**changes: Any) -> loop.LoopParameters:
     """The chain as [induction_heater] configures it by default.
 
-    `changes` by field name of PidParameters/Timing.
+    `changes` by field name of PidParameters/Timing; `law` and `front` replace those.
     """
-    from extras import induction_heater as defaults
+    from extras import induction_settings as defaults
 
-    block_s, settle_s = 1024 * PERIOD_S, 20 * PERIOD_S
-    timing = loop.Timing(block_s, settle_s, changes.pop("lead_s", defaults.DEFAULT_LEAD_S), 0.100 / 3.0)
+    block_s, settle_s = BLOCK_LEN * PERIOD_S, 20 * PERIOD_S
+    timing = loop.Timing(
+        block_s,
+        settle_s,
+        changes.pop("lead_s", defaults.DEFAULT_LEAD_S),
+        0.100 / 3.0,
+        control_s=defaults.DEFAULT_CONTROL_S,
+    )
     pid = {
         "kp": defaults.DEFAULT_KP_W_PER_K,
         "ki": defaults.DEFAULT_KI_W_PER_K_S,
@@ -127,20 +150,28 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
         "output_high": 81.3,
         "derivative_s": defaults.DEFAULT_DERIVATIVE_S,
     }
-    law = changes.pop("law", estimator.ExpLaw())
+    law = changes.pop("law", laws.ExpLaw())
+    front = changes.pop("front", features.FeatureParameters())
     drive = actuator.DriveLaw(power_full_w=changes.pop("power_full_w", 81.3))
     pulse_s = block_s + settle_s + defaults.SETTLE_MARGIN_SAMPLES * PERIOD_S
     max_temp_c = changes.pop("max_temp_c", 350.0)
+    loss_known = changes.pop("loss_uncertainty", 0.25)
     pid.update(changes)
+    approach = defaults.CALIBRATED_APPROACH if isinstance(law, laws.TankLaw) else loop.Approach()
+    loss, heat = model.LossLaw(), model.HeatCapacity()
     return loop.LoopParameters(
-        features.FeatureParameters(),
+        front,
         estimator.EstimatorParameters(law),
         control.PidParameters(**pid),
-        model.LossLaw(),
-        actuator.ActuatorParameters(drive, pulse_s),
+        loss,
+        actuator.ActuatorParameters(
+            drive, pulse_s, pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1
+        ),
         supervise.SuperviseParameters(-10.0, max_temp_c),
         timing,
-        loop.Approach(),
+        approach,
+        track.TrackParameters(loss, heat),
+        plausible.PlausibleParameters(heat, plausible.scaled(1.0, 20.0), loss_known),
     )
 
 
@@ -174,10 +205,11 @@ class Rig:
     ) -> None:
         self.plant = plant
         self.loop = loop.InductionLoop(parameters)
+        self.driver: sweep.Sweep | None = None  # takes the loop's place while it is there
         self.random = random.Random(seed)
         self.up_s, self.down_s, self.jitter_s = up_s, down_s, jitter_s
         self.drop = drop or (lambda _random: False)
-        self.convert = convert.ConvertParameters(5, PERIOD_TICKS, CLOCK_HZ)
+        self.convert = convert.ConvertParameters(OVERSAMPLE, PERIOD_TICKS, CLOCK_HZ, BLOCK_LEN)
         self.convert_state = convert.ConvertState()
         self.period = 0  # bridge periods since the start
         self.phase = 0
@@ -188,7 +220,7 @@ class Rig:
         self._settle = 0
         self._sum = self._count = self._max = self._first = self._discarded = 0
         self._min = 65535
-        self._records: list[tuple[int, ...]] = []
+        self._records: list[tuple[int, Row]] = []  # (first period, record)
         self._sequence = 0
         self._mail: list[tuple[float, int, int, bytes]] = []  # (arrival, sequence, clock, data)
         self._last_arrival = 0.0
@@ -204,10 +236,10 @@ class Rig:
     # The MCU
 
     def _close_block(self) -> None:
-        if self._count >= 64:
-            value = self._sum >> 5
-            record = (self._first, self._count, value, self.phase, self._min, self._max, self._discarded, 0)
-            self._records.append(record)
+        if self._count >= BLOCK_LEN // 16:
+            value = self._sum >> OVERSAMPLE
+            row = Row(self._count, value, self.phase, self._min, self._max, self._discarded)
+            self._records.append((self._first, row))
             self._discarded = 0
         else:
             self._discarded += self._count
@@ -223,25 +255,25 @@ class Rig:
         while len(codes):
             if not self._count:
                 self._first = start
-            part = codes[: 1024 - self._count]
+            part = codes[: BLOCK_LEN - self._count]
             self._sum += int(part.sum(dtype=np.int64))
             self._min = min(self._min, int(part.min()))
             self._max = max(self._max, int(part.max()))
             self._count += len(part)
             codes, start = codes[len(part) :], start + len(part)
-            if self._count == 1024:
+            if self._count == BLOCK_LEN:
                 self._close_block()
 
     def _flush(self) -> None:
-        """Send two records together, a lone one when it has waited long enough."""
+        """Send records together, fewer when one has waited long enough."""
         while self._records:
-            first = self._records[0]
-            waited_s = (self.period - first[0] - first[1]) * PERIOD_S
-            if len(self._records) < 2 and waited_s < LONE_RECORD_S:
+            first, row = self._records[0]
+            waited_s = (self.period - first - row.count) * PERIOD_S
+            if len(self._records) < RECORDS and waited_s < LONE_RECORD_S:
                 return
-            batch, self._records = self._records[:2], self._records[2:]
+            batch, self._records = self._records[:RECORDS], self._records[RECORDS:]
             base = batch[0][0]
-            data = b"".join(struct.pack("<HHIHHHHH", r[0] - base, *r[1:]) for r in batch)
+            data = pack([row for _, row in batch], BLOCK_LEN)
             sequence, self._sequence = self._sequence, self._sequence + len(batch)
             if self.drop(self.random):
                 continue
@@ -279,11 +311,14 @@ class Rig:
             blocks = convert.convert_message(
                 self.convert, self.convert_state, sequence, clock, data, lambda c: c / CLOCK_HZ
             )
-            self._send(self.loop.on_blocks(blocks, now_s))
+            self._send((self.driver or self.loop).on_blocks(blocks, now_s))
         if now_s >= self._timer_s:
             refresh_s = self.loop.parameters.timing.refresh_s
             self._timer_s = now_s + refresh_s
-            if now_s - self.loop.state.decided_s >= refresh_s:
+            if self.driver is not None:
+                self._timer_s = now_s + 0.010
+                self._send(self.driver.on_timer(now_s))
+            elif now_s - self.loop.state.decided_s >= refresh_s:
                 self._send(self.loop.on_timer(now_s))
 
     # The world

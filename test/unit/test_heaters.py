@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import struct
 from typing import Any
 
 import pytest
 
 from configtext import ConfigError
 from extras import heater_bed, heater_generic, heaters, induction_heater, temperature_sensor, verify_heater
+from loop.block_codec import Row, pack
 from thermal import estimator
 from unit.heater_fakes import CommandError, FakeCommand, FakePrinter
 
@@ -281,9 +281,8 @@ def test_verify_shuts_the_printer_down_in_plain_words() -> None:
 
 def blocks(temp: float, phase: int, count: int = 2) -> bytes:
     error = estimator.error_of(estimator.ExpLaw(), temp, phase)
-    value = int((256.0 + error) * 1024) >> 5
-    rows = [(n * 1024, 1024, value, phase, 200, 900, 0, 0) for n in range(count)]
-    return b"".join(struct.pack("<HHIHHHHH", *row) for row in rows)
+    value = int((256.0 + error) * 192) >> 4
+    return pack([Row(192, value, phase, 200, 900)] * count, 192)
 
 
 def nozzle() -> tuple[FakePrinter, Any]:
@@ -324,11 +323,12 @@ def test_two_extruders_cannot_share_one_nozzle() -> None:
 
 def test_the_unit_is_configured_before_it_may_heat() -> None:
     printer, _ = nozzle()
-    first, sense, *limits = printer.mcu.config
+    first, sense, block, *limits = printer.mcu.config
     assert first == (
         "config_induction oid=3 bridge=0 adc_pin=PA0 period_ticks=600 phase_max=45000 max_duration=7200000"
     )
-    assert sense == "config_induction_sense oid=3 oversample=5 settle_samples=20 ema_shift=0"
+    assert sense == "config_induction_sense oid=3 oversample=4 settle_samples=20 ema_shift=0"
+    assert block == "config_induction_block oid=3 samples=192 records=3"
     assert limits
     assert all(line.startswith("config_induction_limit oid=3 phase=") for line in limits)
     assert printer.mcu.init == ["induction_report oid=3 enable=1"]

@@ -9,7 +9,7 @@ import pytest
 from thermal import supervise
 from thermal.records import TempEstimate
 
-PARAMETERS = supervise.SuperviseParameters(0.0, 300.0)
+PARAMETERS = supervise.SuperviseParameters(0.0, 300.0, limit_blocks=3)
 
 
 def good(temp_c: float, time_s: float = 0.0) -> TempEstimate:

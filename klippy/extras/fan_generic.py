@@ -1,0 +1,33 @@
+"""[fan_generic NAME]: a fan set by SET_FAN_SPEED."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from . import fan
+
+
+class PrinterFanGeneric:
+    """The object `fan_generic NAME`."""
+
+    def __init__(self, config: Any) -> None:
+        self.printer = config.get_printer()
+        self.fan = fan.Fan(config, default_shutdown_speed=0.0)
+        self.get_status = self.fan.get_status
+
+    def register(self, name: str) -> None:
+        """Make the command known."""
+        self.printer.lookup_object("gcode").register_mux_command(
+            "SET_FAN_SPEED", "FAN", name, self.cmd_SET_FAN_SPEED, desc="Sets the speed of a fan"
+        )
+
+    def cmd_SET_FAN_SPEED(self, gcmd: Any) -> None:
+        """SPEED 0..1, in step with the moves queued so far."""
+        self.fan.set_speed_from_command(gcmd.get_float("SPEED", minval=0.0, maxval=1.0))
+
+
+def load_config_prefix(config: Any) -> PrinterFanGeneric:
+    """Section [fan_generic NAME]."""
+    generic = PrinterFanGeneric(config)
+    generic.register(config.get_name().split(maxsplit=1)[1])
+    return generic

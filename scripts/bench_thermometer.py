@@ -1,0 +1,173 @@
+#!/usr/bin/env python3
+"""How well the thermometer knows the true skin temperature at print conditions, beside the published chain.
+
+    scripts/bench_thermometer.py [--seconds 6] [--json OUT]
+
+The closed loop (test/loop/induction_rig.py: the C plant, block sums, link with delay and jitter) holds a temperature
+while extrusion goes on and off and the phase changes with every control step. Laws are fitted to a sweep of the same
+plant, as INDUCTION_CALIBRATE does. Exit status 1 if a figure misses its limit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT / "klippy"), str(ROOT / "test")]
+
+from loop.induction_rig import Plant, Rig, default_parameters
+from thermal import features, fit, laws, paper_chain
+from thermal.records import SampleBlock, TempEstimate
+
+TARGET_C = 250.0
+FLOWS_MM3_S = (22.0, 0.0, 13.0, 25.0)  # 2 to 5 % power at 250 degC
+SWEEP_PERCENT = (0.2, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100)
+# (rms, max) in degC: what the product promises for each size of an LSB
+LIMITS = {1.0: (0.3, 1.5), 6.4: (0.5, 3.0)}
+LATENCY_MAX_S, INTERVAL_MAX_S = 0.010, 0.002
+
+
+@dataclass(frozen=True)
+class Figures:
+    """One chain at one LSB size; errors in degC against the skin at the samples' centre."""
+
+    chain: str
+    units_per_lsb: float
+    rms_c: float
+    max_c: float
+    interval_ms: float  # mean time between values
+    latency_ms: float  # mean, centre of the samples to the value on the host
+    latency_max_ms: float
+    power_percent: float
+    values: int
+
+
+def sweep(**plant: float) -> fit.Points:
+    """Errors of a held nozzle over temperature and power."""
+    rows = []
+    scale = plant.get("units_per_lsb", 1.0)
+    for percent in SWEEP_PERCENT:
+        phase = round(float(fit.ticks_of_power(np.array(percent / 100))))
+        for temp in np.arange(25.0, 401.0, 25.0):
+            nozzle = Plant(1, start_c=float(temp), heat_w=0.0, **plant)
+            nozzle.set_phase(phase)
+            for _ in range(4):
+                nozzle.run(32)
+            mean = np.mean([nozzle.run(32).mean() for _ in range(64)])
+            rows.append((nozzle.read().skin_c, phase, (mean - 256.0) * scale))
+    return fit.Points(*(np.array(column, dtype=float) for column in zip(*rows, strict=True)))
+
+
+class Recorder:
+    """Collects both chains' values while a rig runs."""
+
+    def __init__(self, front: features.FeatureParameters, paper_laws: dict[str, laws.Law]) -> None:
+        self.ours: list[tuple[float, float, float]] = []  # (time of the value, degC, arrival)
+        self.paper: dict[str, list[tuple[float, float, float]]] = {name: [] for name in paper_laws}
+        self._chains = {
+            name: (paper_chain.PaperParameters(law, front), paper_chain.PaperState())
+            for name, law in paper_laws.items()
+        }
+
+    def __call__(self, block: SampleBlock, found: TempEstimate | None, now_s: float) -> None:
+        if found is not None:
+            self.ours.append((found.time_s, found.temp_c, now_s))
+        for name, (parameters, state) in self._chains.items():
+            value = paper_chain.paper_step(parameters, state, block)
+            if value is not None and not np.isnan(value[1]):
+                self.paper[name].append((*value, now_s))
+
+
+def figures(
+    name: str, units: float, rows: list[tuple[float, float, float]], trace: dict[str, np.ndarray], from_s: float
+) -> Figures:
+    time_s, temp_c, arrival_s = np.array(rows).T
+    late = time_s > from_s
+    time_s, temp_c, arrival_s = time_s[late], temp_c[late], arrival_s[late]
+    error = temp_c - np.interp(time_s, trace["t_s"], trace["skin_c"])
+    delay = arrival_s - time_s
+    share = (trace["phase"][trace["t_s"] > from_s] / 45000) ** 2
+    return Figures(
+        name,
+        units,
+        float(np.sqrt(np.mean(error**2))),
+        float(np.abs(error).max()),
+        1e3 * float(np.mean(np.diff(time_s))),
+        1e3 * float(delay.mean()),
+        1e3 * float(delay.max()),
+        100.0 * float(share.mean()),
+        int(error.size),
+    )
+
+
+def run(units: float, seconds: float, seed: int = 3) -> list[Figures]:
+    """Both chains at one LSB size."""
+    result = fit.fit_tank(sweep(units_per_lsb=units))
+    law = laws.law_of("tank", result.values(), result.residual_sd)
+    front = features.FeatureParameters(units_per_lsb=units)
+    rig = Rig(Plant(seed, units_per_lsb=units), default_parameters(law=law, front=front), seed)
+    recorder = Recorder(front, {"paper, eq 5": laws.Eq5Law(), "paper, calibrated law": law})
+    rig.loop.listeners.append(recorder)
+    rig.run(0.6)
+    rig.set_target(TARGET_C)
+    rig.run(2.5)
+    start_s = rig.now_s
+    for flow in FLOWS_MM3_S:
+        rig.plant.set_inputs(flow, 0.0)
+        rig.run(seconds / len(FLOWS_MM3_S))
+    trace = rig.trace.arrays()
+    out = [figures("ferrite", units, recorder.ours, trace, start_s)]
+    return out + [figures(name, units, rows, trace, start_s) for name, rows in recorder.paper.items()]
+
+
+def verdict(rows: list[Figures]) -> list[str]:
+    """What misses its limit, in words."""
+    missed = []
+    for row in rows:
+        if row.chain != "ferrite":
+            continue
+        rms, worst = LIMITS[row.units_per_lsb]
+        checks = (
+            ("rms", row.rms_c, rms),
+            ("max", row.max_c, worst),
+            ("interval ms", row.interval_ms, 1e3 * INTERVAL_MAX_S),
+            ("latency ms", row.latency_ms, 1e3 * LATENCY_MAX_S),
+        )
+        missed += [
+            f"{name} {value:.2f} > {limit:.2f} at {row.units_per_lsb} units/LSB"
+            for name, value, limit in checks
+            if value > limit
+        ]
+    return missed
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=6.0, help="simulated time per LSB size")
+    parser.add_argument("--json", type=Path, metavar="OUT", help="write the figures")
+    options = parser.parse_args(argv)
+    rows = [row for units in LIMITS for row in run(units, options.seconds)]
+    print("chain                  units/LSB  rms C   max C  every ms  latency ms (max)  power %")
+    for row in rows:
+        print(
+            f"{row.chain:<22} {row.units_per_lsb:9.1f} {row.rms_c:6.2f} {row.max_c:7.2f} {row.interval_ms:9.2f}"
+            f" {row.latency_ms:11.2f} ({row.latency_max_ms:.1f}) {row.power_percent:8.1f}"
+        )
+    print("published: +-3 C in 20 ms (source 000, abstract)")
+    missed = verdict(rows)
+    for text in missed:
+        print(f"MISSED: {text}")
+    if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps([asdict(row) for row in rows], indent=2) + "\n", encoding="utf-8")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
