@@ -148,6 +148,10 @@ def write_results(options: argparse.Namespace, outcome: Outcome) -> None:
 def tell(outcome: Outcome) -> None:
     """One line of what happened: stdout if it went well, else stderr."""
     facts: dict[str, Any] = outcome.summary
+    unknown = facts.get("unknown_commands")
+    if unknown:
+        names = ", ".join(f"{name} ({count} ×)" for name, count in sorted(unknown.items()))
+        print(f"simulate: commands this printer does not know, passed over: {names}", file=sys.stderr)
     if outcome.status != 0:
         print(f"simulate: {facts['status']}: {outcome.reason}", file=sys.stderr)
         return

@@ -37,7 +37,7 @@ static struct {
     struct timer tick;
     struct task_wake wake;
     uint32_t low, high;                    /* uptime as last seen */
-    uint32_t stats_clock, last_clock;
+    uint32_t stats_clock;
     uint32_t count, sum, sumsq;
 } uptime;
 
@@ -288,10 +288,8 @@ uptime_tick(struct timer *t)
 }
 
 static void
-stats_count_pass(uint32_t clock)
+stats_count_pass(uint32_t spent)
 {
-    uint32_t spent = clock - uptime.last_clock;
-    uptime.last_clock = clock;
     uptime.count++;
     uptime.sum += spent;
     /* sum of squares in units of STATS_SUMSQ_BASE; a pass of 2^16 ticks or more is scaled before it can overflow */
@@ -299,12 +297,13 @@ stats_count_pass(uint32_t clock)
                                     : (spent / STATS_SUMSQ_BASE + 1) * spent;
 }
 
-/* Once per pass of the main loop: how many passes, how long they took, every five seconds to the host. */
+/* Once per pass of the main loop: how many passes, how long they took (the one under way not yet), every five seconds to
+ * the host.  Sleep between passes is not work. */
 void
 stats_task(void)
 {
     uint32_t clock = timer_read_time();
-    stats_count_pass(clock);
+    stats_count_pass(sched_last_pass_ticks());
     if (!sched_check_wake(&uptime.wake))
         return;
     uptime_follow(clock);
@@ -368,7 +367,7 @@ basecmd_init(void)
     void *start;
     pool.arena_left = board_arena(&start);
     pool.arena = start;
-    uptime.low = uptime.stats_clock = uptime.last_clock = timer_read_time();
+    uptime.low = uptime.stats_clock = timer_read_time();
     uptime_restart();
 }
 DECL_INIT(basecmd_init);

@@ -30,6 +30,7 @@ static struct {
     struct timer *timers;             /* ascending waketime */
     struct recovery *recovery;        /* the innermost sched_guarded() */
     uint32_t shutdown_clock;
+    uint32_t pass_ticks;              /* how long the last pass of the tasks took */
     uint8_t reason;                   /* of the shutdown now in force or being entered; SHUTDOWN_NONE: running */
     uint8_t outputs_again;            /* a shutdown came in an interrupt: run DECL_SHUTDOWN again after the task */
     uint8_t announce_shutdown, announce_start;
@@ -44,6 +45,7 @@ power_on_state(void)
     sched.timers = NULL;
     sched.recovery = NULL;
     sched.shutdown_clock = 0;
+    sched.pass_ticks = 0;
     sched.reason = SHUTDOWN_NONE;
     sched.outputs_again = 0;
     sched.announce_shutdown = 0;
@@ -168,9 +170,17 @@ task_pass(void *unused)
 void
 sched_run_tasks(void)
 {
+    uint32_t start = timer_read_time();
     sched.tasks_waiting = 0;
     sched_guarded(task_pass, NULL);
+    sched.pass_ticks = timer_read_time() - start;
     watchdog_feed();
+}
+
+uint32_t
+sched_last_pass_ticks(void)
+{
+    return sched.pass_ticks;
 }
 
 /* Announcements are made here, in a task, because shutdowns come from anywhere. */

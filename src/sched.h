@@ -62,6 +62,7 @@ void sched_respond_shutdown(void);               /* tell the host why a command 
 void sched_main(void);               /* boot and loop for ever; a port with its own loop uses the next five */
 void sched_boot(void);
 void sched_run_tasks(void);          /* one pass */
+uint32_t sched_last_pass_ticks(void);  /* task: duration of the pass before this one, sleep not counted */
 uint8_t sched_tasks_waiting(void);   /* has anything been woken since the last pass began? */
 uint32_t sched_timer_dispatch(void); /* timer interrupt: run what is due; returns the next waketime */
 uint32_t sched_next_waketime(void);

@@ -34,6 +34,7 @@ POLL_S = 0.25  # how often the user looks at the printer
 AFTERMATH_S = 2.0  # watched on after a shutdown, to see that the heat goes off
 SAMPLE_S = 0.010  # host-side channels are read no more often than the trace has rows
 PROGRESS_WALL_S = 0.1
+UNKNOWN_COMMAND = '// Unknown command:"'  # how the console says it; the print goes on
 GC_ALLOCATIONS = 100_000  # between looks for cycles: blocks and moves come by the thousand and make none
 
 
@@ -227,6 +228,9 @@ class Simulation:
             self.facts.faults.append(
                 f"{self.reactor.monotonic() - self.world.start_s:.1f} s: {text[2:].strip()}"
             )
+        elif text.startswith(UNKNOWN_COMMAND):
+            name = text[len(UNKNOWN_COMMAND) :].strip('"')
+            self.facts.unknown_commands[name] = self.facts.unknown_commands.get(name, 0) + 1
 
     def _print(self) -> None:
         sdcard = self.printer.lookup_object("virtual_sdcard")

@@ -13,6 +13,7 @@ import resource
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 from .machine import Machine
@@ -34,12 +35,17 @@ class RunFacts:
     moves: int = 0
     file_progress: float = 0.0
     faults: list[str] = field(default_factory=list)
+    unknown_commands: dict[str, int] = field(default_factory=dict)  # name: how often
     stages_s: dict[str, float] = field(default_factory=dict)
     host_links: dict[str, Mapping[str, Any]] = field(default_factory=dict)
 
 
 def peak_memory_mb() -> float:
-    """Largest resident set of this process so far, MB (1e6 bytes)."""
+    """Largest resident set of this program so far, MB (1e6 bytes)."""
+    status = Path("/proc/self/status")
+    if status.exists():  # getrusage also counts what the process was before exec: the size of who started it
+        high_water = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM:"))
+        return int(high_water.split()[1]) * 1024 / 1e6
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
 
@@ -61,6 +67,7 @@ def summary(facts: RunFacts, machine: Machine | None) -> dict[str, Any]:
         "moves": facts.moves,
         "file_progress": round(facts.file_progress, 6),
         "faults": list(facts.faults),
+        "unknown_commands": facts.unknown_commands,
     }
     if machine is None:
         return result
