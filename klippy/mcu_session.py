@@ -87,6 +87,12 @@ SHUTDOWN_HELP = (
         " its cable: a broken one reads far too cold, a shorted one far too hot.",
     ),
     (
+        ("Thermocouple reader fault",),
+        "A thermocouple or RTD converter (MAX31855, MAX31856, MAX31865, MAX6675) reported a fault, or a temperature"
+        " outside min_temp and max_temp, several times in a row. Check the sensor, its cable, and the converter's"
+        " wiring to the board.",
+    ),
+    (
         ("Command request", "Force shutdown command"),
         "The host stopped the board (M112, an emergency stop, or an error on another board).",
     ),

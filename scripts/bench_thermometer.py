@@ -18,10 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT / "klippy"), str(ROOT / "test")]
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "test"))
 
-from loop.induction_rig import Plant, Rig, default_parameters
+from loop.induction_rig import Plant, Rig, default_parameters  # type: ignore[import-not-found]
 from thermal import features, fit, laws, paper_chain
 from thermal.records import SampleBlock, TempEstimate
 
@@ -85,7 +85,11 @@ class Recorder:
 
 
 def figures(
-    name: str, units: float, rows: list[tuple[float, float, float]], trace: dict[str, np.ndarray], from_s: float
+    name: str,
+    units: float,
+    rows: list[tuple[float, float, float]],
+    trace: dict[str, np.ndarray],
+    from_s: float,
 ) -> Figures:
     time_s, temp_c, arrival_s = np.array(rows).T
     late = time_s > from_s
@@ -148,7 +152,9 @@ def verdict(rows: list[Figures]) -> list[str]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
     parser.add_argument("--seconds", type=float, default=6.0, help="simulated time per LSB size")
     parser.add_argument("--json", type=Path, metavar="OUT", help="write the figures")
     options = parser.parse_args(argv)

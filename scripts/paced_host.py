@@ -45,6 +45,8 @@ RESTART_DELAY_S = 0.3  # lets clients see the socket vanish
 class PacedTime:
     """A `TimeSource`: the world's time, held back to `speed` seconds a second of the wall clock."""
 
+    _NOBODY = FdPoll()  # watches nothing
+
     def __init__(
         self, inner: SimTime, speed: float = 1.0, wall: Callable[[], float] = time.monotonic
     ) -> None:
@@ -56,19 +58,21 @@ class PacedTime:
         self.monotonic = inner.monotonic
 
     def wait(self, until: float, poll: FdPoll) -> None:
-        """Let the world go on, but not ahead of the wall clock; return when there may be something to do."""
-        inner = self._inner
-        now = inner.monotonic()
-        while until > now and not poll.poll(0.0):
+        """Let the world go on, but not ahead of the wall clock; return when there may be something to do.
+
+        Clients that never stop asking do not hold the world up: it moves as soon as a step is due.
+        """
+        now = self._inner.monotonic()
+        step = min(STEP_S * self.speed, until - now)
+        while until > now:
             allowed = self._wall() * self.speed + self._offset_s
             if allowed - now > SLIP_S * max(1.0, self.speed):
                 self._give_up(allowed - now)
-                continue
-            step = min(STEP_S * self.speed, until - now)
-            if allowed - now >= step:
-                inner.wait(min(until, allowed), poll)
+            elif allowed - now >= step:
+                self._inner.wait(min(until, allowed), self._NOBODY)
+                poll.poll(0.0)
                 return
-            if poll.poll((now + step - allowed) / self.speed):
+            elif poll.poll((now + step - allowed) / self.speed):
                 return
 
     def _give_up(self, behind_s: float) -> None:

@@ -153,10 +153,11 @@ class PrinterData:
                 section = header[1].strip()
             name = re.split(r"[:=]", line, maxsplit=1)[0].strip()
             if section.split()[:1] == ["mcu"] and name == "serial":
-                line = f"serial: {self.root / 'comms' / section.replace(' ', '_')}"
+                lines.append(f"serial: {self.root / 'comms' / section.replace(' ', '_')}")
             elif section == "virtual_sdcard" and name == "path":
-                line = f"path: {self.gcodes}"
-            lines.append(line)
+                lines.append(f"path: {self.gcodes}")
+            else:
+                lines.append(line)
         return "\n".join(lines)
 
     def _front_end(self, present: set[str]) -> str:

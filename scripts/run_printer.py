@@ -76,7 +76,7 @@ class Program:
                 stdout=subprocess.DEVNULL,  # what they log goes to their own log files
                 stderr=output,
                 start_new_session=True,
-                preexec_fn=_end_with_parent,
+                preexec_fn=_end_with_parent,  # noqa: PLW1509  (this program has one thread)
             )
         self.started = now
 

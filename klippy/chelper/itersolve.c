@@ -10,46 +10,6 @@
 enum { NEWTON_TRIES = 30 };
 #define ROOT_PRECISION_S 1e-9       /* far below a clock tick that matters */
 
-/* ---- linear machines ---- */
-
-static double
-mix(const struct stepper_kinematics *sk, const double *v)
-{
-    return sk->mix[0] * v[0] + sk->mix[1] * v[1] + sk->mix[2] * v[2];
-}
-
-double
-linear_position(const struct stepper_kinematics *sk, const double *xyz)
-{
-    return mix(sk, xyz);
-}
-
-int
-linear_next_piece(struct stepper_kinematics *sk, double from, double until, struct motion_piece *out)
-{
-    const struct trapq *tq = sk->tq;
-    for (; sk->reader < tq->next; sk->reader++) {
-        const struct segment *s = trapq_segment(tq, sk->reader);
-        double end = s->start_time + s->duration;
-        if (s->start_time >= until)
-            return 0;
-        if (end <= from)
-            continue;
-        double ratio = mix(sk, s->ratio);
-        if (ratio == 0.)
-            continue;
-        double t = from > s->start_time ? from - s->start_time : 0.;
-        out->start = s->start_time + t;
-        out->end = end < until ? end : until;
-        out->c[0] = mix(sk, s->origin) + ratio * (s->speed + s->half_accel * t) * t;
-        out->c[1] = ratio * (s->speed + 2. * s->half_accel * t);
-        out->c[2] = ratio * s->half_accel;
-        out->degree = 2;
-        return 1;
-    }
-    return 0;
-}
-
 /* ---- solving one monotone stretch ---- */
 
 /* A stretch in which the stepper moves one way only, in units of steps and seconds after `start`. */
@@ -250,6 +210,8 @@ sync_reader(struct stepper_kinematics *sk)
         sk->reader = sk->tq->first;
     if (sk->reader > sk->tq->next)
         sk->reader = sk->tq->next;
+    if (sk->barrier > sk->tq->next)
+        sk->barrier = sk->tq->next;
 }
 
 int
@@ -293,7 +255,7 @@ void
 itersolve_set_trapq(struct stepper_kinematics *sk, struct trapq *tq)
 {
     sk->tq = tq;
-    sk->reader = tq ? tq->next : 0;
+    sk->reader = sk->barrier = tq ? tq->next : 0;
 }
 
 void
@@ -311,6 +273,8 @@ itersolve_set_position(struct stepper_kinematics *sk, double x, double y, double
 {
     const double xyz[3] = { x, y, z };
     sk->origin = sk->position(sk, xyz) - (double)sk->steps * sk->step_dist;
+    if (sk->tq && sk->tq->next > sk->tq->first)
+        sk->barrier = sk->tq->next - 1;     /* trapq_set_position() has put the new place there */
 }
 
 /* Take over a stepper that stands at `steps`: for this solver it is where the solver last had it. */

@@ -12,7 +12,9 @@ import bisect
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
+
+from . import query_adc
 
 SAMPLE_TIME_S = 0.001
 SAMPLE_COUNT = 8
@@ -59,6 +61,16 @@ class PrinterADCtoTemperature:
     def _on_adc(self, read_time: float, read_value: float) -> None:
         if self._callback is not None:
             self._callback(read_time + SAMPLE_COUNT * SAMPLE_TIME_S, self.curve.calc_temp(read_value))
+
+
+Sensor = TypeVar("Sensor", bound=PrinterADCtoTemperature)
+
+
+def build_sensor(config: Any, kind: Callable[[Any, str, str, Any], Sensor], curve: Any) -> Sensor:
+    """Sensor on the section's sensor_pin; QUERY_ADC knows it by its section."""
+    sensor = kind(config.get_printer(), config.get_name(), config.get("sensor_pin"), curve)
+    query_adc.register_adc(config, config.get_name(), sensor.mcu_adc)
+    return sensor
 
 
 class Polyline:
@@ -154,6 +166,20 @@ def _amplifier_points(zero_v: float, slope_v_k: float) -> list[tuple[float, floa
     return [(temp, zero_v + slope_v_k * temp) for temp in (0.0, 100.0, 200.0, 300.0, 400.0, 500.0, 600.0)]
 
 
+# E3D's PT100 board (INA826): the sensor is fed from 5 V through 4400 ohm, the voltage over it amplified tenfold (gives
+# the maker's table: 1.11 V at 0, 1.52 V at 100, 2.66 V at 400 degC).
+_INA826_SUPPLY_V, _INA826_FEED_OHM, _INA826_GAIN = 5.0, 4400.0, 10.0
+
+
+def _ina826_points() -> list[tuple[float, float]]:
+    points = []
+    for temp_c in range(0, 1101, 25):
+        ohm = platinum_ohm(100.0, float(temp_c))
+        volt = _INA826_GAIN * _INA826_SUPPLY_V * ohm / (ohm + _INA826_FEED_OHM)
+        points.append((float(temp_c), volt))
+    return points
+
+
 def _pt1000_points() -> list[tuple[float, float]]:
     return [(float(t), platinum_ohm(1000.0, float(t))) for t in range(-50, 551, 25)]
 
@@ -191,7 +217,7 @@ def read_resistance_sensor(
 
 
 def _sensor(config: Any, curve: Curve) -> PrinterADCtoTemperature:
-    return PrinterADCtoTemperature(config.get_printer(), config.get_name(), config.get("sensor_pin"), curve)
+    return build_sensor(config, PrinterADCtoTemperature, curve)
 
 
 def register_builtin(heaters: Any) -> None:
@@ -199,6 +225,7 @@ def register_builtin(heaters: Any) -> None:
     for name, (zero_v, slope_v_k) in _LINEAR_AMPLIFIERS.items():
         points = _amplifier_points(zero_v, slope_v_k)
         heaters.add_sensor_factory(name, lambda c, p=points: read_voltage_sensor(c, p, c))
+    heaters.add_sensor_factory("PT100 INA826", lambda c: read_voltage_sensor(c, _ina826_points(), c))
     heaters.add_sensor_factory("PT1000", lambda c: read_resistance_sensor(c, _pt1000_points(), c))
 
 

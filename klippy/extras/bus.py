@@ -1,7 +1,7 @@
 """Devices on the SPI and I2C buses of a micro-controller, for the modules that drive chips.
 
-    MCU_SPI_from_config(config, mode)   options spi_speed, spi_bus, spi_software_{sclk,mosi,miso}_pin, and the chip select
-    MCU_I2C_from_config(config)         options i2c_mcu, i2c_bus, i2c_address, i2c_speed, i2c_software_{scl,sda}_pin
+    MCU_SPI_from_config(config, mode)  options spi_speed, spi_bus, spi_software_{sclk,mosi,miso}_pin, chip select
+    MCU_I2C_from_config(config)        options i2c_mcu, i2c_bus, i2c_address, i2c_speed, i2c_software_{scl,sda}_pin
 
 Until the MCU is configured, data to send goes into its start-up commands (sent at each start); afterwards it goes out
 at once, in the order of the device's own command queue.
@@ -14,8 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 
-
-
 def _hex(data: Sequence[int]) -> str:
     return bytes(data).hex()  # as configuration commands write bytes
 
@@ -25,7 +23,9 @@ def resolve_bus_name(mcu: Any, param: str, bus: str | None) -> str | int:
 
     Without a name it is the firmware's number 0. Raises the printer's config_error for a name it does not have.
     """
-    known: Mapping[str, int] = mcu.get_enumerations().get(param, {})
+    enumerations = mcu.get_enumerations()
+    # SAMD boards have one enumeration for both kinds
+    known: Mapping[str, int] = enumerations.get(param) or enumerations.get("bus", {})
     if not known:
         return 0 if bus is None else bus
     if bus is None:
@@ -257,7 +257,12 @@ class MCU_I2C:
         return self.cmd_queue
 
     def i2c_transfer(
-        self, write: Sequence[int], read_len: int = 0, minclock: int = 0, reqclock: int = 0, retry: bool = True
+        self,
+        write: Sequence[int],
+        read_len: int = 0,
+        minclock: int = 0,
+        reqclock: int = 0,
+        retry: bool = True,
     ) -> dict[str, Any]:
         """Write, then read `read_len` bytes; they are in `response`. Raises the printer's command_error if the
         device does not answer."""
@@ -284,9 +289,7 @@ class MCU_I2C:
         return self.i2c_transfer(write, read_len, retry=retry)
 
 
-def MCU_I2C_from_config(
-    config: Any, default_addr: int | None = None, default_speed: int = 100000
-) -> MCU_I2C:
+def MCU_I2C_from_config(config: Any, default_addr: int | None = None, default_speed: int = 100000) -> MCU_I2C:
     """The device of a section, by its I2C options."""
     printer = config.get_printer()
     name = config.get("i2c_mcu", "mcu")

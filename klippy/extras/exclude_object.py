@@ -2,10 +2,10 @@
 
     G-code ─► gcode_move ─► ObjectFilter ─► (what was there before: mesh, toolhead)
 
-The slicer marks where each object begins and ends. Moves of an excluded object only change the *commanded* position;
-the toolhead stays. The first move after them goes straight to its place. Filament is the difficulty: skipped retractions
-and skipped primes must not add up to a nozzle that starts empty or oozing. So how deep the filament is drawn back is
-followed for both sides, commanded and real, and evened out where the print goes on.
+The slicer marks where each object begins and ends. Moves of an excluded object only change the *commanded*
+position; the toolhead stays. The first move after them goes straight to its place. Filament is the difficulty:
+skipped retractions and skipped primes must not add up to a nozzle that starts empty or oozing. So how deep the
+filament is drawn back is followed for both sides, commanded and real, and evened out where the print goes on.
 """
 
 from __future__ import annotations

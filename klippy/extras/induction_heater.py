@@ -10,14 +10,27 @@ from __future__ import annotations
 
 import logging
 import math
-from typing import Any
+from typing import Any, Protocol
 
-from thermal import features, loop
+from thermal import features, laws, loop
 from thermal.records import PhaseCommand, SampleBlock
 
 from . import heaters as heater_registry
+from . import induction_calibrate, induction_dump, induction_supply
 from . import induction_settings as settings
 from .induction_mcu import InductionUnit
+
+QUIET_S = 0.5  # how often it is looked whether melt or fan take heat
+
+
+class Driver(Protocol):
+    """What can take the loop's place at the bridge for a while: a calibration run."""
+
+    @property
+    def over(self) -> bool: ...
+    def on_blocks(self, blocks: list[SampleBlock], now_s: float) -> list[PhaseCommand]: ...
+    def on_timer(self, now_s: float) -> list[PhaseCommand]: ...
+    def abort(self, reason: str) -> None: ...
 
 
 class InductionHeater:
@@ -46,6 +59,9 @@ class InductionHeater:
         self.served_by = ""
         self._reactor = printer.get_reactor()
         self._timer: Any = None
+        self._driver: Driver | None = None
+        self._quiet_s = -math.inf
+        self._warned = ""
         self._running = False
         self._smoothed_c = 0.0
         self._smoothed_s = -math.inf
@@ -82,6 +98,8 @@ class InductionHeater:
         """The MCU turns the bridge off in its own shutdown; here nothing more is sent."""
         self._running = False
         self.loop.state.target_c = 0.0
+        if self._driver is not None:
+            self._driver.abort("the printer stopped")
         if self._timer is not None:
             self._reactor.unregister_timer(self._timer)
             self._timer = None
@@ -93,6 +111,12 @@ class InductionHeater:
         if not self._running:
             return
         now_s = self._now_s()
+        if self._driver is not None:
+            for listener in self.loop.listeners:
+                for block in blocks:
+                    listener(block, None, now_s)
+            self._send(self._driver.on_blocks(blocks, now_s))
+            return
         self._send(self.loop.on_blocks(blocks, now_s))
         self._smooth()
 
@@ -100,6 +124,13 @@ class InductionHeater:
         """Watch, and a command if the newest one ages; control itself runs on the arrival of blocks."""
         period_s = self.parameters.timing.refresh_s
         now_s = self.unit.print_time_now(eventtime)
+        if self._driver is not None:
+            self._send(self._driver.on_timer(now_s))
+            return eventtime + min(period_s, 0.020)
+        if eventtime - self._quiet_s >= QUIET_S:
+            self._quiet_s = eventtime
+            self.loop.quiet = self._is_quiet(eventtime)
+            self._warn()
         if now_s - self.loop.state.decided_s >= period_s:
             self._send(self.loop.on_timer(now_s))
         return eventtime + period_s if self._running else self._reactor.NEVER
@@ -112,6 +143,62 @@ class InductionHeater:
             text = f"Induction heater '{self.section_name}': {self.loop.fault}"
             logging.error("%s", text)
             self.printer.invoke_shutdown(text)
+
+    def _is_quiet(self, eventtime: float) -> bool:
+        """Does nothing but the air take heat from the nozzle?"""
+        motion = self.printer.lookup_object("motion_report", None)
+        if motion is not None and abs(motion.get_status(eventtime)["live_extruder_velocity"]) > 1e-6:
+            return False
+        fan = self.printer.lookup_object("fan", None)
+        return fan is None or not fan.get_status(eventtime)["speed"]
+
+    def _warn(self) -> None:
+        """Say once what has become implausible."""
+        text = self.warning()
+        kind = text[:20]
+        if text and kind != self._warned:
+            logging.warning("Induction heater '%s': %s", self.section_name, text)
+            self.printer.lookup_object("gcode").respond_info(
+                f"Induction heater '{self.section_name}': {text}"
+            )
+        self._warned = kind
+
+    def warning(self) -> str:
+        """What is not as it should be, "" while all is well."""
+        noise = features.noise_lsb(self.loop.state.noise)
+        if noise is not None and noise < features.NOISE_NEEDED_LSB:
+            return (
+                f"too little noise at the ADC for oversampling ({noise:.2f} LSB, {features.NOISE_NEEDED_LSB} needed):"
+                " readings snap to whole codes"
+            )
+        return self.loop.state.warning
+
+    # A calibration borrows the bridge
+
+    def borrow(self, driver: Driver) -> None:
+        """Let `driver` command the bridge; raises command_error if the heater is in use."""
+        if not self._running:
+            raise self.printer.command_error(f"Induction heater '{self.section_name}' is not running")
+        if self._driver is not None:
+            raise self.printer.command_error("A calibration is running already; ABORT ends it")
+        if self.loop.state.target_c:
+            raise self.printer.command_error(f"Turn heater '{self.name}' off before calibrating it")
+        self._driver = driver
+
+    def give_back(self) -> None:
+        """The loop is at the bridge again, heater off."""
+        self._driver = None
+        self.loop.resume(self._now_s())
+
+    def now_s(self) -> float:
+        """Print time of the induction unit's MCU."""
+        return self._now_s()
+
+    def use(self, parameters: loop.LoopParameters) -> None:
+        """Work with other parameters from now on (a new calibration); the MCU's own limits stay as configured."""
+        self.parameters = parameters
+        self.loop.parameters = parameters
+        self.loop.state.estimate = loop.NOT_MEASURED
 
     def _smooth(self) -> None:
         """The displayed temperature: first-order, over `smooth_time`."""
@@ -127,6 +214,12 @@ class InductionHeater:
 
     def set_temp(self, degrees: float) -> None:
         """New target in degC, 0 = off. Raises the printer's command_error if out of range."""
+        if degrees and self._driver is not None:
+            raise self.printer.command_error(f"Heater '{self.name}' is being calibrated; ABORT ends that")
+        if degrees and not self.parameters.supervise.calibrated:
+            raise self.printer.command_error(
+                f"Heater '{self.name}' is not calibrated: run INDUCTION_CALIBRATE HEATER={self.section_name} first"
+            )
         if degrees and not self.min_temp <= degrees <= self.max_temp:
             raise self.printer.command_error(
                 heater_registry.range_error(degrees, self.min_temp, self.max_temp)
@@ -183,6 +276,15 @@ class InductionHeater:
             "power_w": round(state.request.power_w, 3),
             "phase": state.commanded.phase_ticks,
             "fault": self.loop.fault or None,
+            "warning": self.warning() or None,
+            "law": laws.coefficients_of(self.parameters.estimator.law)[0],
+            "calibrated": self.parameters.supervise.calibrated,
+            "calibrating": self._driver is not None,
+            "latency": round(state.latency_s, 4),
+            "noise_lsb": _rounded(features.noise_lsb(state.noise)),
+            "drift": _rounded(state.plausible.drift_c),
+            "capacity_ratio": _rounded(state.plausible.capacity_ratio),
+            "supply": round(self.parameters.estimator.supply, 4),
             **self.unit.get_status(),
         }
 
@@ -196,6 +298,10 @@ class InductionHeater:
             f" blocks_lost={self.unit.counters.missing_blocks}"
         )
         return active, text
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 3)
 
 
 class InductionSection:
@@ -244,4 +350,10 @@ def load_config_prefix(config: Any) -> InductionSection:
     )
     section = InductionSection(config, heater)
     section.register()
+    folder = config.get("calibration_folder", "~/printer_data/logs")
+    induction_calibrate.InductionCalibrate(printer, heater, config.get_name(), folder).register()
+    induction_dump.InductionDump(printer, heater).register()
+    supply = induction_supply.read(config)
+    if supply is not None:
+        supply.serve(heater)
     return section

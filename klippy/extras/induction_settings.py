@@ -6,7 +6,19 @@ import math
 from dataclasses import fields, replace
 from typing import Any
 
-from thermal import actuator, control, estimator, features, laws, limits, loop, model, plausible, supervise, track
+from thermal import (
+    actuator,
+    control,
+    estimator,
+    features,
+    laws,
+    limits,
+    loop,
+    model,
+    plausible,
+    supervise,
+    track,
+)
 
 from .induction_mcu import UnitSettings
 
@@ -32,17 +44,24 @@ CALIBRATED_APPROACH = loop.Approach(power_w=60.0, band_c=45.0, leave_c=80.0, reb
 
 
 def read_law(config: Any) -> tuple[laws.Law, bool]:
-    """(sensing law, calibrated); each coefficient is an option with the seeds' value as default."""
+    """(sensing law, calibrated); each coefficient is an option with the seeds' value as default.
+
+    The options of all laws are read: changing `estimator` is no reason to delete a calibration.
+    """
     names = {name: name for name in (*laws.LAWS, UNCALIBRATED)}
     choice = config.getchoice("estimator", names, "exp")
-    law = laws.LAWS["exp" if choice == UNCALIBRATED else choice]()
-    values = {
-        f.name: config.getfloat(f"{choice}_{f.name}", getattr(law, f.name))
-        for f in fields(law)
-        if f.name != "residual_units" and choice != UNCALIBRATED
-    }
-    values["residual_units"] = config.getfloat("law_residual", law.residual_units, minval=0.0)
-    return replace(law, **values), choice != UNCALIBRATED
+    found: dict[str, laws.Law] = {}
+    for name, kind in laws.LAWS.items():
+        default = kind()
+        values = {
+            f.name: config.getfloat(f"{name}_{f.name}", getattr(default, f.name))
+            for f in fields(kind)
+            if f.name != "residual_units"
+        }
+        found[name] = replace(default, **values)
+    law = found["exp" if choice == UNCALIBRATED else choice]
+    residual = config.getfloat("law_residual", law.residual_units, minval=0.0)
+    return laws.law_of(*laws.coefficients_of(law), residual), choice != UNCALIBRATED
 
 
 def read_unit(config: Any) -> UnitSettings:
@@ -108,12 +127,16 @@ def _pid(config: Any, drive: actuator.DriveLaw) -> control.PidParameters:
     )
 
 
-def _approach(config: Any, drive: actuator.DriveLaw, law: laws.Law) -> loop.Approach:
+def approach_for(law: laws.Law, drive: actuator.DriveLaw) -> loop.Approach:
+    """How a nozzle with this law may arrive at its target."""
     default = CALIBRATED_APPROACH if isinstance(law, laws.TankLaw) else loop.Approach()
+    return replace(default, power_w=min(default.power_w, drive.power_max_w))
+
+
+def _approach(config: Any, drive: actuator.DriveLaw, law: laws.Law) -> loop.Approach:
+    default = approach_for(law, drive)
     band_c = config.getfloat("approach_band", default.band_c, minval=10.0, maxval=300.0)
-    power_w = config.getfloat(
-        "approach_power_w", min(default.power_w, drive.power_max_w), above=0.0, maxval=drive.power_max_w
-    )
+    power_w = config.getfloat("approach_power_w", default.power_w, above=0.0, maxval=drive.power_max_w)
     return loop.Approach(power_w, band_c, band_c + default.leave_c - default.band_c, default.rebase_fraction)
 
 
@@ -130,7 +153,11 @@ def _loss(config: Any) -> model.LossLaw:
 def _plausible(config: Any, heat: model.HeatCapacity, loss: model.LossLaw) -> plausible.PlausibleParameters:
     return plausible.PlausibleParameters(
         heat,
-        plausible.scaled(config.getfloat("loss_factor", 1.0, above=0.0), loss.ambient_c),
+        plausible.scaled(
+            config.getfloat("loss_factor", 1.0, above=0.0, maxval=10.0),
+            loss.ambient_c,
+            config.getfloat("second_mass_factor", 1.0, above=0.0, maxval=10.0),
+        ),
         config.getfloat("loss_uncertainty", 0.25, above=0.0, maxval=2.0),
         config.getfloat("drift_limit", 8.0, above=0.0, maxval=200.0),
     )

@@ -15,9 +15,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from .adc_temperature import PrinterADCtoTemperature
+from .adc_temperature import PrinterADCtoTemperature, build_sensor
 
-CHECK_STEPS = 1000  # of the range, to see that the polynomial is monotonic; a curve of low degree has no narrower bumps
+CHECK_STEPS = (
+    1000  # of the range, to see that the polynomial is monotonic; a curve of low degree has no narrower bumps
+)
 BISECTIONS = 50
 
 
@@ -118,7 +120,6 @@ def load_config_prefix(config: Any) -> None:
     name = " ".join(config.get_name().split()[1:])
 
     def build(sensor_config: Any) -> PolynomialSensor:
-        pin = sensor_config.get("sensor_pin")
-        return PolynomialSensor(printer, sensor_config.get_name(), pin, polynomial)
+        return build_sensor(sensor_config, PolynomialSensor, polynomial)
 
     printer.load_object(config, "heaters").add_sensor_factory(name, build)

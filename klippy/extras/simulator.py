@@ -4,6 +4,7 @@
     [simulator mcu NAME]        the line to one MCU and the error of its clock
     [simulator nozzle NAME]     an induction-heated nozzle on an MCU's bridge: preset and plant parameters
     [simulator load NAME]       a bed or a conventional hotend: heater pin, sensor pin, parameters
+    [simulator reference NAME]  a thermocouple on a nozzle, to calibrate against: gain, tau (Table 6), amplifier
     [simulator axis NAME]       what a stepper moves, and the switch at its end
     [simulator fan NAME]        a fan
 
@@ -95,6 +96,20 @@ class LoadSettings:
     feed: FeedSettings
     fan: str | None
     parameters: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceSettings:
+    """[simulator reference NAME]; pin None: as in [temperature_sensor NAME]."""
+
+    name: str
+    section: str
+    sensor_pin: str | None
+    nozzle: str
+    gain: float  # about 25 degC; source 000, Table 6: 1.0 at half height
+    tau_s: float
+    volt_per_k: float
+    adc_volt: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +211,19 @@ def _read_load(config: Any, name: str) -> LoadSettings:
     )
 
 
+def _read_reference(config: Any, name: str) -> ReferenceSettings:
+    return ReferenceSettings(
+        name=name,
+        section=config.get("section", f"temperature_sensor {name}"),
+        sensor_pin=config.get("sensor_pin", None),
+        nozzle=config.get("nozzle"),
+        gain=config.getfloat("gain", 1.0, minval=0.5, maxval=1.5),
+        tau_s=config.getfloat("tau", 0.6, minval=0.001, maxval=60.0),
+        volt_per_k=config.getfloat("volt_per_k", 0.005, above=0.0),
+        adc_volt=config.getfloat("adc_voltage", 5.0, above=0.0),
+    )
+
+
 def _read_axis(config: Any, name: str) -> AxisSettings:
     def number(option: str) -> float | None:
         value = config.getfloat(option, None)
@@ -230,6 +258,7 @@ _READERS: dict[str, Callable[[Any, str], Any]] = {
     "mcu": _read_mcu,
     "nozzle": _read_nozzle,
     "load": _read_load,
+    "reference": _read_reference,
     "axis": _read_axis,
     "fan": _read_fan,
 }

@@ -225,7 +225,9 @@ class SpiSensor:
         text = f"{self.chip.type_name} in section '{self.name}': {', '.join(names) or f'fault {fault:#04x}'}"
         logging.warning("%s", text)
         gcode = self.printer.lookup_object("gcode")
-        self.printer.get_reactor().register_async_callback(lambda eventtime: gcode.respond_info(text, log=False))
+        self.printer.get_reactor().register_async_callback(
+            lambda eventtime: gcode.respond_info(text, log=False)
+        )
 
 
 CHIPS: dict[str, Callable[[Any], Chip]] = {

@@ -2,8 +2,8 @@
 
     sensor_list: temperature_sensor a, extruder     combination_method: mean     maximum_deviation: 5
 
-Once ready, the sensors are read every REPORT_TIME_S from their status. If they differ by more than maximum_deviation the
-printer shuts down: then one of them is wrong, and nobody knows which.
+Once ready, the sensors are read every REPORT_TIME_S from their status. If they differ by more than maximum_deviation
+the printer shuts down: one of them is wrong, and nobody knows which.
 """
 
 from __future__ import annotations

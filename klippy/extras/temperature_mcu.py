@@ -14,6 +14,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from . import query_adc
+
 SAMPLE_TIME_S = 0.001
 SAMPLE_COUNT = 8
 REPORT_TIME_S = 0.300
@@ -175,7 +177,9 @@ class McuTemperature:
             return None
         query = mcu.lookup_query_command("debug_read order=%c addr=%u", "debug_result val=%u")
         scale = factory.supply_v / BOARD_V / factory.full_scale
-        adc1, adc2 = (query.send([1, address])["val"] * scale for address in (factory.address1, factory.address2))
+        adc1, adc2 = (
+            query.send([1, address])["val"] * scale for address in (factory.address1, factory.address2)
+        )
         if not 0.0 < adc1 < 1.0 or not 0.0 < adc2 < 1.0 or adc1 == adc2:
             return None
         return Line.through_two(adc1, factory.temp1_c, adc2, factory.temp2_c)
@@ -205,6 +209,7 @@ def build_sensor(config: Any) -> McuTemperature:
     name = config.get_name().split()[-1]
     mcu_name = config.get("sensor_mcu", "mcu")
     sensor = McuTemperature(config.get_printer(), name, mcu_name, read_calibration(config))
+    query_adc.register_adc(config, config.get_name(), sensor.mcu_adc)
     sensor.register()
     return sensor
 
@@ -216,4 +221,3 @@ def register_builtin(heaters: Any) -> None:
 
 def load_config(config: Any) -> None:
     """Section [temperature_mcu] of older configs: the type is built in."""
-

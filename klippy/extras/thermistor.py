@@ -19,6 +19,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from . import adc_temperature
 from .adc_temperature import PrinterADCtoTemperature
 
 ZERO_CELSIUS_K = 273.15
@@ -178,7 +179,7 @@ def build_sensor(config: Any, law: Law) -> PrinterADCtoTemperature:
         config.getfloat("inline_resistor", 0.0, minval=0.0),
         config.getfloat("parallel_resistor", math.inf, above=0.0),
     )
-    return PrinterADCtoTemperature(config.get_printer(), config.get_name(), config.get("sensor_pin"), curve)
+    return adc_temperature.build_sensor(config, PrinterADCtoTemperature, curve)
 
 
 def register_builtin(heaters: Any) -> None:

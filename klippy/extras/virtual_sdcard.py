@@ -149,6 +149,8 @@ class VirtualSD:
 
     def _load_file(self, gcmd: Any, name: str, check_subdirs: bool = False) -> None:
         name = name.lstrip("/")
+        if "\0" in name:
+            raise gcmd.error("Unable to open file: its name has a zero byte")
         known = {entry.lower(): entry for entry, _ in self.get_file_list(check_subdirs)}
         path = os.path.join(self.sdcard_dirname, known.get(name.lower(), name))
         inside = os.path.realpath(self.sdcard_dirname)

@@ -22,13 +22,22 @@ from extras.simulator import (
     LoadSettings,
     McuSettings,
     NozzleSettings,
+    ReferenceSettings,
     SimulatorSettings,
 )
 
 from .world import Pin, World, WorldError, parameter_values
 
 Config = Mapping[str, Mapping[str, str]]
-Settings = SimulatorSettings | McuSettings | NozzleSettings | LoadSettings | AxisSettings | FanSettings
+Settings = (
+    SimulatorSettings
+    | McuSettings
+    | NozzleSettings
+    | LoadSettings
+    | AxisSettings
+    | FanSettings
+    | ReferenceSettings
+)
 _T = TypeVar("_T")
 
 _PIN = re.compile(r"^(?P<marks>[!^~ ]*)(?:(?P<mcu>[^:]+):)? *P(?P<port>[A-H])(?P<number>\d{1,2})$")
@@ -64,6 +73,8 @@ def assemble(world: World, settings: Iterable[Settings], config: Config) -> Mach
         machine.fans[fan.name] = world.add_fan(pin, fan.spin_up_s)
     for nozzle in _of(things, NozzleSettings):
         machine.nozzles[nozzle.name] = _add_nozzle(machine, nozzle)
+    for reference in _of(things, ReferenceSettings):
+        _add_reference(machine, reference, config)
     for load in _of(things, LoadSettings):
         machine.loads[load.name] = _add_load(machine, load, config)
     return machine
@@ -216,6 +227,15 @@ def _add_nozzle(machine: Machine, nozzle: NozzleSettings) -> int:
     fan = _index(machine.fans, nozzle.fan, "fan", where)
     values = parameter_values("nozzle", nozzle.preset, dict(nozzle.parameters))
     return machine.world.add_nozzle(machine.mcus[nozzle.mcu], values, axis, area_mm2, fan)
+
+
+def _add_reference(machine: Machine, reference: ReferenceSettings, config: Config) -> int:
+    where = f"simulator reference {reference.name}"
+    pin = _pin(machine, reference.sensor_pin, config, reference.section, "sensor_pin", where)
+    nozzle = _index(machine.nozzles, reference.nozzle, "nozzle", where)
+    return machine.world.add_reference(
+        nozzle, pin, reference.gain, reference.tau_s, reference.volt_per_k, reference.adc_volt
+    )
 
 
 def _add_load(machine: Machine, load: LoadSettings, config: Config) -> int:

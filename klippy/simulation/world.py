@@ -239,6 +239,15 @@ class World:
         pins = self.pin(heater), self.pin(sensor)
         return self._index(self.lib.world_add_load(self.pointer, values, int(is_bed), *pins, feed, fan))
 
+    def add_reference(
+        self, nozzle: int, pin: Pin, gain: float, tau_s: float, volt_per_k: float, adc_volt: float
+    ) -> int:
+        """A thermocouple on a nozzle's skin. Returns its index."""
+        options = self.ffi.new(
+            "struct world_reference_options *", (nozzle, gain, tau_s, volt_per_k, adc_volt, 0.5)
+        )
+        return self._index(self.lib.world_add_reference(self.pointer, options, self.pin(pin)))
+
     # --- running ---
     def advance(self, until_s: float) -> int:
         """Let time pass; returns a bit per MCU whose host queue holds messages."""

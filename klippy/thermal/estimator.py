@@ -17,8 +17,9 @@ __all__ = ["Eq5Law", "EstimatorParameters", "ExpLaw", "Law", "TankLaw", "combine
 # 0.2 % power, the smallest of Table 1: least excitation the laws were fitted on.
 SENSING_PHASE_TICKS = 2012
 
-# Far beyond the range the signal is not that of a nozzle that is merely hot: an empty coil reads hundreds of units above.
+# Far beyond the range the signal is not that of a nozzle that is merely hot: an empty coil reads much higher.
 EMPTY_MARGIN_C = 150.0
+
 
 @dataclass(frozen=True, slots=True)
 class EstimatorParameters:

@@ -44,6 +44,7 @@ SPAN_OF_NOISE = (
     (2.0, 10.96),
     (4.0, 21.81),
 )
+NOISE_NEEDED_LSB = 0.3  # less, and the mean of many samples no longer shows what lies between two codes
 NOISE_BLOCKS = 200  # memory of the running mean: a third of a second
 
 

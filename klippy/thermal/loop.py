@@ -178,6 +178,21 @@ class InductionLoop:
         """Nothing came for a while; also the regular watch."""
         return self._step(now_s)
 
+    def resume(self, now_s: float) -> None:
+        """Somebody else was at the bridge for a while: nothing remembered of the nozzle holds any more."""
+        self.start(now_s)
+        self.restart_filter()
+        self.state.estimate = NOT_MEASURED
+        self.state.commanded = PhaseCommand(now_s, 0, 0.0)
+        self.state.actuator = actuator.ActuatorState()
+        self.state.request = NO_REQUEST
+
+    def restart_filter(self) -> None:
+        """The law changed: what the filter and the balance remember was told by another one."""
+        self.state.track = track.TrackState()
+        self.state.plausible = plausible.PlausibleState()
+        self.state.warning = ""
+
     def is_settled(self) -> bool:
         """At the target, and has been for a little while."""
         state = self.state
@@ -193,7 +208,7 @@ class InductionLoop:
     def _note_balance(self, news: TempEstimate) -> None:
         """Ten times a second is enough for a balance over half a minute."""
         state, parameters = self.state, self.parameters
-        if news.time_s - state.balanced_s < BALANCE_S:
+        if news.time_s - state.balanced_s < BALANCE_S or not parameters.supervise.calibrated:
             return
         plausible.observe(
             parameters.plausible, state.plausible, news.time_s, news.temp_c, state.heat_j, self.quiet

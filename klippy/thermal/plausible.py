@@ -6,7 +6,8 @@ Reference plant's two nodes, T measured, T2 followed from it:
     C2 dT2/dt = k01 (T - T2) - g1 (T2 - Ta)
 
 What is left over of that balance, averaged over `window_s` and divided by what a degree changes of it, is the error
-the reading would have to have: `drift_c` (reading minus plausible temperature). It only says something while no melt and
+the reading would have to have: `drift_c` (reading minus plausible temperature). It only says something while
+no melt and
 no fan take heat away (`quiet`), and is as good as the losses are known: calibration measures them.
 
 A heat-up tells the nozzle's capacity the same way: heat that went in over degrees that came out.
@@ -52,13 +53,13 @@ class TwoNodeLoss:
         return series + self.skin_w_k + 4.0 * model.STEFAN_BOLTZMANN * self.radiation_m2 * hot_k**3
 
 
-def scaled(factor: float, ambient_c: float) -> TwoNodeLoss:
-    """The reference paths, all times `factor`."""
+def scaled(factor: float, ambient_c: float, second_factor: float = 1.0) -> TwoNodeLoss:
+    """The reference paths, all times `factor`, and the second mass times `second_factor`."""
     base = TwoNodeLoss()
     return TwoNodeLoss(
         base.skin_w_k * factor,
         base.link_w_k * factor,
-        base.second_j_k,
+        base.second_j_k * second_factor,
         base.second_w_k * factor,
         base.radiation_m2 * factor,
         ambient_c,
@@ -96,7 +97,9 @@ class PlausibleState:
     capacity_ratio: float | None = None  # measured over expected, newest heat-up
 
 
-def _run(parameters: PlausibleParameters, state: PlausibleState, dt_s: float, temp_c: float, net_w: float) -> None:
+def _run(
+    parameters: PlausibleParameters, state: PlausibleState, dt_s: float, temp_c: float, net_w: float
+) -> None:
     """Book a heat-up; ends when the heat ends or enough degrees are there."""
     if net_w < parameters.run_w:
         state.run_start_c = math.nan

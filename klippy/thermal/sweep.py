@@ -1,6 +1,7 @@
 """The calibration run: which phase when, what is recorded, and when to stop. Pure; decides, does not act.
 
-Temperature cannot jump, the drive can: while the nozzle slowly heats, the bridge visits one power after another for a few
+Temperature cannot jump, the drive can: while the nozzle slowly heats, the bridge visits one power after
+another for a few
 milliseconds each, with stretches at the least phase in between. So every power sees every temperature, and the
 temperature at a visit lies between those of the stretches before and after it:
 
@@ -18,7 +19,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from . import actuator, features
+from . import actuator, features, model
 from .estimator import SENSING_PHASE_TICKS
 from .records import PHASE_MAX_TICKS, PhaseCommand, SampleBlock
 
@@ -51,17 +52,20 @@ class SweepParameters:
     refresh_s: float = 0.030  # longest phase without a new command
     silence_s: float = 0.5
     reference_s: float = 3.0  # longest silence of the reference
-    contact_s: float = 6.0  # after this time of heating the reference must have moved ...
-    contact_c: float = 8.0  # ... by this much
+    contact_s: float = 6.0  # within this time of heating the reference must rise ...
+    contact_c: float = 8.0  # ... by this much, or the heat goes elsewhere
+    balance_share: float = 0.6  # unless this share of the heat is what the nozzle loses anyway
 
 
 @dataclass(slots=True)
 class Recording:
-    """What a run brought: blocks as (time_s, error units, phase, count, power_w) and the reference."""
+    """What a run brought: blocks as (centre s, error units, phase, count, duration s) and (s, degC) of the reference.
 
-    blocks: list[tuple[float, float, int, int]] = field(default_factory=list)
+    Blocks with the bridge off are there too, with error 0: they tell how long it was off.
+    """
+
+    blocks: list[tuple[float, float, int, int, float]] = field(default_factory=list)
     reference: list[tuple[float, float]] = field(default_factory=list)
-    spans: list[tuple[float, float, int]] = field(default_factory=list)  # (from, to, phase) as blocks told
 
 
 class Sweep:
@@ -76,6 +80,7 @@ class Sweep:
         self._heard_s = now_s
         self._next_s = now_s + parameters.lead_s
         self._plan: Iterator[tuple[int, float]] = self._rest()
+        self._rise = (now_s, -math.inf)  # when the reference had risen enough, and to what
         self._levels = itertools.cycle([ticks_of_percent(p) for p in parameters.powers_percent])
 
     @property
@@ -98,16 +103,14 @@ class Sweep:
         record = self.recording
         for block in blocks:
             self._heard_s = now_s
-            end_s = block.time_s + block.duration_s
-            start_s = block.time_s - block.discarded * block.duration_s / block.count
-            record.spans.append((start_s, end_s, block.phase_ticks))
-            if not block.phase_ticks or self.over:
+            if self.over:
                 continue
             seen = features.extract(self.parameters.front, block)
-            if seen.fault:
+            if block.phase_ticks and seen.fault:
                 self.abort(f"{seen.fault} at {100.0 * seen.power_fraction:.1f} % power")
                 break
-            record.blocks.append((seen.time_s, seen.error_units, seen.phase_ticks, seen.count))
+            error = seen.error_units if block.phase_ticks else 0.0
+            record.blocks.append((seen.time_s, error, seen.phase_ticks, seen.count, block.duration_s))
         return self.on_timer(now_s)
 
     def on_timer(self, now_s: float) -> list[PhaseCommand]:
@@ -162,18 +165,28 @@ class Sweep:
         if temp_c > p.temp_max_c + 60.0:
             self.abort(f"the reference reads {temp_c:.0f} C, far above the limit of this run")
         elif self.stage == "rest" and since_s >= p.rest_s:
+            self._rise = (now_s, temp_c)
             self._enter("heat", self._heat(), now_s)
         elif self.stage == "heat":
-            first_c = self.recording.reference[0][1]
-            if since_s > p.contact_s and temp_c < first_c + p.contact_c:
+            if self._stalled(now_s, temp_c):
+                lost_w = model.loss_w(model.LossLaw(), temp_c)
+                if lost_w > p.balance_share * p.heat_w:
+                    self._enter("cool", self._cool(), now_s)  # as hot as this power makes it
+                    return
                 self.abort(
-                    f"the reference rose by only {temp_c - first_c:.1f} C in {since_s:.0f} s of heating:"
-                    " does it touch the nozzle?"
+                    f"the reference rose by only {temp_c - self._rise[1]:.1f} C in {p.contact_s:.0f} s of heating:"
+                    " does it touch the nozzle, and is the nozzle in the coil?"
                 )
             elif temp_c + p.lag_s * self._slope_c_s() >= p.temp_max_c or since_s >= p.heat_s:
                 self._enter("cool", self._cool(), now_s)
         elif self.stage == "cool" and (temp_c <= p.cool_to_c or since_s >= p.cool_s):
             self.stage = "done"
+
+    def _stalled(self, now_s: float, temp_c: float) -> bool:
+        """Has the reference stopped rising?"""
+        if temp_c >= self._rise[1] + self.parameters.contact_c:
+            self._rise = (now_s, temp_c)
+        return now_s - self._rise[0] > self.parameters.contact_s
 
     # Phases over time: (phase, duration)
 

@@ -5,8 +5,10 @@ State: T (degC) and q (K/s), the heating rate the model does not explain (melt, 
     dT/dt = (P(phase) - loss(T)) / C(T) + q + noise        dq/dt = noise
     measured = T + noise,  variance of one block's mean over its samples
 
-Every block was converted with its own phase before it comes here; the drive's steps enter as known heat, so they cost no
-lag. A block without a believable temperature still moves the model on. One that disagrees by far is left out, several of
+Every block was converted with its own phase before it comes here; the drive's steps enter as known heat, so
+they cost no
+lag. A block without a believable temperature still moves the model on. One that disagrees by far is left out,
+several of
 them in a row restart the filter: the machine is right, not the model.
 """
 
@@ -24,7 +26,7 @@ class TrackParameters:
     """What the filter assumes of the nozzle and how fast the unexplained rate may change."""
 
     loss: model.LossLaw
-    heat: model.HeatCapacity = field(default_factory=lambda: model.HeatCapacity())
+    heat: model.HeatCapacity = field(default_factory=model.HeatCapacity)
     # Spectral density of dq/dt, K^2/s^3: extrusion at 13 mm^3/s starts within 50 ms and takes 13 K/s; with
     # blocks of 1.6 ms and 1 LSB this makes the filter as quiet as 4^5 samples (17 bit) at 10 ms of memory.
     rate_noise: float = 1000.0

@@ -160,9 +160,29 @@ uint8_t machine_pin_read(struct machine *m, int mcu, uint32_t number)
     return pin->role == PIN_SWITCH ? switch_level(&m->axes[pin->target]) : pin->level;
 }
 
+/* About Gaussian: the sum of four uniform numbers has a standard deviation of 1/sqrt(3) of their width. */
+static double reference_noise(struct reference *r)
+{
+    double sum = 0.0;
+    for (int i = 0; i < 4; i++) {
+        r->noise = r->noise * 1664525u + 1013904223u;
+        sum += r->noise / 4294967296.0 - 0.5;
+    }
+    return sum * 1.7320508075688772;
+}
+
+static uint16_t reference_code(struct reference *r)
+{
+    const struct world_reference_options *o = &r->options;
+    double code = r->temp_c * o->volt_per_k / o->adc_volt * 4095.0 + o->noise_lsb * reference_noise(r);
+    return (uint16_t)lround(fmin(fmax(code, 0.0), 4095.0));
+}
+
 uint16_t machine_adc_read(struct machine *m, int mcu, uint32_t number, double now_s)
 {
     (void)now_s; /* a load is at most one tick behind: far below its lag */
+    if (number < MACHINE_PINS && m->pins[mcu][number].role == PIN_REFERENCE)
+        return reference_code(&m->references[m->pins[mcu][number].target]);
     if (number >= MACHINE_PINS || m->pins[mcu][number].role != PIN_THERMISTOR)
         return ADC_OPEN;
     uint16_t code;
@@ -250,6 +270,11 @@ void machine_tick(struct machine *m, double now_s, double tick_s)
         nozzle_advance(n, now_s);
         feed_tick(m, &n->feed, tick_s);
         plant_set_inputs(&n->plant, n->feed.flow_mm3_s, fan_speed(m, n->fan));
+    }
+    for (int i = 0; i < m->reference_count; i++) {
+        struct reference *r = &m->references[i];
+        double seen_c = 25.0 + r->options.gain * (m->nozzles[r->options.nozzle].plant.skin_c - 25.0);
+        r->temp_c += (seen_c - r->temp_c) * (1.0 - exp(-tick_s / r->options.tau_s));
     }
     for (int i = 0; i < m->load_count; i++) {
         struct load *l = &m->loads[i];

@@ -4,6 +4,7 @@
  *                       └────► melt flow ──┐
  *   fan pin ──► mean duty ──► fan speed ───┼──► nozzle (struct plant) ◄── bridge phase,  ──► ADC samples
  *   heater pin ──► mean duty ──────────────┴──► load (struct thermal_load) ──► thermistor pin
+ *   a thermocouple on the nozzle's skin, for calibrating: gain and lag, amplifier ──► reference pin
  *
  * Times are world seconds. Everything here is told about pins in the order of time per MCU; machine_tick() once
  * a millisecond brings duties, flow and temperatures up to date.
@@ -23,10 +24,11 @@ enum {
     MACHINE_FANS = 16,
     MACHINE_LOADS = 8,
     MACHINE_NOZZLES = 4,
+    MACHINE_REFERENCES = 4,
     MACHINE_DUTIES = MACHINE_FANS + MACHINE_LOADS,
 };
 
-enum pin_role { PIN_UNUSED, PIN_STEP, PIN_DUTY, PIN_SWITCH, PIN_THERMISTOR };
+enum pin_role { PIN_UNUSED, PIN_STEP, PIN_DUTY, PIN_SWITCH, PIN_THERMISTOR, PIN_REFERENCE };
 
 struct machine_pin {
     uint8_t role;   /* enum pin_role */
@@ -73,6 +75,13 @@ struct nozzle {
     uint16_t phase;
 };
 
+/* A thermocouple on a nozzle, behind the skin (Table 6 of Oskolkov et al. 2021: gain about 25 degC, first-order lag). */
+struct reference {
+    struct world_reference_options options;
+    double temp_c;
+    uint32_t noise; /* state of its generator */
+};
+
 struct load {
     struct thermal_load thermal;
     struct feed feed;
@@ -88,7 +97,8 @@ struct machine {
     struct fan fans[MACHINE_FANS];
     struct nozzle nozzles[MACHINE_NOZZLES];
     struct load loads[MACHINE_LOADS];
-    int axis_count, duty_count, fan_count, nozzle_count, load_count;
+    struct reference references[MACHINE_REFERENCES];
+    int axis_count, duty_count, fan_count, nozzle_count, load_count, reference_count;
     int nozzle_of_mcu[MACHINE_MCUS]; /* index, -1 */
 };
 

@@ -20,7 +20,8 @@ extern "C" {
 #endif
 
 /* What the world offers one MCU.  Calls come from inside sim_mcu_boot() and sim_mcu_advance() and must not call back into
- * the library.  Their clocks never decrease, except that sync_adc_read()'s samples lie before the present. */
+ * the library.  Their clocks never decrease, except that sync_adc_read()'s samples lie before the present, and that pins
+ * which a task toggles by hand (software SPI, LED chains) run ahead of it by what the task has waited. */
 struct sim_board {
     void *ctx;
     void (*pin_write)(void *ctx, uint32_t pin, uint8_t value, uint64_t clock);

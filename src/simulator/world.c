@@ -136,6 +136,23 @@ int world_add_load(struct world *w, const double *parameters, int is_bed, struct
     return m->load_count++;
 }
 
+int world_add_reference(struct world *w, const struct world_reference_options *options, struct world_pin pin)
+{
+    struct machine *m = &w->machine;
+    if (m->reference_count == MACHINE_REFERENCES || options->nozzle < 0 || options->nozzle >= m->nozzle_count
+        || !(options->tau_s > 0.0) || !(options->adc_volt > 0.0))
+        return world_fail(w, "reference: too many, no such nozzle, or a figure that cannot be");
+    if (pin.mcu < 0 || pin.mcu >= MACHINE_MCUS || pin.pin < 0 || pin.pin >= MACHINE_PINS)
+        return world_fail(w, "reference: its pin is out of range");
+    struct reference *r = &m->references[m->reference_count];
+    const double skin_c = m->nozzles[options->nozzle].plant.skin_c;
+    *r = (struct reference){ .options = *options, .temp_c = 25.0 + options->gain * (skin_c - 25.0) };
+    r->noise = (uint32_t)world_new_seed(w);
+    m->pins[pin.mcu][pin.pin].role = PIN_REFERENCE;
+    m->pins[pin.mcu][pin.pin].target = (uint8_t)m->reference_count;
+    return m->reference_count++;
+}
+
 int world_parameter(int table, int index, const char **name, const char **unit, const char **doc, double *values)
 {
     if (index < 0 || index >= (table ? thermal_load_param_count : plant_param_count))

@@ -25,6 +25,12 @@ struct world_pin {
     int mcu, pin, inverted;
 };
 
+/* A thermocouple on the skin of nozzle `nozzle`; its amplifier gives volt_per_k from 0 degC on. */
+struct world_reference_options {
+    int nozzle;
+    double gain, tau_s, volt_per_k, adc_volt, noise_lsb;
+};
+
 enum world_axis_role { WORLD_AXIS_X, WORLD_AXIS_Y, WORLD_AXIS_Z, WORLD_AXIS_E, WORLD_AXIS_OTHER };
 
 struct world_axis_options {
@@ -89,6 +95,7 @@ int world_add_fan(struct world *w, struct world_pin pin, double spin_up_s);
 int world_add_nozzle(struct world *w, int mcu, const double *parameters, struct world_feed feed, int fan);
 int world_add_load(struct world *w, const double *parameters, int is_bed, struct world_pin heater,
                    struct world_pin sensor, struct world_feed feed, int fan);
+int world_add_reference(struct world *w, const struct world_reference_options *options, struct world_pin pin);
 double world_nozzle_temperature(const struct world *w, int nozzle);
 double world_load_temperature(const struct world *w, int load);
 double world_fan_speed(const struct world *w, int fan);

@@ -19,6 +19,8 @@ static uint64_t now;
 static uint8_t expected_sequence;
 static uint32_t noise;
 
+enum { WAVE_TICKS_MAX = 72000000 };
+
 static void
 require(int condition)
 {
@@ -30,7 +32,8 @@ static void
 pin_write(void *ctx, uint32_t pin, uint8_t value, uint64_t clock)
 {
     (void)ctx;
-    require(pin < 128 && value <= 1 && clock <= now);
+    /* waves made by hand run ahead of the present, by what their task waits */
+    require(pin < 128 && value <= 1 && clock <= now + WAVE_TICKS_MAX);
 }
 
 static uint8_t

@@ -97,7 +97,9 @@ class Fast:
         self.c = ffi.new("struct oversample *")
         self.block = ffi.new("struct oversample_block *")
         self.blocks: list[Block] = []
-        assert lib.oversample_init(self.c, {"y": y, "ema_shift": shift, "settle_samples": settle, "block_len": length})
+        assert lib.oversample_init(
+            self.c, {"y": y, "ema_shift": shift, "settle_samples": settle, "block_len": length}
+        )
 
     def _take(self, finished: int) -> None:
         if finished:

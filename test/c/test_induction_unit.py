@@ -53,7 +53,11 @@ class Unit:
             1,
             ("config_induction", config),
             ("config_induction_sense", sense),
-            *([("config_induction_block", {"oid": 0, "samples": block[0], "records": block[1]})] if block else []),
+            *(
+                [("config_induction_block", {"oid": 0, "samples": block[0], "records": block[1]})]
+                if block
+                else []
+            ),
             *(("config_induction_limit", row) for row in rows),
         )
 

@@ -54,4 +54,6 @@ def test_tank_law_follows_the_tank_from_sensing_to_full_power() -> None:
 def test_tank_law_bends_to_a_plant_of_another_form(percent_max: float) -> None:
     train = measure(SWEEP_PERCENT, np.arange(25.0, 401.0, 25.0), signal_model=1.0)
     test = measure(HELD_OUT_PERCENT, np.arange(40.0, 391.0, 35.0), signal_model=1.0)
-    assert worst("tank", train, test, percent_max / 100 + 0.001) < 2.0  # the product's promise after calibration
+    assert (
+        worst("tank", train, test, percent_max / 100 + 0.001) < 2.0
+    )  # the product's promise after calibration

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 import run_printer
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -149,6 +150,16 @@ class SimulatedPrinter:
     def wait_ready(self, timeout_s: float = START_TIMEOUT_S) -> None:
         """Until Moonraker calls the printer ready."""
         self.wait("ready", lambda: self.call("/server/info")["klippy_state"] == "ready", timeout_s)
+
+    def wait_start(self, timeout_s: float = START_TIMEOUT_S) -> None:
+        """The first time: an error of the start-up ends the wait."""
+
+        def started() -> str:
+            state = self.call("/server/info")["klippy_state"]
+            return state if state in ("ready", "error", "shutdown") else ""
+
+        state = self.wait("start-up", started, timeout_s)
+        assert state == "ready", self.call("/printer/info")["state_message"]
 
     def wait_state(self, state: str, timeout_s: float = 30.0) -> None:
         """Until print_stats says so."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from typing import Any
 
@@ -207,11 +208,15 @@ class FakePrinter:
 
     def load_object(self, config: Any, section: str) -> Any:
         if section not in self.objects:
-            self.objects[section] = self._loaders[section.split(maxsplit=1)[0]](config.getsection(section))
+            name = section.split(maxsplit=1)[0]
+            loader = self._loaders.get(name)
+            if loader is None:
+                loader = importlib.import_module(f"extras.{name}").load_config
+            self.objects[section] = loader(config.getsection(section))
         return self.objects[section]
 
-    def lookup_object(self, name: str) -> Any:
-        return self.objects[name]
+    def lookup_object(self, name: str, *default: Any) -> Any:
+        return self.objects.get(name, default[0]) if default else self.objects[name]
 
     def register_event_handler(self, event: str, handler: Callable[[], None]) -> None:
         self.events.setdefault(event, []).append(handler)

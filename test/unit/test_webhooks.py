@@ -144,7 +144,7 @@ def test_query_is_validated_and_answered_at_once(tmp_path: Path) -> None:
 def test_script_output_errors_and_broken_requests(tmp_path: Path) -> None:
     def body(client: Client) -> None:
         assert client.result("gcode/subscribe_output", response_template={"method": "out"}) == {}
-        client.send_raw(b'not json\x03[1]\x03{"method": 5}\x03{"method": "info"}\x03')  # none is answered
+        client.send_raw(b'{"method": 5}\x03{"method": "info"}\x03')  # without an id there is no answer
         assert client.result("gcode/script", script="M118 hello\nFOO") == {}
         assert client.notes == [
             {"method": "out", "params": {"response": "echo: hello"}},

@@ -1,9 +1,15 @@
 """API server: JSON requests on a unix socket, answered at once, and subscriptions to status and output.
 
-Messages are JSON objects ended by 0x03, as documented in Klipper's API_Server.md. A request runs in a greenlet
-of its own, so a long `gcode/script` delays no other request. Status subscriptions are compared every 250 ms and
-only what changed is sent. What a slow client does not take is queued up to a limit in bytes and in age; then the
-client is dropped.
+Messages are JSON objects ended by 0x03, as documented in Klipper's API_Server.md.
+
+    socket ─► ClientConnection ─► WebRequest ─► WebHooks: endpoint by name
+                  │ quick endpoints (status, lists) are answered on the spot,
+                  └ the others in a greenlet of their own: a long `gcode/script` delays no other request
+
+Status subscriptions are compared every 250 ms and only what changed is sent; clients that want the same share one
+comparison and one encoding. What a slow client does not take is queued up to a limit in bytes and in age; then the
+client is dropped. A request that is too long is skipped up to its end and answered with an error: parsing it would
+hold up the whole host, and a heater that gets no command for 100 ms switches off.
 """
 
 from __future__ import annotations
@@ -12,6 +18,7 @@ import errno
 import json
 import logging
 import os
+import pathlib
 import socket
 import sys
 from collections.abc import Callable
@@ -19,12 +26,16 @@ from typing import Any
 
 import gcode
 
-_END = b"\x03"
+from .statusfeed import END, Fields, Status, StatusPublisher, StatusReader, Subscription, Wanted, encode
+
 _RECEIVE_SIZE = 65536
-_REQUEST_LIMIT = 20 * 1024 * 1024  # bytes; the limit Moonraker keeps itself
+_REQUEST_LIMIT = 1024 * 1024  # bytes; 10 ms of parsing
 _STALL_S = 5.0  # a client that took nothing for so long is dropped
 _BACKLOG_LIMIT = 32 * 1024 * 1024
 _SUBSCRIPTION_PERIOD_S = 0.25
+_SHORTEST_PERIOD_S = 0.02
+_SCRIPT_SLICE_S = 0.01  # a script of many lines lets others run so often
+
 
 _MISSING: Any = object()
 
@@ -42,16 +53,19 @@ class WebRequest:
 
     error = WebRequestError
 
-    def __init__(self, client: Any, message: Any) -> None:
-        if not isinstance(message, dict):
-            raise ValueError("not a top-level dictionary")
+    def __init__(self, client: Any, message: dict[str, Any]) -> None:
         self.client = client
         self.id = message.get("id")
         self.method = message.get("method")
         self.params = message.get("params", {})
-        if not isinstance(self.method, str) or not isinstance(self.params, dict):
-            raise ValueError("invalid request type")
         self.response: Any = None
+
+    def check(self) -> None:
+        """Raise if it is no request at all."""
+        if not isinstance(self.method, str):
+            raise WebRequestError("Invalid request: 'method' must be a text")
+        if not isinstance(self.params, dict):
+            raise WebRequestError("Invalid request: 'params' must be an object")
 
     def get_client_connection(self) -> Any:
         """The connection it came from."""
@@ -110,10 +124,12 @@ class ClientConnection:
         sock.setblocking(False)
         self.uid = id(self)
         self._received = bytearray()
+        self._skipping = False  # inside a request that is too long
         self._backlog = bytearray()
         self._stalled_since = 0.0
         self.closed = False
         self._handle = self._reactor.register_fd(sock.fileno(), self._receive, self._flush)
+        self._stall_timer = self._reactor.register_timer(self._check_stall)
 
     def is_closed(self) -> bool:
         """Whether the client is gone."""
@@ -124,10 +140,12 @@ class ClientConnection:
         if self.closed:
             return
         self.closed = True
+        self._reactor.unregister_timer(self._stall_timer)
         self._reactor.unregister_fd(self._handle)
         self._sock.close()
         self._server.forget(self)
 
+    # --- requests ---
     def _receive(self, eventtime: float) -> None:
         try:
             data = self._sock.recv(_RECEIVE_SIZE)
@@ -139,27 +157,47 @@ class ClientConnection:
             self.close()
             return
         self._received += data
-        if _END in data:
-            *messages, rest = bytes(self._received).split(_END)
+        if END in data:
+            *messages, rest = bytes(self._received).split(END)
             self._received = bytearray(rest)
+            if self._skipping:  # its end; it was answered when it became too long
+                self._skipping = False
+                del messages[0]
             for message in messages:
                 self._start_request(message)
-        if len(self._received) > _REQUEST_LIMIT:
-            logging.warning("API client dropped: request without an end")
-            self.close()
+        if self._skipping:
+            self._received.clear()
+        elif len(self._received) > _REQUEST_LIMIT:
+            self._skipping = True
+            self._received.clear()
+            self._refuse(None, f"Request is longer than {_REQUEST_LIMIT} bytes")
 
     def _start_request(self, message: bytes) -> None:
-        try:
-            request = WebRequest(self, json.loads(message))
-        except (ValueError, RecursionError) as e:
-            logging.info("API request ignored: %s", e)
+        if len(message) > _REQUEST_LIMIT:
+            self._refuse(None, f"Request is longer than {_REQUEST_LIMIT} bytes")
             return
-        self._reactor.register_callback(lambda eventtime: self._process(request))
+        try:
+            content = json.loads(message)
+        except (ValueError, RecursionError) as e:
+            self._refuse(None, f"Request is not valid JSON: {e}")
+            return
+        if not isinstance(content, dict):
+            self._refuse(None, "Request is not a JSON object")
+            return
+        request = WebRequest(self, content)
+        if self._webhooks.is_quick(request.method):
+            self._process(request)
+        else:
+            self._reactor.register_callback(lambda eventtime: self._process(request))
+
+    def _refuse(self, request_id: Any, reason: str) -> None:
+        logging.info("API request refused: %s", reason)
+        self.send({"id": request_id, "error": WebRequestError(reason).to_dict()})
 
     def _process(self, request: WebRequest) -> None:
         try:
-            handler = self._webhooks.get_callback(request.get_method())
-            handler(request)
+            request.check()
+            self._webhooks.get_callback(request.get_method())(request)
         except WebRequestError as e:
             request.response = {"error": e.to_dict()}
         except gcode.CommandError as e:
@@ -173,21 +211,21 @@ class ClientConnection:
         if answer is not None:
             self.send(answer)
 
+    # --- answers ---
     def send(self, data: Any) -> None:
         """Queue one message; drops the client if it takes nothing."""
-        if self.closed:
-            return
-        try:
-            text = json.dumps(data, separators=(",", ":"), allow_nan=False)
-        except (TypeError, ValueError):
-            text = json.dumps(_plain(data), separators=(",", ":"))
-        self._backlog += text.encode() + _END
+        if not self.closed:
+            self.send_encoded(encode(data))
+
+    def send_encoded(self, data: bytes) -> None:
+        """As `send`, for several clients at once."""
+        self._backlog += data
         self._flush()
 
     def _flush(self, eventtime: float | None = None) -> None:
         if self.closed:
             return
-        now = self._reactor.monotonic()
+        waited = bool(self._stalled_since)
         try:
             sent = self._sock.send(self._backlog) if self._backlog else 0
         except BlockingIOError:
@@ -198,24 +236,27 @@ class ClientConnection:
             self.close()
             return
         del self._backlog[:sent]
-        if sent or not self._backlog:
-            self._stalled_since = now
-        if self._backlog and (now - self._stalled_since > _STALL_S or len(self._backlog) > _BACKLOG_LIMIT):
-            logging.warning("API client dropped: it does not read (%d bytes waiting)", len(self._backlog))
-            self.close()
-            return
-        self._reactor.set_fd_wake(self._handle, True, bool(self._backlog))
+        if not self._backlog:
+            self._stalled_since = 0.0
+        elif sent or not waited:
+            self._stalled_since = now = self._reactor.monotonic()
+            self._reactor.update_timer(self._stall_timer, now + _STALL_S)
+        if len(self._backlog) > _BACKLOG_LIMIT:
+            self._drop()
+        elif waited or self._backlog:
+            self._reactor.set_fd_wake(self._handle, True, bool(self._backlog))
 
+    def _check_stall(self, eventtime: float) -> float:
+        if not self._stalled_since:
+            return float(self._reactor.NEVER)
+        if eventtime < self._stalled_since + _STALL_S:
+            return self._stalled_since + _STALL_S
+        self._drop()
+        return float(self._reactor.NEVER)
 
-def _plain(value: Any) -> Any:
-    """A copy JSON can express: unknown types as text, numbers that are none as null."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [_plain(item) for item in value]
-    if isinstance(value, float) and not -1e308 < value < 1e308:
-        return None
-    return value if isinstance(value, int | float | str | bool) or value is None else str(value)
+    def _drop(self) -> None:
+        logging.warning("API client dropped: it does not read (%d bytes waiting)", len(self._backlog))
+        self.close()
 
 
 class ServerSocket:
@@ -231,7 +272,7 @@ class ServerSocket:
         self._sock = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._sock.setblocking(False)
         self._sock.bind(path)
-        self._sock.listen(8)
+        self._sock.listen(64)
         self._handle = self.reactor.register_fd(self._sock.fileno(), self._accept)
         webhooks.printer.register_event_handler("klippy:disconnect", self._close)
 
@@ -264,24 +305,36 @@ class WebHooks:
     def __init__(self, printer: Any) -> None:
         self.printer = printer
         self._endpoints: dict[str, Callable[[WebRequest], None]] = {}
+        self._quick: set[str] = set()
         self._mux: dict[str, tuple[str, dict[str | None, Callable[[WebRequest], None]]]] = {}
         self._remote: dict[str, list[tuple[ClientConnection, dict[str, Any]]]] = {}
-        self.register_endpoint("list_endpoints", self._list_endpoints)
-        self.register_endpoint("info", self._info)
+        self.register_endpoint("list_endpoints", self._list_endpoints, quick=True)
+        self.register_endpoint("info", self._info, quick=True)
         self.register_endpoint("emergency_stop", self._emergency_stop)
-        self.register_endpoint("register_remote_method", self._register_remote_method)
+        self.register_endpoint("register_remote_method", self._register_remote_method, quick=True)
         GCodeEndpoints(printer, self)
         ObjectEndpoints(printer, self)
         args = printer.get_start_args()
         path = args.get("apiserver")
         if path and not args.get("debuginput"):
-            ServerSocket(self, path)
+            try:
+                ServerSocket(self, path)
+            except OSError as e:
+                logging.error("Unable to serve the API socket %s: %s", path, e.strerror or e)
 
-    def register_endpoint(self, path: str, callback: Callable[[WebRequest], None]) -> None:
-        """Serve requests of this method name."""
+    def register_endpoint(
+        self, path: str, callback: Callable[[WebRequest], None], quick: bool = False
+    ) -> None:
+        """Serve requests of this method name. `quick`: the callback never sleeps."""
         if path in self._endpoints:
             raise WebRequestError(f"Path already registered to an endpoint: {path}")
         self._endpoints[path] = callback
+        if quick:
+            self._quick.add(path)
+
+    def is_quick(self, method: Any) -> bool:
+        """Whether a request needs no greenlet of its own."""
+        return not isinstance(method, str) or method in self._quick or method not in self._endpoints
 
     def register_mux_endpoint(
         self, path: str, key: str, value: str | None, callback: Callable[[WebRequest], None]
@@ -298,7 +351,7 @@ class WebHooks:
     def _dispatch_mux(self, request: WebRequest) -> None:
         key, table = self._mux[request.get_method()]
         value = request.get(key, None) if None in table else request.get(key)
-        if value not in table:
+        if not (value is None or isinstance(value, str)) or value not in table:
             raise request.error(f"The value '{value}' is not valid for {key}")
         table[value](request)
 
@@ -332,7 +385,7 @@ class WebHooks:
     def _info(self, request: WebRequest) -> None:
         args = self.printer.get_start_args()
         message, state = self.printer.get_state_message()
-        root = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+        root = str(pathlib.Path(__file__).resolve().parents[2])
         answer = {
             "state": state,
             "state_message": message,
@@ -362,18 +415,34 @@ class GCodeEndpoints:
     """gcode/help script restart firmware_restart subscribe_output."""
 
     def __init__(self, printer: Any, webhooks: WebHooks) -> None:
+        self._reactor = printer.get_reactor()
         self._gcode = printer.lookup_object("gcode")
         self._subscribers: dict[ClientConnection, dict[str, Any]] = {}
         self._listening = False
-        webhooks.register_endpoint("gcode/help", lambda request: request.send(self._gcode.get_command_help()))
         webhooks.register_endpoint(
-            "gcode/script", lambda request: self._gcode.run_script(request.get_str("script"))
+            "gcode/help", lambda request: request.send(self._gcode.get_command_help()), quick=True
         )
+        webhooks.register_endpoint("gcode/script", self._run_script)
         webhooks.register_endpoint("gcode/restart", lambda request: self._gcode.run_script("restart"))
         webhooks.register_endpoint(
             "gcode/firmware_restart", lambda request: self._gcode.run_script("firmware_restart")
         )
-        webhooks.register_endpoint("gcode/subscribe_output", self._subscribe)
+        webhooks.register_endpoint("gcode/subscribe_output", self._subscribe, quick=True)
+
+    def _run_script(self, request: WebRequest) -> None:
+        """As `run_script`; a long one pauses between lines."""
+        script = request.get_str("script")
+        try:
+            script.encode()
+        except UnicodeEncodeError:
+            raise request.error("Invalid Argument [script]: it is no valid text") from None
+        with self._gcode.get_mutex():
+            slice_end = self._reactor.monotonic() + _SCRIPT_SLICE_S
+            for number, line in enumerate(script.split("\n")):
+                if number and self._reactor.monotonic() > slice_end:
+                    self._reactor.pause(self._reactor.NOW)
+                    slice_end = self._reactor.monotonic() + _SCRIPT_SLICE_S
+                self._gcode.run_script_from_command(line)
 
     def _subscribe(self, request: WebRequest) -> None:
         template = request.get_dict("response_template", {})
@@ -390,99 +459,51 @@ class GCodeEndpoints:
                 client.send({**template, "params": {"response": line}})
 
 
-ObjectFields = dict[str, list[str] | None]
-
-
 class ObjectEndpoints:
-    """objects/list query subscribe: the status of printer objects (their `get_status`)."""
+    """objects/list query subscribe: the status of printer objects."""
 
     def __init__(self, printer: Any, webhooks: WebHooks) -> None:
-        self._printer = printer
         self._reactor = printer.get_reactor()
-        self._subscriptions: dict[ClientConnection, tuple[ObjectFields, dict[str, Any]]] = {}
-        self._previous: dict[str, dict[str, Any]] = {}
-        self._timer: Any = None
-        webhooks.register_endpoint("objects/list", self._list)
-        webhooks.register_endpoint("objects/query", self._query)
-        webhooks.register_endpoint("objects/subscribe", self._subscribe)
-
-    def _list(self, request: WebRequest) -> None:
-        request.send(
-            {"objects": [name for name, obj in self._printer.lookup_objects() if hasattr(obj, "get_status")]}
+        self._reader = StatusReader(printer)
+        self._publishers: dict[float, StatusPublisher] = {}
+        webhooks.register_endpoint(
+            "objects/list", lambda request: request.send({"objects": self._reader.names()}), quick=True
         )
+        webhooks.register_endpoint("objects/query", self._query, quick=True)
+        webhooks.register_endpoint("objects/subscribe", self._subscribe, quick=True)
 
-    def _wanted(self, request: WebRequest) -> ObjectFields:
-        wanted = request.get_dict("objects")
-        for name, fields in wanted.items():
-            valid = fields is None or (
+    @staticmethod
+    def _wanted(request: WebRequest) -> Wanted:
+        wanted: list[tuple[str, Fields]] = []
+        for name, fields in request.get_dict("objects").items():
+            if fields is not None and not (
                 isinstance(fields, list) and all(isinstance(item, str) for item in fields)
-            )
-            if not isinstance(name, str) or not valid:
+            ):
                 raise request.error("Invalid argument")
-        return dict(wanted)
-
-    def _status_of(self, name: str, eventtime: float, cache: dict[str, dict[str, Any]]) -> dict[str, Any]:
-        if name not in cache:
-            found = self._printer.lookup_object(name, None)
-            report = getattr(found, "get_status", None)
-            cache[name] = dict(report(eventtime)) if report is not None else {}
-        return cache[name]
-
-    def _collect(
-        self, wanted: ObjectFields, eventtime: float, cache: dict[str, dict[str, Any]]
-    ) -> dict[str, Any]:
-        result: dict[str, Any] = {}
-        for name, fields in wanted.items():
-            status = self._status_of(name, eventtime, cache)
-            known = self._printer.lookup_object(name, None) is not None
-            result[name] = (
-                status if fields is None else {field: status.get(field) for field in fields if known}
-            )
-        return result
+            wanted.append((name, None if fields is None else tuple(fields)))
+        return tuple(wanted)
 
     def _query(self, request: WebRequest) -> None:
         wanted = self._wanted(request)
         eventtime = self._reactor.monotonic()
-        request.send({"eventtime": eventtime, "status": self._collect(wanted, eventtime, {})})
+        request.send({"eventtime": eventtime, "status": self._reader.collect(wanted, eventtime, {})})
 
     def _subscribe(self, request: WebRequest) -> None:
+        """Replaces this connection's subscription. `interval` (s, ours) asks for another pace than 0.25 s."""
         wanted = self._wanted(request)
         template = request.get_dict("response_template", {})
+        period_s = float(request.get_float("interval", _SUBSCRIPTION_PERIOD_S))
+        if not _SHORTEST_PERIOD_S <= period_s <= 60.0:
+            raise request.error("Invalid argument [interval]")
         eventtime = self._reactor.monotonic()
-        cache: dict[str, dict[str, Any]] = {}
-        request.send({"eventtime": eventtime, "status": self._collect(wanted, eventtime, cache)})
+        status: Status = {}
+        request.send({"eventtime": eventtime, "status": self._reader.collect(wanted, eventtime, status)})
         client = request.get_client_connection()
+        for publisher in self._publishers.values():
+            publisher.remove(client)
         if wanted:
-            self._subscriptions[client] = (wanted, template)
-        else:
-            self._subscriptions.pop(client, None)
-        # others compare with what they were sent last: only objects new to everybody take this reading
-        for name, status in cache.items():
-            self._previous.setdefault(name, status)
-        if self._timer is None:
-            self._timer = self._reactor.register_timer(self._publish, eventtime + _SUBSCRIPTION_PERIOD_S)
-
-    def _publish(self, eventtime: float) -> float:
-        cache: dict[str, dict[str, Any]] = {}
-        for client in [client for client in self._subscriptions if client.is_closed()]:
-            del self._subscriptions[client]
-        for client, (wanted, template) in list(self._subscriptions.items()):
-            changed: dict[str, Any] = {}
-            for name, fields in wanted.items():
-                status = self._status_of(name, eventtime, cache)
-                before = self._previous.get(name, {})
-                names = status if fields is None else fields
-                delta = {
-                    field: status[field]
-                    for field in names
-                    if field in status and status[field] != before.get(field, _MISSING)
-                }
-                if delta:
-                    changed[name] = delta
-            if changed:
-                client.send({**template, "params": {"eventtime": eventtime, "status": changed}})
-        self._previous = cache
-        if not self._subscriptions:
-            self._timer = None
-            return float(self._reactor.NEVER)
-        return eventtime + _SUBSCRIPTION_PERIOD_S
+            publisher = self._publishers.setdefault(
+                period_s, StatusPublisher(self._reactor, self._reader, period_s)
+            )
+            key = json.dumps([wanted, template])
+            publisher.add(client, Subscription(wanted, template, key, period_s, status))

@@ -1,7 +1,13 @@
 """From the recording of a calibration run (sweep.py) to laws with their figures. Offline code: numpy.
 
-1. Lag. The reference is taken as a first-order lag (tau) behind the skin, gain g about 25 degC (source 000, Table 6). The
-   error at the least phase is a smooth, steep function of the skin's temperature, T = poly(error). Low-pass filtered with
+    python -m thermal.fit_sweep TRACE.csv [--gain 1.0] [--power-full 81.3] ...      the result as JSON
+
+The printer runs it as a process of its own: a fit of seconds must not hold up the host.
+
+1. Lag. The reference is taken as a first-order lag (tau) behind the skin, gain g about 25 degC (source 000,
+   Table 6). The
+   error at the least phase is a smooth, steep function of the skin's temperature, T = poly(error). Low-pass
+   filtered with
    tau it must give the readings, heating and cooling alike: linear least squares for the polynomial at each tau, the
    best tau wins. tau is well told (the run heats fast and cools slowly). The gain is not: a sensor that reads 6 % too
    little fits just as well with a law that is 6 % off, and the one equilibrium of a run, its start, is near 25 degC
@@ -13,7 +19,12 @@
 
 from __future__ import annotations
 
+import argparse
+import json
+import sys
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import optimize
@@ -21,11 +32,13 @@ from scipy import optimize
 from . import actuator, fit, model, plausible
 from .estimator import SENSING_PHASE_TICKS
 from .fit import Array, FitError, Points
+from .fit_data import SWEEP_COLUMNS, read_columns
 from .sweep import Recording
 
 GAIN_CENTRE_C = 25.0  # Table 6's gains are about this
 GRID_S = 0.02
-POLY_ORDER = 4
+POLY_ORDER, POLY_ORDER_FEW = 4, 3
+READINGS_MIN, READINGS_FEW = 12, 40  # a person types some twenty, a sensor gives hundreds
 LAG_LIMITS_S = (0.02, 12.0)
 WORKING_POWER = 0.2015
 HELD_OUT = 3  # every third point
@@ -60,12 +73,13 @@ class Calibration:
     best: str
     capacity_j_k: float  # at 25 degC, in heat of the drive law
     loss_factor: float
+    second_factor: float  # second mass over the reference nozzle's
     ambient_c: float
     heat_residual_c: float
 
 
 def _low_rows(recording: Recording) -> tuple[Array, Array]:
-    rows = np.array([(t, e) for t, e, phase, _ in recording.blocks if phase == SENSING_PHASE_TICKS])
+    rows = np.array([(t, e) for t, e, phase, _, _ in recording.blocks if phase == SENSING_PHASE_TICKS])
     if len(rows) < 200:
         raise FitError("the recording holds too few blocks at the least phase")
     return rows[:, 0], rows[:, 1]
@@ -89,7 +103,7 @@ def estimate_lag(recording: Recording, gain: float) -> tuple[Lag, Array, float, 
     reference = np.array(recording.reference)
     inside = (reference[:, 0] > time_s[0]) & (reference[:, 0] < time_s[-1])
     reference = reference[inside]
-    if len(reference) < 30 or np.ptp(reference[:, 1]) < 80.0:
+    if len(reference) < READINGS_MIN or np.ptp(reference[:, 1]) < 80.0:
         raise FitError("the reference's readings are too few or span less than 80 C")
     grid_s = np.arange(time_s[0], time_s[-1], GRID_S)
     on_grid = np.interp(grid_s, time_s, error)
@@ -97,14 +111,16 @@ def estimate_lag(recording: Recording, gain: float) -> tuple[Lag, Array, float, 
     x = (on_grid - centre) / half
     wanted = GAIN_CENTRE_C + (reference[:, 1] - GAIN_CENTRE_C) / gain
 
+    order = POLY_ORDER if len(reference) >= READINGS_FEW else POLY_ORDER_FEW
+
     def solve(log_tau: float) -> tuple[float, Array]:
         tau_s = float(np.exp(log_tau))
-        columns = [_lagged(x**k, tau_s) for k in range(POLY_ORDER + 1)]
+        columns = [_lagged(x**k, tau_s) for k in range(order + 1)]
         design = np.column_stack([np.interp(reference[:, 0], grid_s, c) for c in columns])
         beta = np.linalg.lstsq(design, wanted, rcond=None)[0]
         return float(np.sqrt(np.mean((design @ beta - wanted) ** 2))), beta
 
-    coarse = np.linspace(*np.log(LAG_LIMITS_S), 16)
+    coarse = np.linspace(float(np.log(LAG_LIMITS_S[0])), float(np.log(LAG_LIMITS_S[1])), 16)
     costs = [solve(v)[0] for v in coarse]
     at = int(np.argmin(costs))
     low, high = coarse[max(0, at - 1)], coarse[min(len(coarse) - 1, at + 1)]
@@ -118,7 +134,7 @@ def estimate_lag(recording: Recording, gain: float) -> tuple[Lag, Array, float, 
 def _visits(recording: Recording) -> list[tuple[float, float, int]]:
     """(time, error, phase) of each visit to a higher power: the mean of its blocks."""
     out: list[tuple[float, float, int]] = []
-    held: list[tuple[float, float, int, int]] = []
+    held: list[tuple[float, float, int, int, float]] = []
 
     def close() -> None:
         count = sum(row[3] for row in held)
@@ -130,7 +146,7 @@ def _visits(recording: Recording) -> list[tuple[float, float, int]]:
     for row in recording.blocks:
         if held and (row[2] != held[0][2] or row[0] - held[-1][0] > 0.005):
             close()
-        if row[2] != SENSING_PHASE_TICKS:
+        if row[2] not in (0, SENSING_PHASE_TICKS):
             held.append(row)
     close()
     return out
@@ -175,18 +191,20 @@ def judge(law: str, points: Points) -> LawFigures:
 def _mean_power(recording: Recording, law: actuator.DriveLaw, grid_s: Array) -> Array:
     """Heat in each grid cell, W."""
     edges = np.append(grid_s, grid_s[-1] + (grid_s[1] - grid_s[0]))
-    spans = np.array(recording.spans)
-    power = np.array([law.power_w(phase) for phase in spans[:, 2]])
-    start, end = spans[:, 0], spans[:, 1]
-    energy_at = np.concatenate([[0.0], np.cumsum(power * (end - start))])
-    times = np.concatenate([[start[0]], end])
+    rows = np.array(recording.blocks)
+    # What lies between two blocks is the settling after the step to the second one's phase.
+    end = rows[:, 0] + 0.5 * rows[:, 4]
+    times = np.concatenate([[rows[0, 0] - 0.5 * rows[0, 4]], end])
+    watts = {phase: law.power_w(phase) for phase in np.unique(rows[:, 2])}
+    power = np.array([watts[phase] for phase in rows[:, 2]])
+    energy_at = np.concatenate([[0.0], np.cumsum(power * np.diff(times))])
     return np.asarray(np.diff(np.interp(edges, times, energy_at)) / np.diff(edges))
 
 
 def fit_heat(
     recording: Recording, law: actuator.DriveLaw, beta: Array, centre: float, half: float
-) -> tuple[float, float, float, float]:
-    """(capacity at 25 degC, loss factor, ambient, rms residual in degC) of the two-node model."""
+) -> tuple[float, float, float, float, float]:
+    """(capacity at 25 degC, loss factor, second mass factor, ambient, rms residual in degC) of the two-node model."""
     time_s, error = _low_rows(recording)
     skin_c = np.polynomial.polynomial.polyval((error - centre) / half, beta)
     step_s = 0.1
@@ -196,7 +214,7 @@ def fit_heat(
     ambient_c = float(np.mean(skin_c[: max(4, int(np.sum(time_s < time_s[0] + 2.0)))]))
 
     def run(x: Array) -> Array:
-        heat, loss = model.HeatCapacity(float(x[0])), plausible.scaled(float(x[1]), ambient_c)
+        heat, loss = model.HeatCapacity(float(x[0])), plausible.scaled(float(x[1]), ambient_c, float(x[2]))
         skin, second = float(wanted[0]), ambient_c
         out = np.empty_like(wanted)
         for i, watts in enumerate(power_w):
@@ -208,9 +226,37 @@ def fit_heat(
             second += step_s * loss.second_rate(middle, middle2)
         return np.asarray(out - wanted)
 
-    solution = optimize.least_squares(run, [0.414, 1.0], bounds=([0.05, 0.1], [8.0, 10.0]), diff_step=1e-3)
+    limits = ([0.05, 0.1, 0.1], [8.0, 10.0, 10.0])
+    solution = optimize.least_squares(run, [0.414, 1.0, 1.0], bounds=limits, diff_step=1e-3)
     residual = float(np.sqrt(np.mean(solution.fun**2)))
-    return float(solution.x[0]), float(solution.x[1]), ambient_c, residual
+    capacity, loss_factor, second = (float(v) for v in solution.x)
+    return capacity, loss_factor, second, ambient_c, residual
+
+
+REFERENCE_EVERY_S = 0.1
+READING_MARK = "# reference,"  # a reading as it came, before the table
+
+
+def read_recording(path: Path) -> Recording:
+    """The recording back from a trace file. Raises FitError."""
+    columns = read_columns(path)
+    missing = [name for name in SWEEP_COLUMNS if name not in columns]
+    if missing:
+        raise FitError(f"{path}: not the trace of a calibration run, it has no {', '.join(missing)}")
+    time_s, reference_c, error, phase, count, duration = (columns[name] for name in SWEEP_COLUMNS)
+    recording = Recording()
+    recording.blocks = [
+        (float(t), float(e), int(n), int(c), float(d))
+        for t, e, n, c, d in zip(time_s, error, phase, count, duration, strict=True)
+    ]
+    ticks = np.arange(time_s[0], time_s[-1], REFERENCE_EVERY_S)
+    readings = np.interp(ticks, time_s, reference_c)
+    recording.reference = [(float(t), float(c)) for t, c in zip(ticks, readings, strict=True)]
+    with path.open(encoding="utf-8") as stream:
+        marked = [line[len(READING_MARK) :].split(",") for line in stream if line.startswith(READING_MARK)]
+    if marked:
+        recording.reference = [(float(t), float(c)) for t, c in marked]
+    return recording
 
 
 def analyse(recording: Recording, drive: actuator.DriveLaw, gain: float = 1.0) -> Calibration:
@@ -219,8 +265,8 @@ def analyse(recording: Recording, drive: actuator.DriveLaw, gain: float = 1.0) -
     points = points_of(recording, beta, centre, half)
     laws = {name: judge(name, points) for name in fit.FITTERS}
     best = min(laws, key=lambda name: laws[name].held_out_rms_c)
-    capacity, loss_factor, ambient_c, residual = fit_heat(recording, drive, beta, centre, half)
-    return Calibration(lag, points, laws, best, capacity, loss_factor, ambient_c, residual)
+    capacity, loss_factor, second, ambient_c, residual = fit_heat(recording, drive, beta, centre, half)
+    return Calibration(lag, points, laws, best, capacity, loss_factor, second, ambient_c, residual)
 
 
 def report(result: Calibration) -> list[str]:
@@ -252,3 +298,42 @@ def report(result: Calibration) -> list[str]:
         f" nozzle's (model within {result.heat_residual_c:.1f} C rms)"
     )
     return lines
+
+
+def summary(result: Calibration) -> dict[str, Any]:
+    """The result as plain values."""
+    chosen = result.laws[result.best].regression
+    return {
+        "law": chosen.law,
+        "coefficients": chosen.values(),
+        "residual_units": max(0.02, chosen.residual_sd),
+        "capacity_j_k": result.capacity_j_k,
+        "loss_factor": result.loss_factor,
+        "second_factor": result.second_factor,
+        "ambient_c": result.ambient_c,
+        "lag_s": result.lag.tau_s,
+        "held_out_max_c": {name: figures.held_out_max_c for name, figures in result.laws.items()},
+        "report": report(result),
+    }
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("trace", type=Path)
+    default = actuator.DriveLaw()
+    parser.add_argument("--gain", type=float, default=1.0, help="of the reference sensor (Table 6)")
+    parser.add_argument("--power-full", type=float, default=default.power_full_w, help="W at full phase")
+    parser.add_argument("--exponent", type=float, default=default.exponent)
+    options = parser.parse_args(argv)
+    drive = actuator.DriveLaw(options.power_full, options.exponent)
+    try:
+        result = analyse(read_recording(options.trace), drive, options.gain)
+    except (FitError, OSError, ValueError) as error:
+        print(f"fit_sweep: {error}", file=sys.stderr)
+        return 2
+    print(json.dumps(summary(result)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,120 @@
+"""Raw coil telemetry of an [induction_heater]: INDUCTION_DUMP to a file, induction/dump_samples to a client."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+from typing import Any, TextIO
+
+from thermal.records import SampleBlock, TempEstimate
+
+BATCH_S = 0.100  # rows go to clients together
+ROWS_HELD_MAX = 4000
+HEADER = ("time", "phase", "count", "raw_mean", "raw_min", "raw_max", "temperature", "latency")
+
+
+class InductionDump:
+    """Listens to the loop only while somebody wants rows."""
+
+    def __init__(self, printer: Any, heater: Any) -> None:
+        self.printer = printer
+        self.heater = heater
+        self._clients: list[tuple[Any, dict[str, Any]]] = []
+        self._rows: list[tuple[Any, ...]] = []
+        self._file: TextIO | None = None
+        self._writer: Any = None
+        self._until_s = 0.0
+        self._written = 0
+        self._timer: Any = None
+
+    def register(self) -> None:
+        name = self.heater.section_name
+        gcode = self.printer.lookup_object("gcode")
+        gcode.register_mux_command(
+            "INDUCTION_DUMP", "HEATER", name, self.cmd_dump, desc="Write raw blocks to a CSV file"
+        )
+        hooks = self.printer.lookup_object("webhooks", None)
+        if hooks is not None:
+            hooks.register_mux_endpoint("induction/dump_samples", "heater", name, self._on_request)
+        self.printer.register_event_handler("klippy:disconnect", self._close)
+
+    # Rows
+
+    def _on_block(self, block: SampleBlock, found: TempEstimate | None, now_s: float) -> None:
+        temp_c = round(found.temp_c, 3) if found is not None else None
+        centre_s = block.centre_s
+        row = (
+            round(centre_s, 6),
+            block.phase_ticks,
+            block.count,
+            round(block.mean_raw, 4),
+            block.min_raw,
+            block.max_raw,
+            temp_c,
+            round(now_s - centre_s, 5),
+        )
+        if self._clients and len(self._rows) < ROWS_HELD_MAX:
+            self._rows.append(row)
+        if self._file is not None:
+            self._writer.writerow(row)
+            self._written += 1
+            if centre_s >= self._until_s:
+                self._close()
+
+    def _listen(self) -> None:
+        listeners = self.heater.loop.listeners
+        wanted = bool(self._clients) or self._file is not None
+        if wanted and self._on_block not in listeners:
+            listeners.append(self._on_block)
+        elif not wanted and self._on_block in listeners:
+            listeners.remove(self._on_block)
+
+    # Clients
+
+    def _on_request(self, request: Any) -> None:
+        template = request.get_dict("response_template", {})
+        self._clients.append((request.get_client_connection(), template))
+        request.send({"header": HEADER})
+        self._listen()
+        if self._timer is None:
+            reactor = self.printer.get_reactor()
+            self._timer = reactor.register_timer(self._on_timer, reactor.monotonic() + BATCH_S)
+
+    def _on_timer(self, eventtime: float) -> float:
+        rows, self._rows = self._rows, []
+        self._clients = [c for c in self._clients if not c[0].is_closed()]
+        for client, template in self._clients:
+            if rows:
+                client.send({**template, "params": {"data": rows, "header": HEADER}})
+        if self._clients:
+            return eventtime + BATCH_S
+        self._listen()
+        reactor = self.printer.get_reactor()
+        reactor.unregister_timer(self._timer)
+        self._timer = None
+        return float(reactor.NEVER)
+
+    # File
+
+    def cmd_dump(self, gcmd: Any) -> None:
+        if self._file is not None:
+            raise gcmd.error("INDUCTION_DUMP is writing already")
+        path = Path(gcmd.get("FILE", f"/tmp/induction-{self.heater.section_name}.csv")).expanduser()
+        duration_s = gcmd.get_float("DURATION", 2.0, above=0.0, maxval=3600.0)
+        try:
+            self._file = path.open("w", newline="", encoding="utf-8")
+        except OSError as e:
+            raise gcmd.error(f"INDUCTION_DUMP cannot write {path}: {e.strerror}") from None
+        self._writer = csv.writer(self._file)
+        self._writer.writerow(HEADER)
+        self._written = 0
+        self._until_s = self.heater.now_s() + duration_s
+        self._listen()
+        gcmd.respond_info(f"Writing {duration_s:.1f} s of raw blocks to {path}")
+
+    def _close(self) -> None:
+        if self._file is not None:
+            self._file.close()
+            self._file = None
+            # The loop walks its listeners now: leave it to the next turn of the reactor to be removed.
+            self.printer.get_reactor().register_callback(lambda eventtime: self._listen())

@@ -1,0 +1,16 @@
+"""kinematics: hybrid_corexy — y has a motor of its own, x is driven against it: a = x - y, b = y."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from kinematics.axes import LinearKinematics, LinearMachine
+
+MACHINE = LinearMachine(
+    (("corexy_stepper_alloc", b"-"), ("cartesian_stepper_alloc", b"y"), ("cartesian_stepper_alloc", b"z")),
+    lambda a, b, c: [a + b, b, c],
+)
+
+
+def load_kinematics(toolhead: Any, config: Any) -> LinearKinematics:
+    return LinearKinematics(toolhead, config, MACHINE)

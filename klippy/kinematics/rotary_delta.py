@@ -1,0 +1,136 @@
+"""kinematics: rotary_delta — three upper arms turned by shoulders, each holding the head by a lower arm."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import stepper
+from kinematics.axes import ZLimits, axes_of
+from kinematics.delta_limits import lower_meeting_point
+from lookahead import Coord, Move
+
+DEFAULT_ANGLES = {"a": 30.0, "b": 150.0, "c": 270.0}
+# Homing assumes the head at most this far below z = 0: much lower may be out of the arms' reach.
+HOMING_START_Z_MM = -1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Arm:
+    """One arm: direction of its shoulder (rad), lengths (mm)."""
+
+    angle: float
+    upper: float
+    lower: float
+
+    def elbow(self, radius: float, height: float, turned: float) -> list[float]:
+        """Place of the elbow with the upper arm `turned` radians above the horizontal."""
+        out = radius + self.upper * math.cos(turned)
+        return [
+            out * math.cos(self.angle),
+            out * math.sin(self.angle),
+            height + self.upper * math.sin(turned),
+        ]
+
+
+class RotaryDeltaKinematics:
+    """Limits, homing and positions of a rotary delta."""
+
+    def __init__(self, toolhead: Any, config: Any) -> None:
+        sections = [config.getsection(f"stepper_{name}") for name in "abc"]
+        kind = {"need_position_minmax": False, "units_in_radians": True}
+        first = stepper.LookupRail(sections[0], **kind)
+        endstop_z = first.get_homing_info().position_endstop
+        others = [stepper.LookupRail(s, default_position_endstop=endstop_z, **kind) for s in sections[1:]]
+        self.rails = [first, *others]
+        self.z_limits = ZLimits.read(config, toolhead, with_accel=False)
+        self.shoulder_radius = config.getfloat("shoulder_radius", above=0.0)
+        self.shoulder_height = config.getfloat("shoulder_height", above=0.0)
+        self.min_z = config.getfloat("minimum_z_position", 0.0, maxval=endstop_z)
+        upper = sections[0].getfloat("upper_arm_length", above=0.0)
+        lower = sections[0].getfloat("lower_arm_length", above=0.0)
+        self.arms = [
+            Arm(
+                math.radians(s.getfloat("angle", DEFAULT_ANGLES[name])),
+                s.getfloat("upper_arm_length", upper, above=0.0),
+                s.getfloat("lower_arm_length", lower, above=0.0),
+            )
+            for name, s in zip("abc", sections, strict=True)
+        ]
+        for rail, arm in zip(self.rails, self.arms, strict=True):
+            rail.setup_itersolve(
+                "rotary_delta_stepper_alloc",
+                self.shoulder_radius, self.shoulder_height, arm.angle, arm.upper, arm.lower,
+            )  # fmt: skip
+            rail.set_trapq(toolhead.get_trapq())
+        endstops = [
+            r.get_steppers()[0].calc_position_from_coord((0.0, 0.0, r.get_homing_info().position_endstop))
+            for r in self.rails
+        ]
+        self.home_position = self._head_at(endstops)
+        self.max_z = min(r.get_homing_info().position_endstop for r in self.rails)
+        self.max_r2 = self._reach() ** 2
+        self.homed = False
+
+    def _reach(self) -> float:
+        """Largest radius reachable at every height between minimum and maximum z.
+
+        The arm opposite to the head is stretched most: shoulder to head at most upper + lower arm."""
+        arm = min(a.upper + a.lower for a in self.arms)
+        deepest = self.shoulder_height - self.min_z
+        stretch = math.sqrt(max(0.0, arm**2 - deepest**2)) - self.shoulder_radius
+        return max(0.0, stretch)
+
+    def get_steppers(self) -> list[stepper.MCU_stepper]:
+        return [s for rail in self.rails for s in rail.get_steppers()]
+
+    def _head_at(self, turned: Sequence[float]) -> list[float]:
+        return lower_meeting_point(
+            [
+                (arm.elbow(self.shoulder_radius, self.shoulder_height, angle), arm.lower**2)
+                for arm, angle in zip(self.arms, turned, strict=True)
+            ]
+        )
+
+    def calc_position(self, stepper_positions: dict[str, float]) -> list[float]:
+        """x, y, z (mm) from the angles (rad) by stepper name."""
+        return self._head_at([stepper_positions[rail.get_steppers()[0].get_name()] for rail in self.rails])
+
+    def set_position(self, newpos: Sequence[float], homing_axes: Sequence[int] | str = ()) -> None:
+        for rail in self.rails:
+            rail.set_position(newpos)
+        if set(axes_of(homing_axes)) == {0, 1, 2}:
+            self.homed = True
+
+    def clear_homing_state(self, clear_axes: Sequence[int] | str) -> None:
+        if axes_of(clear_axes):
+            self.homed = False
+
+    def home(self, homing_state: Any) -> None:
+        homing_state.set_axes([0, 1, 2])
+        forcepos = [*self.home_position[:2], HOMING_START_Z_MM]
+        homing_state.home_rails(self.rails, [*forcepos, None], [*self.home_position, None])
+
+    def check_move(self, move: Move) -> None:
+        """Raise if the move leaves the reachable cylinder; slow down moves along z."""
+        x, y, z, _ = move.end_pos
+        if not self.homed:
+            raise move.move_error("Must home first")
+        at_home = all(abs(p - q) < 1e-6 for p, q in zip((x, y, z), self.home_position, strict=True))
+        if not at_home and (x * x + y * y > self.max_r2 or not self.min_z <= z <= self.max_z):
+            raise move.move_error()
+        self.z_limits.slow_down(move)
+
+    def get_status(self, eventtime: float) -> dict[str, Any]:
+        reach = math.sqrt(self.max_r2)
+        return {
+            "homed_axes": "xyz" if self.homed else "",
+            "axis_minimum": Coord(-reach, -reach, self.min_z, 0.0),
+            "axis_maximum": Coord(reach, reach, self.max_z, 0.0),
+        }
+
+
+def load_kinematics(toolhead: Any, config: Any) -> RotaryDeltaKinematics:
+    return RotaryDeltaKinematics(toolhead, config)

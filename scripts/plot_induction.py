@@ -1,0 +1,95 @@
+#!/usr/bin/env python3
+"""Draw raw coil telemetry: a file of INDUCTION_DUMP, or the trace of a calibration run.
+
+    scripts/plot_induction.py DUMP.csv --out dump.png
+    scripts/plot_induction.py induction-nozzle-....csv --out calibration.png
+
+Exit status 0 drawn, 2 the file is neither.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
+
+from thermal import actuator, fit, fit_data, fit_sweep
+from thermal.fit import FitError
+
+DUMP_COLUMNS = {"time", "phase", "count", "raw_mean", "raw_min", "raw_max"}
+ROWS_MAX = 20000  # more dots than a picture shows
+
+
+def draw_dump(columns: dict[str, fit.Array], figure: Figure) -> None:
+    top, middle, bottom = figure.subplots(3, 1, sharex=True)
+    time_s = columns["time"] - columns["time"][0]
+    top.fill_between(time_s, columns["raw_min"], columns["raw_max"], color="0.85", label="extremes")
+    top.plot(time_s, columns["raw_mean"], lw=0.8, label="mean")
+    top.set(ylabel="ADC code")
+    top.legend(loc="upper right")
+    middle.step(time_s, 100.0 * (columns["phase"] / fit.PHASE_FULL_TICKS) ** 2, where="post", lw=0.8)
+    middle.set(ylabel="power, %")
+    if "temperature" in columns:
+        bottom.plot(time_s, columns["temperature"], lw=0.8)
+    bottom.set(xlabel="time, s", ylabel="temperature, °C")
+
+
+def draw_sweep(path: Path, figure: Figure) -> None:
+    recording = fit_sweep.read_recording(path)
+    result = fit_sweep.analyse(recording, actuator.DriveLaw())
+    left, middle, right = figure.subplots(1, 3)
+    reference = np.array(recording.reference)
+    left.plot(reference[:, 0] - reference[0, 0], reference[:, 1])
+    left.set(xlabel="time, s", ylabel="reference, °C", title=f"lag {result.lag.tau_s:.2f} s")
+    points = result.points
+    best = result.laws[result.best].regression
+    residual = fit.temperature_residuals(best.law, best.values(), points)
+    for index, ticks in enumerate(np.unique(points.phase_ticks)):
+        mask = points.phase_ticks == ticks
+        label = f"{100 * float(fit.power_of_ticks(ticks)):.3g} %"
+        middle.plot(points.temp_c[mask], points.error[mask], ".", color=f"C{index % 10}", ms=3, label=label)
+        right.plot(points.temp_c[mask], residual[mask], ".", color=f"C{index % 10}", ms=3)
+    middle.set(xlabel="skin, °C", ylabel="error, units", title="all powers at all temperatures")
+    middle.legend(fontsize=7)
+    right.axhspan(-2, 2, color="0.92", zorder=0)
+    right.set(xlabel="skin, °C", ylabel="law − skin, °C", title=f"law {best.law} (grey: ±2 °C)")
+
+
+def _numeric(path: Path) -> dict[str, fit.Array]:
+    """Columns of a dump; an empty cell is NaN."""
+    table = np.genfromtxt(path, delimiter=",", names=True, max_rows=ROWS_MAX)
+    return {name: np.atleast_1d(table[name]) for name in table.dtype.names or ()}
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("file", type=Path)
+    parser.add_argument("--out", type=Path, required=True, metavar="OUT.png")
+    options = parser.parse_args(argv)
+    figure = Figure(figsize=(11, 5), layout="constrained")
+    try:
+        with options.file.open(encoding="utf-8") as stream:
+            first = next((line for line in stream if not line.startswith("#")), "")
+        header = set(first.strip().split(","))
+        if set(fit_data.SWEEP_COLUMNS) <= header:
+            draw_sweep(options.file, figure)
+        elif header >= DUMP_COLUMNS:
+            draw_dump(_numeric(options.file), figure)
+        else:
+            raise FitError(f"{options.file}: neither a dump nor the trace of a calibration run")
+    except (FitError, OSError, UnicodeDecodeError) as error:
+        print(f"plot_induction: {error}", file=sys.stderr)
+        return 2
+    figure.savefig(options.out, dpi=90)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,85 @@
+"""What is wrong with a sensing coil is told by name; the supply's voltage is put right when it is measured."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from extras import induction_supply
+from loop.induction_rig import Plant, Rig, default_parameters
+from thermal import features, laws
+
+# The reference tank's components, as a calibration of the C plant finds them.
+TANK = laws.TankLaw(1154.0, 390.0, 1429.0, 0.0, 0.457, 0.599, 0.0, 313.9, 1.003, 0.06)
+
+
+def hold(rig: Rig, seconds: float, target_c: float = 250.0) -> None:
+    rig.run(0.6)
+    rig.set_target(target_c)
+    rig.run(seconds)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"fault": 1.0}, "is the nozzle missing from the coil?"),
+        ({"adc_max": 400.0}, "signal clipped"),
+    ],
+    ids=["missing nozzle", "clipped"],
+)
+def test_a_signal_that_cannot_be_is_named(changes: dict[str, float], words: str) -> None:
+    # the front end's own limit is the ADC's: a plant that clips at 400 has a front end that clips there
+    front = features.FeatureParameters(adc_max_raw=int(changes.get("adc_max", 4095)))
+    rig = Rig(Plant(3), default_parameters(law=TANK, front=front), 5)
+    hold(rig, 2.0, 150.0)
+    for name, value in changes.items():
+        rig.plant.set_param(name, value)
+    rig.set_target(250.0)
+    rig.run(4.0)
+    assert words in rig.loop.fault
+    assert rig.phase == 0
+
+
+@pytest.mark.parametrize(("noise_lsb", "enough"), [(0.15, False), (1.0, True)])
+def test_too_little_noise_is_seen(noise_lsb: float, enough: bool) -> None:
+    rig = Rig(Plant(3, noise_lsb=noise_lsb), default_parameters(law=TANK), 5)
+    hold(rig, 3.0)
+    found = features.noise_lsb(rig.loop.state.noise)
+    assert found is not None
+    assert (found >= features.NOISE_NEEDED_LSB) == enough
+
+
+@pytest.mark.parametrize("factor", [0.55, 1.6])
+def test_a_nozzle_of_another_mass_is_named(factor: float) -> None:
+    rig = Rig(Plant(3, mass_factor=factor), default_parameters(law=TANK), 5)
+    hold(rig, 4.0)
+    assert "wrong nozzle" in rig.loop.state.warning
+    assert rig.loop.state.plausible.capacity_ratio == pytest.approx(factor, rel=0.1)
+
+
+@pytest.mark.parametrize("volt", [20.0, 26.0])
+def test_a_measured_supply_keeps_the_reading_true(volt: float) -> None:
+    errors = {}
+    for supply_v, told_v in ((24.0, 24.0), (volt, 24.0), (volt, volt)):
+        rig = Rig(Plant(3, supply_v=supply_v), default_parameters(law=TANK), 5)
+        heater = SimpleNamespace(parameters=rig.loop.parameters, loop=rig.loop)
+        induction_supply.set_supply(heater, told_v)
+        hold(rig, 3.0)
+        rig.plant.set_inputs(20.0, 0.0)  # melt to heat: 4 % power, where the field matters
+        rig.run(1.5)
+        trace = rig.trace.arrays()
+        late = trace["t_s"] > 4.0
+        errors[supply_v, told_v] = float(np.mean((trace["estimate_c"] - trace["skin_c"])[late]))
+    usual = errors[24.0, 24.0]  # what the rounded coefficients above leave
+    assert errors[volt, volt] == pytest.approx(usual, abs=0.1)
+    assert abs(errors[volt, 24.0] - usual) > 0.3
+
+
+def test_the_supply_sensor_ignores_a_lead_that_came_off() -> None:
+    adc = SimpleNamespace(setup_adc_sample=lambda *a: None, setup_adc_callback=lambda *a: None)
+    sensor = induction_supply.SupplySensor(adc, 40.0)
+    sensor._on_adc(0.0, 0.6)
+    sensor._on_adc(0.05, 0.0)
+    assert sensor.volt == pytest.approx(24.0)

@@ -1,0 +1,156 @@
+"""The filter in temperature and the heat balance beside it: quiet, quick, and honest about what they do not know."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from thermal import features, model, plausible, track
+from thermal.records import SampleBlock, TempEstimate
+
+BLOCK_S = 0.0016
+LOSS, HEAT = model.LossLaw(), model.HeatCapacity()
+PARAMETERS = track.TrackParameters(LOSS, HEAT)
+
+
+def block(n: int, phase: int = 8000, span: int = 6) -> SampleBlock:
+    return SampleBlock(n, 0, n * BLOCK_S, BLOCK_S, 192, 500.0, 497, 497 + span, phase, 0, 0)
+
+
+def seen(n: int, temp_c: float, noise_c: float = 0.1) -> TempEstimate:
+    return TempEstimate((n + 0.5) * BLOCK_S, temp_c, 1.0, noise_c, 1.3, 8000, True, "")
+
+
+def run(temps: np.ndarray, power_w: np.ndarray, noise_c: float) -> tuple[np.ndarray, track.TrackState]:
+    state, out = track.TrackState(), []
+    random = np.random.default_rng(1)
+    for n, (temp, watts) in enumerate(zip(temps, power_w, strict=True)):
+        got = track.track(
+            PARAMETERS, state, block(n), watts, seen(n, temp + random.normal(0, noise_c), noise_c)
+        )
+        out.append(got.temp_c if got else math.nan)
+    return np.array(out), state
+
+
+def test_at_rest_it_is_as_quiet_as_seventeen_bits() -> None:
+    """4^5 samples of 1 LSB are 0.031 LSB = 0.04 degC; a block of 192 samples has 0.1 degC."""
+    held = np.full(3000, 250.0)
+    out, _ = run(held, np.full(3000, model.loss_w(LOSS, 250.0)), 0.1)
+    assert np.std(out[500:] - 250.0) < 0.045
+
+
+def test_a_step_of_the_drive_is_followed_without_lag_because_the_heat_is_known() -> None:
+    power = np.where(np.arange(1000) < 500, model.loss_w(LOSS, 100.0), 60.0)
+    temps, temp = [], 100.0
+    for watts in power:  # 60 W: 120 K/s
+        temps.append(temp)
+        temp += BLOCK_S * (watts - model.loss_w(LOSS, temp)) / HEAT.at(temp)
+    out, _ = run(np.array(temps), power, 0.1)
+    assert np.abs(out[100:] - np.array(temps)[100:]).max() < 0.4
+
+
+def test_heat_nobody_told_of_is_found_within_its_memory() -> None:
+    """Extrusion takes 13 K/s from one block to the next: harder than 50 ms of a real melt."""
+    time_s = np.arange(1500) * BLOCK_S
+    temps = 250.0 - np.where(time_s > 1.0, 13.0 * (time_s - 1.0), 0.0)
+    out, state = run(temps, np.full(1500, model.loss_w(LOSS, 250.0)), 0.1)
+    assert np.abs(out[200:] - temps[200:]).max() < 0.5
+    assert state.rate_k_s == pytest.approx(-13.0, abs=3.0)
+
+
+def test_one_wild_block_is_left_out_and_several_are_believed() -> None:
+    _, state = run(np.full(500, 200.0), np.full(500, 3.0), 0.1)
+    assert track.track(PARAMETERS, state, block(500), 3.0, seen(500, 320.0)) is None
+    good = track.track(PARAMETERS, state, block(501), 3.0, seen(501, 200.0))
+    assert good is not None and good.temp_c == pytest.approx(200.0, abs=0.5)
+    results = [track.track(PARAMETERS, state, block(n), 3.0, seen(n, 320.0)) for n in range(502, 506)]
+    assert results[:3] == [None] * 3
+    assert results[3] is not None and results[3].temp_c == 320.0
+
+
+def test_after_a_long_silence_it_starts_anew() -> None:
+    _, state = run(np.full(100, 200.0), np.full(100, 3.0), 0.1)
+    got = track.track(PARAMETERS, state, block(1000), 0.0, seen(1000, 120.0))
+    assert got is not None and got.temp_c == 120.0
+
+
+def test_uncertainty_holds_the_laws_part_and_shrinks_only_the_noise() -> None:
+    _, state = run(np.full(300, 200.0), np.full(300, 3.0), 0.1)
+    got = track.track(PARAMETERS, state, block(300), 3.0, seen(300, 200.0))
+    assert got is not None
+    assert got.sigma_noise_c < 0.06
+    assert got.sigma_c >= math.sqrt(1.0 - 0.01)  # 1.0 in all, 0.1 of it noise
+
+
+# Noise of the samples
+
+
+@pytest.mark.parametrize("noise_lsb", [0.15, 0.3, 0.5, 1.0, 3.0])
+def test_noise_is_told_from_the_span_of_blocks(noise_lsb: float) -> None:
+    random = np.random.default_rng(5)
+    state = features.NoiseState()
+    for n in range(400):
+        codes = np.floor(500.0 + random.uniform() + noise_lsb * random.standard_normal(192) + 0.5)
+        low, high = int(codes.min()), int(codes.max())
+        features.note_noise(
+            state, SampleBlock(n, 0, 0.0, BLOCK_S, 192, float(codes.mean()), low, high, 8000, 0, 0)
+        )
+    got = features.noise_lsb(state)
+    assert got == pytest.approx(noise_lsb, rel=0.1)
+    assert (got < features.NOISE_NEEDED_LSB * 0.95) == (noise_lsb == 0.15)
+
+
+def test_span_table_is_what_gaussian_noise_gives() -> None:
+    random = np.random.default_rng(6)
+    for noise, span in features.SPAN_OF_NOISE:
+        codes = np.floor(
+            random.uniform(0, 1, 2000)[:, None] + noise * random.standard_normal((2000, 192)) + 0.5
+        )
+        assert (codes.max(1) - codes.min(1)).mean() == pytest.approx(span, rel=0.03, abs=0.03)
+
+
+# Heat balance
+
+
+def balance(power_factor: float, seconds: float, capacity: float = 1.0) -> plausible.PlausibleState:
+    """Hold 250 degC with `power_factor` times the heat the model needs for it."""
+    loss = plausible.scaled(1.0, 25.0)
+    parameters = plausible.PlausibleParameters(HEAT, loss, 0.03)
+    state = plausible.PlausibleState(second_c=25.0)
+    second = 25.0
+    for n in range(int(seconds * 10)):
+        watts = loss.skin_out_w(250.0, second) * power_factor
+        second += 0.1 * loss.second_rate(250.0, second)
+        plausible.observe(parameters, state, 0.1 * n, 250.0, 0.1 * watts, True)
+    return state
+
+
+def test_a_balance_that_closes_means_no_drift() -> None:
+    assert balance(1.0, 60.0).drift_c == pytest.approx(0.0, abs=0.2)
+
+
+def test_more_heat_than_the_reading_explains_means_it_reads_low() -> None:
+    state = balance(1.08, 60.0)
+    loss = plausible.scaled(1.0, 25.0)
+    expected = -0.08 * loss.skin_out_w(250.0, state.second_c) / loss.slope_w_k(250.0)
+    assert state.drift_c == pytest.approx(expected, rel=0.15)
+
+
+def test_nothing_is_said_before_it_has_been_quiet_for_long() -> None:
+    assert balance(1.3, 20.0).drift_c is None
+
+
+@pytest.mark.parametrize(("factor", "named"), [(1.0, False), (0.5, True), (1.6, True), (1.2, False)])
+def test_a_nozzle_of_another_mass_is_named_from_its_heat_up(factor: float, named: bool) -> None:
+    parameters = plausible.PlausibleParameters(HEAT, plausible.scaled(1.0, 25.0))
+    state, temp, second = plausible.PlausibleState(), 25.0, 25.0
+    for n in range(60):
+        plausible.observe(parameters, state, 0.1 * n, temp, 8.13, True)
+        out = parameters.loss.skin_out_w(temp, second)
+        temp += 0.1 * (81.3 - out) / (HEAT.at(temp) * factor)
+        if temp > 300.0:
+            break
+    assert state.capacity_ratio == pytest.approx(factor, rel=0.05)
+    assert ("wrong nozzle" in plausible.warning(parameters, state)) == named
