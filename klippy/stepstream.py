@@ -142,8 +142,11 @@ class StepStreams:
 
     @property
     def done_time(self) -> float:
-        """print_time up to which steps are worked out."""
-        return self._done_time
+        """print_time from which on new motion may begin: steps are worked out up to the look-ahead before it.
+
+        Motion that began sooner would already have had to show in steps that are gone (shaping, pressure advance).
+        """
+        return self._done_time + self.look_ahead_s()
 
     def _follow_clocks(self, print_time: float) -> None:
         """From print_time on, further MCUs may correct their relation to the main one's clock."""

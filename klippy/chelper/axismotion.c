@@ -144,6 +144,8 @@ itersolve_set_shaper(struct stepper_kinematics *sk, char axis, int count, const 
         sk->shaped |= sk->shaper[k].count > 0;
     }
     sk->look_behind = sk->look_ahead = reach;
+    if (sk->tq)
+        sk->barrier = sk->tq->next;         /* at rest: what was done before is not done again in the new shape */
     return 0;
 }
 
@@ -200,7 +202,7 @@ itersolve_set_mix(struct stepper_kinematics *sk, double x, double y, double z, d
 /* A quartic replaces the true course if the cubic through the same ends is this close to it in the middle. The
  * cubic's error is h^4 f''''/384; the quartic, which takes the middle along, is better by a factor of about
  * h f'''''/f'''' / 20: below a hundredth of this, far below what moves a step by a microsecond. */
-#define CUBIC_MISS_MM 2e-5
+#define CUBIC_MISS_MM 4e-6
 #define PIECE_MIN_S 20e-6
 #define PIECE_MAX_S 0.1
 

@@ -70,7 +70,7 @@ class DeltesianKinematics:
         left, right = self.towers
         reach = math.cos(math.radians(min_angle))
         low, high = right.x - reach * right.arm, left.x + reach * left.arm
-        width = config.getfloat("print_width", None, above=0.0)
+        width = config.getfloat("print_width", None, above=0.0, maxval=max(0.0, 2.0 * min(-low, high)))
         if width is not None:
             low, high = max(low, -0.5 * width), min(high, 0.5 * width)
         if low >= high:

@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import stepper
-from kinematics.axes import HOMING_OVERTRAVEL, ZLimits, axes_of
+from kinematics.axes import ZLimits, axes_of
 from lookahead import Coord, Move
 
 # The bed turns at most this fast (rad/s).
@@ -71,19 +71,17 @@ class PolarKinematics:
         homing_state.set_axes(axes)
         if 0 in axes:
             start, end = self._homing_way(self.arm)
-            homing_state.home_rails([self.arm], [max(0.0, start), 0.0, None, None], [end, 0.0, None, None])
+            homing_state.home_rails([self.arm], [start, 0.0, None, None], [end, 0.0, None, None])
         if 2 in axes:
             start, end = self._homing_way(self.z_rail)
             homing_state.home_rails([self.z_rail], [None, None, start, None], [None, None, end, None])
 
     @staticmethod
     def _homing_way(rail: stepper.GenericPrinterRail) -> tuple[float, float]:
+        """From the far end of the rail, no farther: a place on the arm has no negative side."""
         info = rail.get_homing_info()
         low, high = rail.get_range()
-        far = low if info.positive_dir else high
-        return info.position_endstop + HOMING_OVERTRAVEL * (
-            far - info.position_endstop
-        ), info.position_endstop
+        return low if info.positive_dir else high, info.position_endstop
 
     def _check_centre(self, move: Move) -> None:
         """Slow down near the centre; see the top of this file."""

@@ -126,7 +126,9 @@ def core_fraction(fourier: float) -> float:
 def fourier_for_core(fraction: float) -> float:
     """The Fourier number at which theta_c reaches `fraction` (0 < fraction < 1), by bisection."""
     if not 0.0 < fraction < 1.0:
-        raise ValueError(f"The share of the wall's step at the core must lie between 0 and 1, not {fraction}.")
+        raise ValueError(
+            f"The share of the wall's step at the core must lie between 0 and 1, not {fraction}."
+        )
     low, high = LEAST_FOURIER, 10.0
     for _ in range(60):
         middle = 0.5 * (low + high)

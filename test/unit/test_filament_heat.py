@@ -124,7 +124,9 @@ def test_interface_of_equal_media_is_the_mean_and_of_unlike_ones_leans_to_the_ef
     assert weld.interface_c(200.0, 20.0) == 110.0  # source 002's example
     assert weld.melt_for_interface(135.0, 20.0) == 250.0  # HDPE: the needed 250 degC of source 002
     assert weld.interface_c(200.0, 20.0, 3.0, 1.0) == 155.0
-    assert weld.interface_c(weld.melt_for_interface(150.0, 40.0, 700, 500), 40.0, 700, 500) == pytest.approx(150)
+    assert weld.interface_c(weld.melt_for_interface(150.0, 40.0, 700, 500), 40.0, 700, 500) == pytest.approx(
+        150
+    )
     assert weld.bonds(136.0, 135.0) and not weld.bonds(136.0, 135.0, margin_c=2.0)
 
 
