@@ -11,13 +11,15 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo test check format bench fuzz clean distclean
+.PHONY: help setup setup-test sim chelper demo test check format bench bench-thermometer bench-motion fuzz clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
 	@echo "make test    all checks and tests"
 	@echo "make check   the checks only: lint, types, layers, message formats, cross compilation"
 	@echo "make bench   print the 5 MB benchy in closed loop and report speed and memory (QUICK=1: the short file)"
+	@echo "make bench-thermometer  accuracy and latency of the estimate, beside the published chain"
+	@echo "make bench-motion       moves a second in batch mode (PEER=\"CMD\": a peer beside it; QUICK=1)"
 	@echo "make fuzz    fuzz the firmware's message parser (FUZZ_SECONDS=600)"
 	@echo "make sim     build the simulated MCU and the world it lives in"
 	@echo "make clean   remove $(OUT); make distclean also removes .venv"
@@ -49,6 +51,12 @@ demo: setup sim chelper
 
 bench: setup sim chelper
 	@$(PYTHON) scripts/bench.py --out $(OUT)/bench $(if $(QUICK),--quick)
+
+bench-thermometer: setup-test sim chelper
+	@$(PYTHON) scripts/bench_thermometer.py --json $(OUT)/bench/thermometer.json
+
+bench-motion: setup chelper
+	@$(PYTHON) scripts/bench_motion.py $(if $(QUICK),--quick) $(if $(PEER),--peer "$(PEER)")
 
 # --- test ----------------------------------------------------------------------------------------
 # Both are run to their end whatever the other finds; the tests' closing line comes last.

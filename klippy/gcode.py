@@ -18,6 +18,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 OutputHandler = Callable[[str], None]
+# (text, start, end) -> where it stopped, behind a line end; see GCodeDispatch.run_block
+BlockRunner = Callable[[bytes, int, int], int]
 
 
 class CommandError(Exception):
@@ -255,6 +257,7 @@ class GCodeDispatch:
         self._handlers = self._base_handlers
         self._mux: dict[str, _MuxCommand] = {}
         self._help: dict[str, str] = {}
+        self._block_runner: BlockRunner | None = None
         self._status_commands: dict[str, dict[str, str]] = {}
         self.is_printer_ready = False
         for event, handler in (
@@ -396,6 +399,28 @@ class GCodeDispatch:
                 self.respond_raw("ok")
             else:
                 gcmd.ack()
+
+    def register_block_runner(self, runner: BlockRunner) -> None:
+        """A short way for rows of simple lines: runner(text, start, end) carries out as many as it can."""
+        self._block_runner = runner
+
+    def get_handler(self, command: str) -> Callable[[GCodeCommand], Any] | None:
+        """What carries out a command now."""
+        return self._handlers.get(command)
+
+    def run_block(self, text: bytes, start: int, end: int) -> int:
+        """Run lines of text[start:end] the short way, as `run_line(line, need_ack=True)` would do with nobody
+        listening; returns where the first line begins that has to go through `run_line` (`start` if none did)."""
+        if self._block_runner is None or self.output_callbacks:
+            return start
+        try:
+            return self._block_runner(text, start, end)
+        except CommandError as e:
+            self.respond_error(str(e))
+            self.printer.send_event("gcode:command_error")
+        except Exception as e:
+            self._internal_error(text[start:end].decode("utf-8", "replace").partition("\n")[0], e)
+        return end
 
     def _internal_error(self, line: str, problem: Exception) -> None:
         message = f'Internal error on command:"{line.strip()}"'

@@ -30,7 +30,7 @@ class GCodeIO:
         self._running = False
         self._output_ok = True
         self._bytes_read = 0
-        self._recent: collections.deque[tuple[float, str]] = collections.deque(maxlen=50)
+        self._recent: collections.deque[tuple[float, bytes]] = collections.deque(maxlen=50)
         if self.fd is None:
             return
         printer.register_event_handler("klippy:ready", self._handle_ready)
@@ -49,18 +49,48 @@ class GCodeIO:
 
     def _handle_shutdown(self) -> None:
         if self._recent:
-            text = "\n".join(f"Read {when:.6f}: {data!r}" for when, data in self._recent)
+            text = "\n".join(
+                f"Read {when:.6f}: {data.decode('utf-8', 'replace')!r}" for when, data in self._recent
+            )
             logging.info("G-code read lately (%d lines waiting):\n%s", len(self._lines), text)
         if self.is_fileinput:
             self.printer.request_exit("error_exit")
 
     def _read_file(self, eventtime: float) -> None:
         """Batch mode on a plain file."""
+        assert self.fd is not None
+        rest = b""
         while not self.printer.is_exiting():
-            if not self._take_in(self.reactor.monotonic()):
+            try:
+                data = os.read(self.fd, _READ_SIZE)
+            except OSError:
+                logging.exception("Unable to read G-code")
                 return
-            self._run_waiting()
+            if not data:
+                if not rest:
+                    self._end_of_file()
+                    return
+                data = b"\n"
+            self._recent.append((self.reactor.monotonic(), data))
+            self._bytes_read += len(data)
+            text = rest + data
+            end = text.rfind(b"\n") + 1
+            rest = text[end:]
+            with self.gcode.get_mutex():
+                self._run_text(text, end)
             self.reactor.pause(self.reactor.NOW)
+
+    def _run_text(self, text: bytes, end: int) -> None:
+        """Run the lines of text[:end], the short way where that is possible, until the printer ends."""
+        at = 0
+        while at < end:
+            at = self.gcode.run_block(text, at, end)
+            if at < end:
+                stop = text.index(b"\n", at)
+                self.gcode.run_line(text[at:stop].decode("utf-8", "replace"), need_ack=True)
+                at = stop + 1
+            if self.printer.is_exiting():
+                return
 
     def _handle_readable(self, eventtime: float) -> None:
         if self._take_in(eventtime) and not self._running:
@@ -83,9 +113,9 @@ class GCodeIO:
             if not data:
                 self._end_of_file()
                 return False
-        self._recent.append((eventtime, data.decode("utf-8", "replace")))
+        self._recent.append((eventtime, data))
         self._bytes_read += len(data)
-        *lines, self._partial = (self._partial + self._recent[-1][1]).split("\n")
+        *lines, self._partial = (self._partial + data.decode("utf-8", "replace")).split("\n")
         if not self.is_fileinput and any(_EMERGENCY.match(line) for line in lines):
             self.gcode.run_line("M112", need_ack=True)
         self._lines.extend(lines)

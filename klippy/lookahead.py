@@ -5,8 +5,9 @@ the distance: v1^2 = v0^2 + 2*a*d.
 
 Two limits act on a row of moves.
 
-1. *Junctions.* Between two moves the speed is limited by the corner (see `corner_v2`). Going backwards from the end,
-   where the head must be able to stop, each move may be entered only so fast that the rest can still be braked.
+1. *Junctions.* Between two moves the speed is limited by the corner (`corner_v2` in lookahead.c). Going backwards
+   from the end, where the head must be able to stop, each move may be entered only so fast that the rest can still be
+   braked.
 
 2. *Smoothing* (minimum_cruise_ratio). The same calculation with a lower, virtual acceleration gives a second speed
    profile: hills with valleys between them. The top of a hill caps the speed of every move that belongs to it, so
@@ -18,23 +19,33 @@ Two limits act on a row of moves.
           /      \\      /   \\                   /      \\
          /        \\____/     \\                 /        \\
        valley      valley
+
+The calculation is chelper/lookahead.c; here are the moves as Python sees them.
 """
 
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
+
+import chelper
 
 if TYPE_CHECKING:
     from toolhead import ToolHead
 
 # Moves without a distance the planner cares about: the acceleration of pure extruder moves comes from the extruder.
 UNLIMITED_ACCEL = 99999999.9
-# Junction angles this close to straight or to full reversal are treated as such: the formulas divide by them.
-ANGLE_EPSILON = 1e-9
 # A motion this short is no motion: far below any step.
 MIN_DISTANCE_MM = 1e-9
+
+
+# Fields of a Move that are single numbers in struct lookahead_move, too.
+_PLAIN_FIELDS = (
+    "move_d", "min_move_t", "accel", "junction_deviation", "max_cruise_v2", "delta_v2", "smooth_delta_v2",
+    "max_start_v2", "max_smoothed_v2",
+)  # fmt: skip
 
 
 class Coord(NamedTuple):
@@ -79,6 +90,13 @@ class Move:
     )
 
     print_time: float  # of the start; set when the move is committed
+    # set when it is planned
+    start_v: float
+    cruise_v: float
+    end_v: float
+    accel_t: float
+    cruise_t: float
+    decel_t: float
 
     def __init__(
         self, toolhead: ToolHead, start_pos: Sequence[float], end_pos: Sequence[float], speed: float
@@ -116,6 +134,19 @@ class Move:
         self.delta_v2 = 2.0 * move_d * self.accel
         self.smooth_delta_v2 = 2.0 * move_d * toolhead.max_accel_to_decel
 
+    @classmethod
+    def from_record(cls, toolhead: ToolHead, record: Any) -> Move:
+        """The object of a move the C helper has made (struct lookahead_move)."""
+        move = cls.__new__(cls)
+        move.toolhead = toolhead
+        move.timing_callbacks = None
+        move.start_pos, move.end_pos = tuple(record.start_pos), tuple(record.end_pos)
+        move.axes_d, move.axes_r = tuple(record.axes_d), tuple(record.axes_r)
+        move.is_kinematic_move = bool(record.is_kinematic_move)
+        for name in _PLAIN_FIELDS:
+            setattr(move, name, getattr(record, name))
+        return move
+
     def limit_speed(self, speed: float, accel: float) -> None:
         """Slow the move down to at most this speed and acceleration along its path."""
         speed2 = speed * speed
@@ -133,154 +164,116 @@ class Move:
         x, y, z, e = self.end_pos
         return self.toolhead.printer.command_error(f"{msg}: {x:.3f} {y:.3f} {z:.3f} [{e:.3f}]")
 
-    def follow(self, prev: Move, extruder_v2: float) -> None:
-        """Set the highest entry speed after `prev`; extruder_v2 is the extruder's own limit for the junction."""
-        limit = min(prev.max_cruise_v2, self.max_cruise_v2, prev.max_start_v2 + prev.delta_v2, extruder_v2)
-        corner = corner_v2(prev, self)
-        if corner < limit:
-            limit = corner
-        self.max_start_v2 = limit
-        self.max_smoothed_v2 = min(limit, prev.max_smoothed_v2 + prev.smooth_delta_v2)
 
-    def set_junction(self, start_v2: float, cruise_v2: float, end_v2: float) -> None:
-        """Fix the speeds; works out the three times."""
-        per_v2 = 0.5 / self.accel
-        accel_d = (cruise_v2 - start_v2) * per_v2
-        decel_d = (cruise_v2 - end_v2) * per_v2
-        cruise_d = self.move_d - accel_d - decel_d
-        self.start_v = start_v = math.sqrt(start_v2)
-        self.cruise_v = cruise_v = math.sqrt(cruise_v2)
-        self.end_v = end_v = math.sqrt(end_v2)
-        self.accel_t = accel_d / ((start_v + cruise_v) * 0.5)
-        self.cruise_t = cruise_d / cruise_v if cruise_d > 0.0 else 0.0
-        self.decel_t = decel_d / ((end_v + cruise_v) * 0.5)
+def done_in_c(method: Any) -> Any:
+    """Mark a method whose work the C helper may do in its place (see g1path.py).
+
+    The mark is on the function: a subclass or plugin that puts another in its place is always called."""
+    method.done_in_c = True
+    return method
 
 
-def corner_v2(prev: Move, move: Move) -> float:
-    """Highest squared speed through the corner between two moves; infinite if it does not bend.
-
-    Next to a move of the extruder alone the head stands still: 0.
-
-    A circle is laid into the corner, touching both lines, and run at the speed whose centripetal acceleration is
-    allowed: v^2 = a*R. With theta the angle between the lines (pi: straight on),
-      - the circle that comes within `junction_deviation` of the corner has R = dev * s/(1-s), s = sin(theta/2);
-      - the circle that touches the lines half a move away from the corner has R = d/2 * tan(theta/2)."""
-    if not (prev.is_kinematic_move and move.is_kinematic_move):
-        return 0.0
-    ax, ay, az, _ = prev.axes_r
-    bx, by, bz, _ = move.axes_r
-    cos_theta = -(ax * bx + ay * by + az * bz)
-    if cos_theta > 1.0 - ANGLE_EPSILON:  # back on itself
-        return 0.0
-    half = 0.5 * (1.0 - cos_theta)  # sin^2(theta/2)
-    if half > 1.0 - ANGLE_EPSILON:  # straight on
-        return math.inf
-    sin_half = math.sqrt(half)
-    tangent_v2 = 0.5 * sin_half / math.sqrt(1.0 - half)  # per mm and unit acceleration
-    deviation_v2 = sin_half / (1.0 - sin_half)
-    return min(
-        deviation_v2 * min(move.junction_deviation * move.accel, prev.junction_deviation * prev.accel),
-        tangent_v2 * min(move.move_d * move.accel, prev.move_d * prev.accel),
-    )
-
-
-def _speed_profiles(moves: Sequence[Move]) -> tuple[list[float], list[float]]:
-    """Entry speeds squared, real and smoothed, of every move and (0) of what follows the last."""
-    count = len(moves)
-    entry, smoothed = [0.0] * (count + 1), [0.0] * (count + 1)
-    v2 = s2 = 0.0
-    for i in range(count - 1, -1, -1):
-        move = moves[i]
-        v2 += move.delta_v2
-        if v2 > move.max_start_v2:
-            v2 = move.max_start_v2
-        entry[i] = v2
-        s2 += move.smooth_delta_v2
-        if s2 > move.max_smoothed_v2:
-            s2 = move.max_smoothed_v2
-        smoothed[i] = s2
-    return entry, smoothed
-
-
-def _settled_count(moves: Sequence[Move], entry: Sequence[float], smoothed: Sequence[float]) -> int:
-    """How many moves no later move can change any more.
-
-    Those before a valley whose depth is set by the corner itself, in both profiles, and not by the need to brake.
-    """
-    for i in range(len(moves) - 1, 0, -1):
-        move, prev = moves[i], moves[i - 1]
-        at_corner = smoothed[i] >= move.max_smoothed_v2 and entry[i] >= move.max_start_v2
-        if at_corner and smoothed[i] < smoothed[i - 1] + prev.smooth_delta_v2:
-            return i
-    return 0
-
-
-def _run_downhill(
-    moves: Sequence[Move], entry: Sequence[float], first: int, last: int, top_v2: float
-) -> None:
-    """Fix the moves first..last, the falling side of a hill: never faster than before."""
-    cap = top_v2
-    for i in range(first, last + 1):
-        cap = min(cap, entry[i])
-        moves[i].set_junction(cap, cap, min(entry[i + 1], cap))
-
-
-def plan(moves: Sequence[Move], lazy: bool) -> int:
-    """Fix the speeds of moves at the front of the row; all of them unless `lazy`. Returns how many."""
-    entry, smoothed = _speed_profiles(moves)
-    count = _settled_count(moves, entry, smoothed) if lazy else len(moves)
-    top_v2 = 0.0
-    falling_end = -1  # last move of a falling side whose top is not reached yet
-    for i in range(count - 1, -1, -1):
-        move = moves[i]
-        reachable = smoothed[i + 1] + move.smooth_delta_v2
-        if smoothed[i] >= reachable:  # braking through: belongs to a falling side
-            if falling_end < 0:
-                falling_end = i
-            continue
-        if falling_end >= 0 or smoothed[i] + move.smooth_delta_v2 > smoothed[i + 1]:
-            top_v2 = min(move.max_cruise_v2, 0.5 * (smoothed[i] + reachable))
-            if falling_end >= 0:
-                _run_downhill(moves, entry, i + 1, falling_end, top_v2)
-                falling_end = -1
-        start_v2, end_v2 = entry[i], entry[i + 1]
-        cruise_v2 = min(0.5 * (start_v2 + end_v2 + move.delta_v2), move.max_cruise_v2, top_v2)
-        move.set_junction(min(start_v2, cruise_v2), cruise_v2, min(end_v2, cruise_v2))
-    return count
+def is_done_in_c(*methods: Any) -> bool:
+    """Whether all of them bear the mark."""
+    return all(getattr(method, "done_in_c", False) for method in methods)
 
 
 class LookAheadQueue:
-    """Moves whose speeds are not fixed yet."""
+    """Moves whose speeds are not fixed yet. They live in the C helper (lookahead.h); Move objects exist only for
+    those that Python has made or asked for."""
 
     # Try to fix moves whenever this much (least) motion time has come in.
     REVIEW_S = 0.250
+    # What a move brings along, in the order of struct lookahead_move.
+    _PLANNED = struct.Struct("=24d")
 
-    def __init__(self) -> None:
-        self.queue: list[Move] = []
-        self._until_review_s = self.REVIEW_S
+    def __init__(self, toolhead: Any = None) -> None:
+        self._toolhead = toolhead
+        ffi, self._lib = chelper.get_ffi()
+        self.row = ffi.gc(self._lib.lookahead_alloc(self.REVIEW_S), self._lib.lookahead_free)
+        self._scratch = ffi.new("struct lookahead_move *")
+        self._scratch_bytes = ffi.buffer(self._scratch)
+        self._moves: dict[int, Move] = {}  # by number in the row
+
+    def __len__(self) -> int:
+        return self.row.next - self.row.first
+
+    @property
+    def queue(self) -> list[Move]:
+        """The waiting moves; to look at."""
+        return [self._move(number) for number in range(self.row.first, self.row.next)]
 
     def reset(self) -> None:
         """Forget everything."""
-        self.queue.clear()
-        self._until_review_s = self.REVIEW_S
+        self._lib.lookahead_reset(self.row)
+        self._moves.clear()
+
+    def _record(self, number: int) -> Any:
+        return self.row.ring[number & self.row.mask]
+
+    def _move(self, number: int) -> Move:
+        """The Move object of a waiting move."""
+        move = self._moves.get(number)
+        if move is None:
+            move = self._moves[number] = Move.from_record(self._toolhead, self._record(number))
+        return move
 
     def get_last(self) -> Move | None:
-        return self.queue[-1] if self.queue else None
+        return self._move(self.row.next - 1) if len(self) else None
+
+    def limit_last_cruise(self, speed: float) -> None:
+        """The last move goes no faster than this (mm/s), or than it is entered."""
+        if not len(self):
+            return
+        last, record = self._move(self.row.next - 1), self._record(self.row.next - 1)
+        last.max_cruise_v2 = min(record.max_cruise_v2, max(speed * speed, record.max_start_v2))
+        record.max_cruise_v2 = last.max_cruise_v2
+
+    def plan(self, lazy: bool = False) -> int:
+        """Fix the speeds of the moves that are settled (all of them unless lazy); returns how many."""
+        return self._lib.lookahead_plan(self.row, lazy)
+
+    def take(self, count: int) -> list[Move]:
+        """Take out the first moves, which are planned, as objects."""
+        first = self.row.first
+        moves = []
+        for number in range(first, first + count):
+            move, record = self._move(number), self._record(number)
+            move.max_start_v2, move.max_smoothed_v2 = record.max_start_v2, record.max_smoothed_v2
+            move.start_v, move.cruise_v, move.end_v = record.start_v, record.cruise_v, record.end_v
+            move.accel_t, move.cruise_t, move.decel_t = record.accel_t, record.cruise_t, record.decel_t
+            moves.append(move)
+            del self._moves[number]
+        self._lib.lookahead_drop(self.row, count)
+        return moves
+
+    def callbacks(self, count: int) -> list[tuple[int, list[Callable[[float], None]]]]:
+        """(how many moves up to and with this one since the last, whom to tell its end) among the first `count`,
+        whose objects are let go; the last pair closes the count."""
+        pairs: list[tuple[int, list[Callable[[float], None]]]] = []
+        at, end = self.row.first, self.row.first + count
+        for number in sorted(n for n in self._moves if n < end):
+            waiting = self._moves.pop(number).timing_callbacks
+            if waiting is not None:
+                pairs.append((number + 1 - at, waiting))
+                at = number + 1
+        pairs.append((end - at, []))
+        return pairs
 
     def flush(self, lazy: bool = False) -> list[Move]:
-        """Take out the moves that are settled (all of them unless lazy)."""
-        self._until_review_s = self.REVIEW_S
-        count = plan(self.queue, lazy)
-        settled = self.queue[:count]
-        del self.queue[:count]
-        return settled
+        """Plan and take out the moves that are settled (all of them unless lazy)."""
+        return self.take(self.plan(lazy))
 
     def add_move(self, move: Move, extruder: Any) -> bool:
         """Queue a move; True if it is time for a lazy flush."""
-        queue = self.queue
-        if queue:
-            prev = queue[-1]
-            move.follow(prev, extruder.calc_junction(prev, move))
-        queue.append(move)
-        self._until_review_s -= move.min_move_t
-        return self._until_review_s <= 0.0
+        number = self.row.next
+        extruder_v2 = move.max_cruise_v2
+        if number != self.row.first:
+            extruder_v2 = extruder.calc_junction(self._move(number - 1), move)
+        self._PLANNED.pack_into(
+            self._scratch_bytes, 0, *move.start_pos, *move.end_pos, *move.axes_d, *move.axes_r, move.move_d,
+            move.min_move_t, move.accel, move.junction_deviation, move.is_kinematic_move, move.max_cruise_v2,
+            move.delta_v2, move.smooth_delta_v2,
+        )  # fmt: skip
+        self._moves[number] = move
+        return self._lib.lookahead_add(self.row, self._scratch, extruder_v2) != 0

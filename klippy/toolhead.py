@@ -23,7 +23,7 @@ from typing import Any
 
 import chelper
 import stepstream
-from lookahead import Coord, LookAheadQueue, Move
+from lookahead import Coord, LookAheadQueue, Move, done_in_c, is_done_in_c
 
 __all__ = ["Coord", "LookAheadQueue", "Move", "ToolHead", "add_printer_objects"]
 
@@ -62,9 +62,12 @@ class ToolHead:
         self.mcu = self.printer.lookup_object("mcu")
         self.can_pause = not self.mcu.is_fileoutput()
         self.commanded_pos = [0.0, 0.0, 0.0, 0.0]
-        self.lookahead = LookAheadQueue()
+        self.lookahead = LookAheadQueue(self)
         self._streams = stepstream.lookup_streams(self.printer)
-        _ffi, lib = chelper.get_ffi()
+        ffi, lib = chelper.get_ffi()
+        self._commit_in_c = lib.lookahead_commit
+        self._filament_mm = ffi.new("double *")
+        self._no_trapq = ffi.NULL
         self._trapq_append = lib.trapq_append
         self._trapq_set_position = lib.trapq_set_position
         self.trapq = self._streams.new_trapq()
@@ -173,14 +176,41 @@ class ToolHead:
         for listener in self._listeners:
             listener(moves)
         self.print_time = print_time
-        reach = print_time - self._streams.look_ahead_s()
+        self._make_steps()
+
+    def _commit_unseen(self, count: int) -> None:
+        """As _commit, for the first `count` planned moves, without Python looking at each."""
+        if self._at_rest:
+            self._start_motion()
+        extruder, filament, row = self.extruder, self._filament_mm, self.lookahead.row
+        extruder_trapq = getattr(extruder, "trapq", self._no_trapq)
+        filament[0] = start = getattr(extruder, "last_position", 0.0)
+        time = self.print_time
+        told: list[tuple[Callable[[float], None], float]] = []
+        for part, callbacks in self.lookahead.callbacks(count):
+            time = self._commit_in_c(row, part, time, self.trapq, extruder_trapq, filament)
+            told += [(callback, time) for callback in callbacks]
+        if filament[0] != start:
+            extruder.last_position = filament[0]
+        self.print_time = time
+        for callback, end in told:
+            callback(end)
+        self._make_steps()
+
+    def _make_steps(self) -> None:
+        """Work out steps as far as the plan reaches, once it is worth it."""
+        reach = self.print_time - self._streams.look_ahead_s()
         if reach - self._streams.done_time >= STEP_BATCH_S:
             self._streams.advance(reach)
 
     def _flush_lookahead(self, lazy: bool = False) -> None:
-        moves = self.lookahead.flush(lazy)
-        if moves:
-            self._commit(moves)
+        count = self.lookahead.plan(lazy)
+        if not count:
+            return
+        if self._listeners or not is_done_in_c(self.extruder.process_move):
+            self._commit(self.lookahead.take(count))
+        else:
+            self._commit_unseen(count)
 
     def _settle(self) -> None:
         """Everything known becomes steps and goes out; afterwards the head is at rest."""
@@ -199,7 +229,7 @@ class ToolHead:
         """Timer: while motion is under way, plan to a stop what would otherwise run dry."""
         try:
             ahead = self.print_time - self.mcu.estimated_print_time(eventtime)
-            if self.lookahead.queue or not self._at_rest:
+            if self.lookahead or not self._at_rest:
                 if not self._at_rest and ahead > BUFFER_LOW_S:
                     return eventtime + (ahead - BUFFER_LOW_S)
                 self._forced_stop = True
@@ -241,10 +271,9 @@ class ToolHead:
 
     def limit_next_junction_speed(self, speed: float) -> None:
         """The next move may not be entered faster than this (mm/s)."""
-        last = self.lookahead.get_last()
-        if last is not None:
-            last.max_cruise_v2 = min(last.max_cruise_v2, max(speed * speed, last.max_start_v2))
+        self.lookahead.limit_last_cruise(speed)
 
+    @done_in_c
     def move(self, newpos: Sequence[float], speed: float) -> None:
         """Queue a straight move to (x, y, z, e) at `speed` mm/s. Raises command_error; then nothing has changed."""
         move = Move(self, self.commanded_pos, newpos, speed)
@@ -255,7 +284,10 @@ class ToolHead:
         if move.axes_d[3]:
             self.extruder.check_move(move)
         self.commanded_pos[:] = move.end_pos
-        due = self.lookahead.add_move(move, self.extruder)
+        self.note_queued(self.lookahead.add_move(move, self.extruder))
+
+    def note_queued(self, due: bool) -> None:
+        """A move has come into the look-ahead queue; if due, it is time to plan."""
         if not self._watching:
             self._start_watch()
         if due:
@@ -409,12 +441,12 @@ class ToolHead:
 
     def check_busy(self, eventtime: float) -> tuple[float, float, bool]:
         """(print_time, estimated now, nothing waits in the look-ahead queue)."""
-        return self.print_time, self.mcu.estimated_print_time(eventtime), not self.lookahead.queue
+        return self.print_time, self.mcu.estimated_print_time(eventtime), not self.lookahead
 
     def stats(self, eventtime: float) -> tuple[bool, str]:
         now = self.mcu.estimated_print_time(eventtime)
         buffer_time = max(0.0, self.print_time - now)
-        active = buffer_time > -10.0 and (bool(self.lookahead.queue) or not self._at_rest)
+        active = buffer_time > -10.0 and (bool(self.lookahead) or not self._at_rest)
         return active, (
             f"print_time={self.print_time:.3f} buffer_time={buffer_time:.3f} print_stall={self.print_stall}"
         )

@@ -21,7 +21,17 @@ import cffi
 SOURCE_DIR = Path(__file__).resolve().parent
 BUILD_DIR = SOURCE_DIR.parent.parent / "out" / "chelper"
 # -fno-math-errno: sqrt() inline in the step solver. Kept strict otherwise: results must not depend on the machine.
-COMPILE_FLAGS = ("-std=gnu11", "-O2", "-g", "-fPIC", "-shared", "-fno-math-errno", "-Wall", "-Wextra")
+COMPILE_FLAGS = (
+    "-std=gnu11",
+    "-O2",
+    "-g",
+    "-fPIC",
+    "-shared",
+    "-fno-math-errno",
+    "-ffp-contract=off",
+    "-Wall",
+    "-Wextra",
+)
 LINK_FLAGS = ("-lm", "-lpthread")
 
 

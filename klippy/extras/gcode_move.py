@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import g1path
+from lookahead import done_in_c
 from toolhead import Coord
 
 MM_PER_MIN = 1.0 / 60.0
@@ -92,6 +94,8 @@ class GCodeMove:
             self.transform = self.toolhead
         self._move = self.transform.move
         self.reset_last_position()
+        gcode = self.printer.lookup_object("gcode")
+        gcode.register_block_runner(g1path.G1Path(gcode, self, self.toolhead).run)
 
     def _handle_shutdown(self) -> None:
         self.is_printer_ready = False
@@ -146,6 +150,7 @@ class GCodeMove:
 
     # -- moves --
 
+    @done_in_c
     def cmd_G1(self, gcmd: Any) -> None:
         """G0, G1 [X] [Y] [Z] [E] [F]."""
         params = gcmd.get_command_parameters()

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import stepper
-from lookahead import Coord, Move
+from lookahead import Coord, Move, done_in_c
 
 AXIS_NAMES = "xyz"
 # An axis that is not homed allows no position at all: an empty range.
@@ -119,6 +119,7 @@ class BoxKinematics:
                     raise move.move_error("Must home axis first")
                 raise move.move_error()
 
+    @done_in_c
     def check_move(self, move: Move) -> None:
         """Raise if the move leaves the axes' range; slow it down if z limits it."""
         x, y, z, _ = move.end_pos

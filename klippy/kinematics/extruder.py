@@ -12,7 +12,7 @@ from typing import Any
 import chelper
 import stepper
 import stepstream
-from lookahead import Move
+from lookahead import Move, done_in_c
 
 # Wide extrusion means a typing error: more than this many nozzle diameters squared (documented default).
 DEFAULT_CROSS_SECTION_FACTOR = 4.0
@@ -235,6 +235,7 @@ class PrinterExtruder:
 
     # -- moves --
 
+    @done_in_c
     def check_move(self, move: Move) -> None:
         """Raise if the move extrudes cold, too much or too far; slow down moves of the extruder alone."""
         if not self.heater.can_extrude:
@@ -263,13 +264,16 @@ class PrinterExtruder:
         per_ratio = 1.0 / abs(ratio)
         move.limit_speed(self.max_e_velocity * per_ratio, self.max_e_accel * per_ratio)
 
+    @done_in_c
     def calc_junction(self, prev_move: Move, move: Move) -> float:
         """Highest squared speed at the junction: the filament's speed may jump by instant_corner_v at most."""
         change = move.axes_r[3] - prev_move.axes_r[3]
         if -SAME_RATIO < change < SAME_RATIO:
             return move.max_cruise_v2
-        return (self.instant_corner_v / change) ** 2
+        speed = self.instant_corner_v / change
+        return speed * speed
 
+    @done_in_c
     def process_move(self, print_time: float, move: Move) -> None:
         """Queue the filament's part of a planned move."""
         ratio = move.axes_r[3]
@@ -329,15 +333,18 @@ class DummyExtruder:
     def update_move_time(self, flush_time: float, clear_history_time: float) -> None:
         """Nothing is kept."""
 
+    @done_in_c
     def check_move(self, move: Move) -> None:
         raise move.move_error("Extrude when no extruder present")
 
     def find_past_position(self, print_time: float) -> float:
         return 0.0
 
+    @done_in_c
     def calc_junction(self, prev_move: Move, move: Move) -> float:
         return move.max_cruise_v2
 
+    @done_in_c
     def process_move(self, print_time: float, move: Move) -> None:
         """Never reached: check_move refuses."""
 

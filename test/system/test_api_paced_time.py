@@ -30,7 +30,7 @@ class FakePoll:
         self.ready = False
 
     def poll(self, timeout_s: float) -> bool:
-        self.wall[0] += max(timeout_s, 0.0)
+        self.wall[0] += max(timeout_s, 0.0) + 1e-6  # a real clock never stands still
         ready, self.ready = self.ready, False
         return ready
 
@@ -44,7 +44,7 @@ def test_the_world_keeps_the_pace_of_the_wall_clock(speed: float) -> None:
         time.wait(1e9, poll)  # type: ignore[arg-type]
         ahead_s = (world.now - 100.0) - (wall[0] - 5.0) * speed
         # never ahead, and behind by no more than a step
-        assert -STEP_S * speed - 1e-9 <= ahead_s <= 1e-9
+        assert -(STEP_S + 1e-5) * speed <= ahead_s <= 1e-9
     assert time.lost_s == 0.0
 
 
@@ -68,4 +68,4 @@ def test_time_lost_is_given_up_and_counted() -> None:
     # a timer that is due is not waited for
     before = wall[0]
     time.wait(world.now, poll)  # type: ignore[arg-type]
-    assert wall[0] == before
+    assert wall[0] == before, "it returns at once"

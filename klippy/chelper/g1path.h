@@ -1,0 +1,30 @@
+#ifndef FERRITE_G1PATH_H
+#define FERRITE_G1PATH_H
+/*
+ * The short way of plain G0/G1 lines: text -> modal state -> checked move -> look-ahead queue.
+ *
+ * Only what needs no one's attention is done here. A line that is written in an unusual way, leaves the machine's
+ * box, breaks a limit or is no G0/G1 is left alone, whole, for the Python path, which does the same sums in the
+ * same order and knows the error texts.
+ */
+struct lookahead;
+
+/* Doubles only: Python packs it in one go; the first 13 come back. mm, mm/s, mm/s^2. */
+struct g1_state {
+    double last[4];                 /* of G-code, in toolhead coordinates */
+    double commanded[4];            /* of the toolhead */
+    double speed;                   /* of G-code, before speed_factor */
+    double due;                     /* out: 1 if it is time to plan */
+    double queued;                  /* out: moves queued */
+    double base[4], speed_factor, extrude_factor, absolute_coord, absolute_extrude;
+    double max_velocity, max_accel, junction_deviation, max_accel_to_decel;
+    double box_min[3], box_max[3], max_z_velocity, max_z_accel;
+    /* can_extrude 0: every move of the filament is left to Python */
+    double can_extrude, nozzle_diameter, max_extrude_ratio, max_e_velocity, max_e_accel, max_e_dist, instant_corner_v;
+};
+
+/* Runs lines of text[0..len) from the front, until one is left to Python, no whole line remains, or planning is
+ * due. Returns how many characters are done with; always ends behind a line end. */
+int g1_run(struct g1_state *state, struct lookahead *la, const char *text, int len);
+
+#endif

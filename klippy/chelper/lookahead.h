@@ -1,0 +1,58 @@
+#ifndef FERRITE_LOOKAHEAD_H
+#define FERRITE_LOOKAHEAD_H
+/*
+ * Look-ahead: the row of moves whose speeds are not fixed yet, and the planning of their speeds.
+ * klippy/lookahead.py explains the method; this is the calculation.
+ *
+ * Moves live in one growing ring, addressed by a running number:
+ *
+ *      first              first + planned                 next
+ *        |--- speeds fixed ----|---- may still change ------|
+ *
+ * Units: mm, mm/s, s; names ending in _v2 are squares of speeds.
+ */
+#include <stddef.h>
+#include <stdint.h>
+
+struct trapq;
+
+/* Doubles only: Python packs and unpacks the part up to smooth_delta_v2 in one go. */
+struct lookahead_move {
+    double start_pos[4], end_pos[4], axes_d[4], axes_r[4];
+    double move_d, min_move_t, accel, junction_deviation, is_kinematic_move;
+    double max_cruise_v2, delta_v2, smooth_delta_v2;
+    double max_start_v2, max_smoothed_v2;               /* set when the move is queued */
+    double start_v, cruise_v, end_v;                    /* set when it is planned */
+    double accel_t, cruise_t, decel_t;
+};
+
+struct lookahead {
+    struct lookahead_move *ring;
+    uint64_t first, next;           /* numbers of the oldest and of the next move */
+    size_t mask;                    /* capacity - 1; the capacity is a power of two */
+    double *entry, *smoothed;       /* room of the planner, capacity + 1 each */
+    double review_s, until_review_s;
+};
+
+static inline struct lookahead_move *
+lookahead_move_at(const struct lookahead *la, uint64_t number)
+{
+    return &la->ring[number & la->mask];
+}
+
+struct lookahead *lookahead_alloc(double review_s);
+void lookahead_free(struct lookahead *la);
+void lookahead_reset(struct lookahead *la);
+/* Queue a move; extruder_v2 is the extruder's own limit for the junction with the move before.
+ * Not 0 if it is time to plan. */
+int lookahead_add(struct lookahead *la, const struct lookahead_move *move, double extruder_v2);
+/* Fix the speeds of moves at the front of the row, all of them unless lazy; returns how many. */
+int lookahead_plan(struct lookahead *la, int lazy);
+/* Let go of the first `count` moves. */
+void lookahead_drop(struct lookahead *la, int count);
+/* Hand the first `count` (planned) moves to the motion queues and let go of them. *filament_pos is where the
+ * filament is (extruder_tq may be NULL if no move extrudes). Returns the print_time at which they end. */
+double lookahead_commit(struct lookahead *la, int count, double print_time, struct trapq *tq,
+                        struct trapq *extruder_tq, double *filament_pos);
+
+#endif
