@@ -11,10 +11,11 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo test check format bench bench-thermometer bench-motion fuzz clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-thermometer bench-motion fuzz clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
+	@echo "make printer a simulated printer in real time with Moonraker, for any web front end"
 	@echo "make test    all checks and tests"
 	@echo "make check   the checks only: lint, types, layers, message formats, cross compilation"
 	@echo "make bench   print the 5 MB benchy in closed loop and report speed and memory (QUICK=1: the short file)"
@@ -48,6 +49,10 @@ chelper: setup
 # --- run -----------------------------------------------------------------------------------------
 demo: setup sim chelper
 	@$(PYTHON) scripts/demo.py --out $(OUT)/demo
+
+printer: setup sim chelper
+	@scripts/setup.sh moonraker
+	@$(PYTHON) scripts/run_printer.py
 
 bench: setup sim chelper
 	@$(PYTHON) scripts/bench.py --out $(OUT)/bench $(if $(QUICK),--quick)

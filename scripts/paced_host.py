@@ -63,6 +63,10 @@ class PacedTime:
         Clients that never stop asking do not hold the world up: it moves as soon as a step is due.
         """
         now = self._inner.monotonic()
+        if until <= now:
+            self._pass_busy_time(now)
+            poll.poll(0.0)
+            return
         step = min(STEP_S * self.speed, until - now)
         while until > now:
             allowed = self._wall() * self.speed + self._offset_s
@@ -74,6 +78,15 @@ class PacedTime:
                 return
             elif poll.poll((now + step - allowed) / self.speed):
                 return
+
+    def _pass_busy_time(self, now: float) -> None:
+        """Time goes on while the host has things to do, as it does for a real one, but no more than a step a round.
+
+        Otherwise a greenlet that waits without sleeping would stop time, and wait for ever.
+        """
+        step = STEP_S * self.speed
+        if self._wall() * self.speed + self._offset_s - now >= step:
+            self._inner.wait(now + step, self._NOBODY)
 
     def _give_up(self, behind_s: float) -> None:
         self._offset_s -= behind_s

@@ -2,7 +2,8 @@
 # Makes a checkout ready to run: Debian packages, a Python environment in .venv, pinned Python packages.
 #
 #   scripts/setup.sh demo    what a simulated print needs (a C compiler, numpy, matplotlib, ...)
-#   scripts/setup.sh test    that, and what the tests and checks need (clang, cross compilers, mypy, ...)
+#   scripts/setup.sh test    that, and what the tests and checks need (clang, cross compilers, mypy, Moonraker, ...)
+#   scripts/setup.sh moonraker   what a simulated print needs, and Moonraker in an environment of its own
 #
 # Safe to run again and again: what is there is left alone, and when nothing is missing it takes
 # well under a second. Silent unless it installs something or cannot.
@@ -21,7 +22,11 @@ demo_packages=(
   "gcc               gcc"
   "libc6-dev         /usr/include/stdio.h"
 )
+moonraker_packages=(
+  "libsodium23       /usr/lib/*/libsodium.so.23"
+)
 test_packages=(
+  "${moonraker_packages[@]}"
   "clang                    clang"
   "libclang-rt-14-dev       /usr/lib/llvm-*/lib/clang/*/lib/linux/libclang_rt.fuzzer-*.a"
   "cppcheck                 cppcheck"
@@ -131,9 +136,22 @@ need_python() { # level, its lists (the first is the one to install)
   fingerprint "${@:2}" >"$venv/.ferrite-$1"
 }
 
+need_moonraker() { # its own environment: its pins are not ours
+  local own=out/moonraker-venv list=requirements-moonraker.txt python
+  local pinned; pinned=$(sha256sum $list | cut -d' ' -f1)
+  if [ -x $own/bin/moonraker ] && [ "$(cat $own/.ferrite 2>/dev/null)" = "$pinned" ]; then return; fi
+  say "installing Moonraker into $own"
+  python=$(find_python) || fail "needs Python 3.11 or newer with the venv module"
+  rm -rf $own
+  quietly "$python" -m venv $own || fail "could not make $own with $python"
+  quietly $own/bin/python -m pip install --disable-pip-version-check --no-input -r $list \
+    || fail "pip could not install Moonraker (pip's own words are above)"
+  echo "$pinned" >$own/.ferrite
+}
+
 case $level in
-  demo|test) ;;
-  *) fail "say 'demo' or 'test', not '$level'" ;;
+  demo|test|moonraker) ;;
+  *) fail "say 'demo', 'test' or 'moonraker', not '$level'" ;;
 esac
 # One set-up at a time: two makes started together would install over each other.
 mkdir -p out
@@ -141,10 +159,14 @@ exec 9>out/.setup.lock
 if command -v flock >/dev/null; then flock 9; fi
 
 need_debian "${demo_packages[@]}"
-[ "$level" = demo ] || need_debian "${test_packages[@]}"
+case $level in
+  test) need_debian "${test_packages[@]}" ;;
+  moonraker) need_debian "${moonraker_packages[@]}" ;;
+esac
 make_venv
 if [ "$level" = test ]; then
   need_python test "${test_lists[@]}"
 elif ! installed test "${test_lists[@]}"; then
   need_python demo "${demo_lists[@]}"
 fi
+[ "$level" = demo ] || need_moonraker
