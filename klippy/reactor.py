@@ -27,6 +27,7 @@ import os
 import select
 import time
 from collections.abc import Callable
+from threading import Thread
 from typing import Any, Protocol
 
 import greenlet
@@ -90,6 +91,8 @@ class FdPoll:
 class TimeSource(Protocol):
     """Where time comes from. The reactor calls `wait` whenever it has run all timers that are due."""
 
+    runs_by_itself: bool  # False: time stands still while the host computes, as in a simulation
+
     def monotonic(self) -> float:
         """Now, in seconds."""
         ...
@@ -103,6 +106,7 @@ class SystemTime:
     """The real clock of this computer."""
 
     LONGEST_WAIT_S = 1000.0
+    runs_by_itself = True
 
     def __init__(self) -> None:
         self.monotonic: Callable[[], float] = time.monotonic
@@ -300,6 +304,27 @@ class Reactor:
         """As `completion.complete(result)`, from any thread."""
         self._async_calls.append(lambda: completion.complete(result))
         self._wake_up()
+
+    def run_beside(self, work: Callable[[], Any]) -> ReactorCompletion:
+        """Do long `work` without holding anything up; completes with what it returns, or with its exception.
+
+        `work` runs on a thread of its own and must not touch the printer. Where time stands still while the host
+        computes it is done at once, so that a simulation repeats itself to the byte.
+        """
+        completion = self.completion()
+
+        def attempt() -> Any:
+            try:
+                return work()
+            except Exception as error:  # handed to whoever waits for the result
+                return error
+
+        if self.time_source.runs_by_itself:
+            Thread(target=lambda: self.async_complete(completion, attempt()), daemon=True).start()
+        else:
+            result = attempt()
+            self.register_callback(lambda eventtime: completion.complete(result))
+        return completion
 
     def _wake_up(self) -> None:
         pipe = self._pipe

@@ -5,14 +5,20 @@
 
 The closed loop (test/loop/induction_rig.py: the C plant, block sums, link with delay and jitter) holds a temperature
 while extrusion goes on and off and the phase changes with every control step. Laws are fitted to a sweep of the same
-plant, as INDUCTION_CALIBRATE does. Exit status 1 if a figure misses its limit.
+plant, as INDUCTION_CALIBRATE does. The rig's link is a bad one, 3 to 8 ms one way. How old a value is on the host is
+therefore measured a second time where the product's own link is: in a simulated print through 250 kBaud, bytes one
+after the other beside the stepper commands. Exit status 1 if a figure misses its limit.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import json
+import math
+import subprocess
 import sys
+import tempfile
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -25,8 +31,10 @@ from loop.induction_rig import Plant, Rig, default_parameters  # type: ignore[im
 from thermal import features, fit, laws, paper_chain
 from thermal.records import SampleBlock, TempEstimate
 
-TARGET_C = 250.0
-FLOWS_MM3_S = (22.0, 0.0, 13.0, 25.0)  # 2 to 5 % power at 250 degC
+ROOT = Path(__file__).resolve().parents[1]
+TARGET_C = 270.0
+FLOWS_MM3_S = (60.0, 0.0, 50.0, 60.0)
+FAN = 1.0  # with these flows 5 % power on average at 270 degC: the conditions the promise names
 SWEEP_PERCENT = (0.2, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100)
 # (rms, max) in degC: what the product promises for each size of an LSB
 LIMITS = {1.0: (0.3, 1.5), 6.4: (0.5, 3.0)}
@@ -123,11 +131,43 @@ def run(units: float, seconds: float, seed: int = 3) -> list[Figures]:
     rig.run(2.5)
     start_s = rig.now_s
     for flow in FLOWS_MM3_S:
-        rig.plant.set_inputs(flow, 0.0)
+        rig.plant.set_inputs(flow, FAN)
         rig.run(seconds / len(FLOWS_MM3_S))
     trace = rig.trace.arrays()
     out = [figures("ferrite", units, recorder.ours, trace, start_s)]
     return out + [figures(name, units, rows, trace, start_s) for name, rows in recorder.paper.items()]
+
+
+# Heat, then lines at 20 mm3/s back and forth while blocks are written: the link carries steps too.
+STACK_GCODE = """
+M104 S250
+G28
+M83
+G1 X60 Y60 Z0.3 F6000
+M109 S250
+INDUCTION_DUMP HEATER=nozzle FILE={dump} DURATION={seconds}
+{lines}
+M400
+"""
+LINES_MM3_S = 20.0
+
+
+def stack_latency_ms(seconds: float) -> tuple[float, float]:
+    """(mean, greatest) age of a block's centre when the host takes it, ms, in a print on config/sim-induction.cfg."""
+    feed_mm_s, length_mm = 100.0, 50.0
+    filament_mm = LINES_MM3_S * length_mm / feed_mm_s / 2.405  # 1.75 mm filament: 2.405 mm2
+    lines = [
+        f"G1 X{60 + length_mm * (i % 2 == 0)} E{filament_mm:.4f} F{60 * feed_mm_s:.0f}"
+        for i in range(math.ceil(seconds * feed_mm_s / length_mm))
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        dump, part = Path(folder) / "dump.csv", Path(folder) / "part.gcode"
+        part.write_text(STACK_GCODE.format(dump=dump, seconds=seconds, lines="\n".join(lines)))
+        command = [ROOT / "scripts" / "simulate.py", ROOT / "config" / "sim-induction.cfg", part]
+        subprocess.run([sys.executable, *map(str, command)], check=True, capture_output=True)
+        with dump.open(newline="") as stream:
+            ages = [1e3 * float(row["latency"]) for row in csv.DictReader(stream)]
+    return sum(ages) / len(ages), max(ages)
 
 
 def verdict(rows: list[Figures]) -> list[str]:
@@ -141,7 +181,6 @@ def verdict(rows: list[Figures]) -> list[str]:
             ("rms", row.rms_c, rms),
             ("max", row.max_c, worst),
             ("interval ms", row.interval_ms, 1e3 * INTERVAL_MAX_S),
-            ("latency ms", row.latency_ms, 1e3 * LATENCY_MAX_S),
         )
         missed += [
             f"{name} {value:.2f} > {limit:.2f} at {row.units_per_lsb} units/LSB"
@@ -166,12 +205,20 @@ def main(argv: list[str] | None = None) -> int:
             f" {row.latency_ms:11.2f} ({row.latency_max_ms:.1f}) {row.power_percent:8.1f}"
         )
     print("published: +-3 C in 20 ms (source 000, abstract)")
+    mean_ms, worst_ms = stack_latency_ms(options.seconds)
+    print(f"latency in a print through 250 kBaud: mean {mean_ms:.1f} ms, greatest {worst_ms:.1f} ms")
     missed = verdict(rows)
+    if worst_ms > 1e3 * LATENCY_MAX_S:
+        missed.append(f"latency ms {worst_ms:.1f} > {1e3 * LATENCY_MAX_S:.0f} in a print")
     for text in missed:
         print(f"MISSED: {text}")
     if options.json:
         options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps([asdict(row) for row in rows], indent=2) + "\n", encoding="utf-8")
+        found = {
+            "accuracy": [asdict(row) for row in rows],
+            "print_latency_ms": {"mean": mean_ms, "max": worst_ms},
+        }
+        options.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
     return 1 if missed else 0
 
 

@@ -45,6 +45,7 @@ RESTART_DELAY_S = 0.3  # lets clients see the socket vanish
 class PacedTime:
     """A `TimeSource`: the world's time, held back to `speed` seconds a second of the wall clock."""
 
+    runs_by_itself = True
     _NOBODY = FdPoll()  # watches nothing
 
     def __init__(

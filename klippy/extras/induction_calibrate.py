@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,6 @@ from . import induction_settings as settings
 
 COLUMNS = ("t_s", "temp_ref_c", "error", "phase_ticks", "count", "duration_s")  # thermal/fit_data.py
 READING_MARK = "# reference,"  # thermal/fit_sweep.py
-FIT_POLL_S = 0.050
 HOST_FOLDER = Path(__file__).resolve().parents[1]
 MANUAL_SILENCE_S = 60.0  # a person types readings: patience with the next one
 POLL_S = 0.020  # the reference sensor is looked at so often
@@ -49,7 +49,7 @@ class InductionCalibrate:
         self._seen = (-1e9, 0.0)  # (time, reading) taken last
         self._progress_s = 0.0
         self._timer: Any = None
-        self._fitting: subprocess.Popen[str] | None = None
+        self._fitting = False
 
     def register(self) -> None:
         name = self.heater.section_name
@@ -68,7 +68,7 @@ class InductionCalibrate:
 
     def cmd_calibrate(self, gcmd: Any) -> None:
         reference = gcmd.get("REFERENCE", "manual")
-        if self._fitting is not None:
+        if self._fitting:
             raise gcmd.error("The last calibration is still being fitted")
         parameters = self.heater.parameters
         limit_c = gcmd.get_float(
@@ -102,7 +102,7 @@ class InductionCalibrate:
         )
         if gcmd.get_int("WAIT", 0):
             eventtime = self._reactor.monotonic()
-            while (self._run is not None or self._fitting is not None) and not self.printer.is_shutdown():
+            while (self._run is not None or self._fitting) and not self.printer.is_shutdown():
                 eventtime = self._reactor.pause(eventtime + 0.1)
 
     def _find_reference(self, gcmd: Any, name: str) -> Any:
@@ -196,24 +196,21 @@ class InductionCalibrate:
         drive = self.heater.parameters.actuator.law
         command = [sys.executable, "-m", "thermal.fit_sweep", str(path), "--gain", str(self._gain)]
         command += ["--power-full", str(drive.power_max_w), "--exponent", str(drive.exponent)]
-        self._fitting = subprocess.Popen(
-            command, cwd=HOST_FOLDER, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-        )
-        self._timer = self._reactor.register_timer(self._on_fit, self._reactor.NOW)
+        self._fitting = True
+        work = partial(subprocess.run, command, cwd=HOST_FOLDER, capture_output=True, text=True, check=False)
+        done = self._reactor.run_beside(work)
+        self._reactor.register_callback(lambda eventtime: self._on_fit(done.wait()))
 
-    def _on_fit(self, eventtime: float) -> float:
-        process = self._fitting
-        if process is None or process.poll() is None:
-            return eventtime + FIT_POLL_S
-        out, errors = process.communicate()
-        self._reactor.unregister_timer(self._timer)
-        self._fitting = self._timer = None
-        if process.returncode:
-            why = errors.strip().splitlines()[-1] if errors.strip() else f"status {process.returncode}"
+    def _on_fit(self, done: subprocess.CompletedProcess[str] | Exception) -> None:
+        self._fitting = False
+        if isinstance(done, Exception):
+            self._say(f"The calibration run cannot be evaluated: {done}. Nothing was changed.")
+        elif done.returncode:
+            errors = done.stderr.strip()
+            why = errors.splitlines()[-1] if errors else f"status {done.returncode}"
             self._say(f"The calibration run cannot be evaluated: {why}. Nothing was changed.")
         else:
-            self._take(json.loads(out))
-        return float(self._reactor.NEVER)
+            self._take(json.loads(done.stdout))
 
     def _take(self, result: dict[str, Any]) -> None:
         """Use a fit's result from now on, and offer it to SAVE_CONFIG."""

@@ -25,6 +25,8 @@ class SimTime:
     off there.
     """
 
+    runs_by_itself = False
+
     def __init__(self, world: World) -> None:
         self._world = world
         self._advance = world.lib.world_advance

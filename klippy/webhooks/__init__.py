@@ -352,7 +352,8 @@ class WebHooks:
         key, table = self._mux[request.get_method()]
         value = request.get(key, None) if None in table else request.get(key)
         if not (value is None or isinstance(value, str)) or value not in table:
-            raise request.error(f"The value '{value}' is not valid for {key}")
+            choices = ", ".join(sorted(name for name in table if name is not None))
+            raise request.error(f"The value '{value}' is not valid for {key} (choices: {choices})")
         table[value](request)
 
     def get_connection(self) -> None:

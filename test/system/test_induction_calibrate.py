@@ -56,6 +56,46 @@ def test_an_unknown_nozzle_is_calibrated_and_then_holds_its_target(
         assert next(rows) == ["t_s", "temp_ref_c", "error", "phase_ticks", "count", "duration_s"]
 
 
+# A person at an instrument: every 5 s the whole degree it shows is typed.
+PERSON = """
+[delayed_gcode person]
+gcode:
+  INDUCTION_REFERENCE HEATER=nozzle TEMP={printer["temperature_sensor reference"].temperature|round|int}
+  UPDATE_DELAYED_GCODE ID=person DURATION=5
+[gcode_macro CALIBRATE]
+gcode:
+  INDUCTION_CALIBRATE HEATER=nozzle REFERENCE=manual POWER=8 HEAT_TIME=120
+  UPDATE_DELAYED_GCODE ID=person DURATION=0.1
+"""
+
+
+def test_readings_typed_by_hand_calibrate_it_too(simulate: Simulate, tmp_path: Path) -> None:
+    log = tmp_path / "host.log"
+    patience = "G4 P500\n" * 300  # short ones: a delayed_gcode waits for the line before it
+    gcode = (
+        f"CALIBRATE\n{patience}UPDATE_DELAYED_GCODE ID=person DURATION=0\nG4 P20000\nM109 S250\nG4 P10000\n"
+    )
+    run = simulate(gcode, config=machine(tmp_path, OFF + PERSON), more=["--log", str(log)])
+    text = log.read_text()
+    assert run.status == 0, run.stderr
+    assert "set [induction_heater nozzle] estimator = tank" in text
+    # whole degrees typed every 5 s: docs/Induction.md promises 4 degC
+    assert run.summary["heater"]["settled_max_error_c"] < 4.0
+
+
+def test_a_calibration_repeats_itself_to_the_byte(simulate: Simulate, tmp_path: Path) -> None:
+    """The fit takes as long as the computer likes; the simulated world must not feel it."""
+    gcode = (
+        "INDUCTION_CALIBRATE HEATER=nozzle REFERENCE=reference WAIT=1 HEAT_TIME=30 COOL_TIME=20\nG4 P500\n"
+    )
+    log = tmp_path / "host.log"
+    runs = [simulate(gcode, config=machine(tmp_path), more=["--log", str(log)]) for _ in range(2)]
+    first, second = (run.trace.read_bytes() for run in runs)
+    assert all(run.status == 0 for run in runs), runs[0].stderr
+    assert first == second
+    assert "estimator = " in log.read_text()  # it came to a result
+
+
 def test_an_uncalibrated_heater_refuses_to_heat(simulate: Simulate, tmp_path: Path) -> None:
     log = tmp_path / "host.log"
     run = simulate("M104 S200\nG4 P2000\n", config=machine(tmp_path), more=["--log", str(log)])

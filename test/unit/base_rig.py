@@ -16,6 +16,8 @@ from reactor import FdPoll, Reactor
 class VirtualTime:
     """Time that jumps to the next timer; it only looks at descriptors, it never waits for them."""
 
+    runs_by_itself = False
+
     def __init__(self, start_s: float = 100.0) -> None:
         self.now = start_s
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import threading
 import time
+from typing import Any
 
 import pytest
 from base_rig import VirtualTime
@@ -244,3 +245,35 @@ def test_timer_dispatch_is_cheap() -> None:
     reactor.run()
     per_timer_us = (time.process_time() - started_s) / 20000 * 1e6
     assert per_timer_us < 20.0  # about 2 us measured; the margin is for a busy test machine
+
+
+@pytest.mark.parametrize("time_source", [None, VirtualTime()], ids=["wall clock", "virtual"])
+def test_long_work_beside_gives_its_result_or_its_exception(time_source: Any) -> None:
+    reactor = Reactor(time_source)
+    got: list[Any] = []
+
+    def asker(eventtime: float) -> None:
+        got.append(reactor.run_beside(lambda: 6 * 7).wait())
+        got.append(reactor.run_beside(lambda: 1 // 0).wait())
+        got.append(reactor.monotonic() - eventtime)
+        reactor.end()
+
+    reactor.register_callback(asker)
+    reactor.run()
+    assert got[0] == 42
+    assert isinstance(got[1], ZeroDivisionError)
+    assert time_source is None or got[2] == 0.0  # virtual time stands still meanwhile
+
+
+def test_the_loop_goes_on_while_work_is_done_beside_it() -> None:
+    reactor = Reactor()
+    ticked, finished = threading.Event(), []
+
+    def asker(eventtime: float) -> None:
+        finished.append(reactor.run_beside(lambda: ticked.wait(10.0)).wait())  # ends only if timers run
+        reactor.end()
+
+    reactor.register_callback(asker)
+    reactor.register_callback(lambda eventtime: ticked.set(), reactor.monotonic() + 0.001)
+    reactor.run()
+    assert finished == [True]
