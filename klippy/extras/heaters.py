@@ -16,7 +16,7 @@ Safety without the host: the pin's max_duration turns it off MAX_HEAT_TIME_S aft
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
 from thermal import control
@@ -84,9 +84,9 @@ class PidLaw:
 
     def decide(self, time_s: float, temp_c: float, target_c: float) -> float:
         if target_c <= 0.0:
-            self.state.integral = 0.0
+            self.state = replace(self.state, integral=0.0)
         inputs = control.ControlInput(target_c, temp_c)
-        output = control.pid_step(self.parameters, self.state, inputs, time_s)
+        output, self.state = control.pid_step(self.parameters, self.state, inputs, time_s)
         return output.value if target_c > 0.0 else 0.0
 
     def is_busy(self, smoothed_c: float, target_c: float) -> bool:
@@ -103,10 +103,11 @@ class WatermarkLaw:
 
     def decide(self, time_s: float, temp_c: float, target_c: float) -> float:
         if target_c <= 0.0:
-            self.state.heating = False
+            self.state = control.WatermarkState()
             return 0.0
         inputs = control.ControlInput(target_c, temp_c)
-        return control.watermark_step(self.parameters, self.state, inputs, time_s).value
+        output, self.state = control.watermark_step(self.parameters, self.state, inputs, time_s)
+        return output.value
 
     def is_busy(self, smoothed_c: float, target_c: float) -> bool:
         return smoothed_c < target_c - self.parameters.max_delta_c
@@ -114,9 +115,8 @@ class WatermarkLaw:
 
 def read_pid_law(config: Any, max_power: float, smooth_time_s: float) -> ControlLaw:
     """`control: pid` of an ordinary heater."""
-    pid_kp, pid_ki, pid_kd = (
-        config.getfloat(option, minval=0.0) for option in ("pid_Kp", "pid_Ki", "pid_Kd")
-    )
+    pid_kp = config.getfloat("pid_Kp", above=0.0)
+    pid_ki, pid_kd = (config.getfloat(option, minval=0.0) for option in ("pid_Ki", "pid_Kd"))
     return PidLaw(control.klipper_pid(pid_kp, pid_ki, pid_kd, max_power, smooth_time_s))
 
 

@@ -54,7 +54,7 @@ class PidCooling:
         # the law's output range is the room between full and least speed
         parameters = replace(self._parameters, output_low=0.0, output_high=max(high - low, 1e-6))
         inputs = control.ControlInput(target_c, temp_c)
-        output = control.pid_step(parameters, self._state, inputs, time_s)
+        output, self._state = control.pid_step(parameters, self._state, inputs, time_s)
         return max(low, high - output.value)
 
 
@@ -63,7 +63,8 @@ def read_watermark(config: Any) -> CoolingLaw:
 
 
 def read_pid(config: Any) -> CoolingLaw:
-    gains = [config.getfloat(option, minval=0.0) for option in ("pid_Kp", "pid_Ki", "pid_Kd")]
+    gains = [config.getfloat("pid_Kp", above=0.0)]
+    gains += [config.getfloat(option, minval=0.0) for option in ("pid_Ki", "pid_Kd")]
     deriv_time_s = config.getfloat("pid_deriv_time", 2.0, above=0.0)
     return PidCooling(control.klipper_pid(gains[0], gains[1], gains[2], 1.0, deriv_time_s))
 

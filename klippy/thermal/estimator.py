@@ -46,7 +46,7 @@ def _why_outside(parameters: EstimatorParameters, features: Features) -> str:
     )
     if features.error_units > above:
         return "signal far above any nozzle's: is the nozzle missing from the coil?"
-    return "outside the range of the sensing law"
+    return "outside the range of the sensing law: wrong nozzle, or its thermometer is not calibrated?"
 
 
 def _invalid(features: Features, reason: str) -> TempEstimate:

@@ -243,7 +243,7 @@ class InductionLoop:
             self._limit_w(state.target_c - news.temp_c),
             abs(step) > parameters.approach.rebase_fraction,
         )
-        out = control.pid_step(parameters.pid, state.pid, inputs, news.time_s)
+        out, state.pid = control.pid_step(parameters.pid, state.pid, inputs, news.time_s)
         state.request = PowerRequest(
             now_s, out.value, out.unlimited, out.proportional, out.integral, out.derivative, out.feedforward
         )

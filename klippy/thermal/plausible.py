@@ -76,7 +76,8 @@ class PlausibleParameters:
     limit_c: float = 8.0  # drift beyond this plus the uncertainty is reported
     window_s: float = 12.0  # time constant of the average; the second mass settles with 10 s
     ready_s: float = 30.0  # quiet for so long before anything is said
-    run_c: float = 100.0  # a heat-up by this much tells the capacity
+    drift_most_c: float = 60.0  # 0.4 % of C1: no capacitor drifts more, another steel in the coil does
+    run_c: float = 60.0  # a heat-up by this much tells the capacity
     run_w: float = 25.0  # mean heat over it, so that losses are a correction
     capacity_band: float = 0.35  # capacity off by more: not the nozzle this was set up for
 
@@ -177,6 +178,11 @@ def warning(parameters: PlausibleParameters, state: PlausibleState) -> str:
         return ""
     if abs(drift_c) <= parameters.limit_c + uncertainty_c(parameters, state.temp_c) - 3.0:
         return ""
+    if abs(drift_c) > parameters.drift_most_c:
+        return (
+            f"wrong nozzle? the thermometer reads {drift_c:+.0f} C off (heat balance at {state.temp_c:.0f} C), more than"
+            " any drift: another material or shape than the one calibrated; run INDUCTION_CALIBRATE for this nozzle"
+        )
     return (
         f"the thermometer seems to have drifted by {drift_c:+.0f} C (heat balance at {state.temp_c:.0f} C);"
         " check with a reference and run INDUCTION_ZERO TEMP=..."

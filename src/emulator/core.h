@@ -44,6 +44,7 @@ void event_at(struct event *e, uint64_t due); /* due NEVER: cancel */
 /* ---- memory of the chip, as a DMA or debugger sees it; 0 or -1 ---- */
 int memory_read(uint32_t address, void *data, uint32_t size);
 int memory_write(uint32_t address, const void *data, uint32_t size);
+uint8_t *core_memory(uint32_t address);     /* NULL: none there; also of memory the chip cannot write */
 uint32_t symbol_address(const char *name); /* 0: none */
 const char *symbol_at(uint32_t address);   /* the function there, "?" if unknown */
 uint32_t core_where(void);                 /* about where the processor is */

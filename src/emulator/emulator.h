@@ -33,7 +33,6 @@ struct emulator_counters {
     uint32_t resets;                /* asked for by the firmware or its watchdog */
     uint32_t phase_writes;          /* times that the bridge's phase in force changed */
     uint32_t worst_latency_ticks;   /* from an interrupt's request to its first instruction */
-    uint32_t worst_masked_ticks;    /* longest time with interrupts masked */
     /* Per exception number: how often, instructions of its longest run (its own only), ticks from its first
      * instruction to its return (with what preempted it). */
     uint64_t count[EMULATOR_VECTORS];

@@ -59,6 +59,20 @@ def test_a_nozzle_of_another_mass_is_named(factor: float) -> None:
     assert rig.loop.state.plausible.capacity_ratio == pytest.approx(factor, rel=0.1)
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [{"l1_slope_per_k": 0.7e-4}, {"l1_slope_per_k": 1.3e-4}, {"l1_uh": 3.7}, {"r_ohm": 0.6}],
+    ids=["permeability falls less", "falls more", "other shape", "other resistivity"],
+)
+def test_a_nozzle_of_another_material_is_named_before_it_is_heated(changes: dict[str, float]) -> None:
+    rig = Rig(Plant(3, **changes), default_parameters(law=TANK, loss_uncertainty=0.03), 5)
+    rig.run(35.0)  # the heat balance speaks after 30 s
+    rig.set_target(200.0)
+    words = rig.loop.state.warning
+    rig.run(2.1)
+    assert "wrong nozzle" in words + rig.loop.fault
+
+
 @pytest.mark.parametrize("volt", [20.0, 26.0])
 def test_a_measured_supply_keeps_the_reading_true(volt: float) -> None:
     errors = {}

@@ -225,9 +225,9 @@ STEPS: tuple[Callable[[SimulatedPrinter], None], ...] = (
     check_temperatures,
     check_print,
     check_pause_resume_cancel,
-    check_host_crash,
     check_emergency_stop,
     check_restart_after_config_error,
+    check_host_crash,
     check_logs,
 )
 

@@ -100,7 +100,10 @@ def test_what_cannot_be_believed_is_never_a_number(law: estimator.Law, error: fl
         ({"lost": 1}, "samples lost"),
         ({"phase_ticks": 1000}, "too little excitation"),
         ({"mean_raw": 3000.0}, "signal far above any nozzle's: is the nozzle missing from the coil?"),
-        ({"mean_raw": 100.0}, "outside the range of the sensing law"),
+        (
+            {"mean_raw": 100.0},
+            "outside the range of the sensing law: wrong nozzle, or its thermometer is not calibrated?",
+        ),
     ],
 )
 def test_a_block_that_cannot_be_used_says_why(change: dict[str, float], reason: str) -> None:

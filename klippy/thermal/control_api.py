@@ -1,0 +1,156 @@
+"""What all controllers share: one verb and the records it takes and gives.
+
+    output, state = law.step(parameters, state, inputs, time_s)
+
+Parameters, state, input and output are frozen: nothing is changed in place, so a controller can be replayed
+from a log, compared with another on the same data, and swapped with `follow` without a bump. `time_s` is the
+time of the measurement, not of the call. Output units are what the parameters say: watts where the drive law
+is known (induction), duty 0..1 elsewhere.
+
+    time ───── time_s ─────────────── apply_s ───────────────► print time, seconds
+               measurement            output in force
+               `applied`: mean output in force since the step before (NaN: what was returned before)
+
+A law uses what it understands and leaves the rest: a PID looks at `reference_c` and `measured_c` only, the
+model law also at sigma, times, reference ahead, flow and fan.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Generic, Protocol, TypeVar
+
+
+class ParameterError(ValueError):
+    """Parameters with which a controller cannot work; the text is for people."""
+
+
+def require(condition: bool, text: str) -> None:
+    """Raise ParameterError with this text unless the condition holds. NaN fails every comparison."""
+    if not condition:
+        raise ParameterError(text)
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """A temperature over time: straight lines between corners, held before the first and after the last.
+
+    `times_s` ascends (equal times make a step: the later corner counts from that instant on).
+    """
+
+    times_s: tuple[float, ...]
+    temps_c: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        require(len(self.times_s) == len(self.temps_c) > 0, "a reference needs as many times as temperatures")
+        require(all(map(math.isfinite, (*self.times_s, *self.temps_c))), "a reference needs finite corners")
+        ascending = all(a <= b for a, b in zip(self.times_s, self.times_s[1:], strict=False))
+        require(ascending, "the corners of a reference must be in order of time")
+
+    def at(self, time_s: float) -> float:
+        """Temperature in degC at this time."""
+        after = bisect_right(self.times_s, time_s)
+        if after == 0:
+            return self.temps_c[0]
+        if after == len(self.times_s):
+            return self.temps_c[-1]
+        start_s, start_c = self.times_s[after - 1], self.temps_c[after - 1]
+        share = (time_s - start_s) / (self.times_s[after] - start_s)
+        return start_c + share * (self.temps_c[after] - start_c)
+
+    @staticmethod
+    def of(points: Sequence[tuple[float, float]]) -> Reference:
+        """From (time_s, temp_c) pairs, for example thermal.plan's corners."""
+        return Reference(tuple(p[0] for p in points), tuple(p[1] for p in points))
+
+
+@dataclass(frozen=True, slots=True)
+class Schedule:
+    """A quantity that holds from each time to the next: planned flow in mm^3/s, fan 0..1. `before` the first."""
+
+    times_s: tuple[float, ...] = ()
+    values: tuple[float, ...] = ()
+    before: float = 0.0
+
+    def at(self, time_s: float) -> float:
+        after = bisect_right(self.times_s, time_s)
+        return self.values[after - 1] if after else self.before
+
+    @staticmethod
+    def constant(value: float) -> Schedule:
+        return Schedule((), (), value)
+
+
+IDLE = Schedule()
+
+
+@dataclass(frozen=True, slots=True)
+class ControlInput:
+    """What every controller sees."""
+
+    reference_c: float  # wanted at apply_s
+    measured_c: float  # NaN: nothing measured this time
+    feedforward: float = 0.0  # in output units, on top of what the law knows itself
+    limit: float = math.inf  # output limit of this step, on top of the parameters' own
+    rebased: bool = False  # the measurement jumped for reasons of its own: not a slope
+    sigma_c: float = math.nan  # 1 sigma of the random part of measured_c; NaN: the parameters' own
+    applied: float = math.nan  # mean output in force since the step before; NaN: as this law returned it
+    apply_s: float = (
+        math.nan
+    )  # from when this output will be in force; NaN: time_s + the parameters' own delay
+    reference: Reference | None = None  # the wanted temperature ahead; None: reference_c from now on
+    flow_mm3_s: Schedule = IDLE  # planned extrusion, past and ahead
+    fan: Schedule = IDLE  # part fan 0..1, past and ahead
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """`value` (output units) from `time_s` on."""
+
+    time_s: float
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class ControlOutput:
+    """The limited output and its terms, all in output units."""
+
+    value: float
+    unlimited: float
+    proportional: float
+    integral: float
+    derivative: float
+    feedforward: float
+    predicted_c: float = math.nan  # what a law with a model expects at apply_s
+    horizon: tuple[Planned, ...] = ()  # what it means to do after `value`, should nothing new be said
+
+
+P_contra = TypeVar("P_contra", contravariant=True)
+S = TypeVar("S")
+
+
+class Step(Protocol[P_contra, S]):
+    """The role all control laws play."""
+
+    def __call__(
+        self, parameters: P_contra, state: S, inputs: ControlInput, time_s: float, /
+    ) -> tuple[ControlOutput, S]: ...
+
+
+class Follow(Protocol[P_contra, S]):
+    """Bumpless transfer: a state from which the next step continues at `output`, set by somebody else."""
+
+    def __call__(self, parameters: P_contra, state: S, inputs: ControlInput, output: float, /) -> S: ...
+
+
+@dataclass(frozen=True, slots=True)
+class Law(Generic[P_contra, S]):
+    """A control law as a value: its verb, a fresh state, and how to take over."""
+
+    name: str
+    step: Step[P_contra, S]
+    start: S
+    follow: Follow[P_contra, S]
