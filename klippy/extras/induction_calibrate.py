@@ -218,7 +218,9 @@ class InductionCalibrate:
         self._apply(law, result)
         self._stage(law, result)
         self._say("\n".join(result["report"]))
-        self._say("The new law is in use. SAVE_CONFIG keeps it.")
+        self._say(
+            "The new law is in use. SAVE_CONFIG keeps it; until then the firmware guards by the limits of the old one."
+        )
 
     def _apply(self, law: laws.Law, result: dict[str, Any]) -> None:
         old = self.heater.parameters
