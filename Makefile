@@ -38,6 +38,7 @@ fuzz: setup-test
 # The firmware's rules (any port, simulator included) and the simulated world's.
 -include src/build.mk
 -include src/simulator/world.mk
+-include src/emulator/emulator.mk
 
 # --- build ---------------------------------------------------------------------------------------
 # src/build.mk makes libferrite_mcu.so and ferrite.dict, world.mk (SIM_TARGETS) the machine around them.

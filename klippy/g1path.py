@@ -40,6 +40,7 @@ class G1Path:
         return (
             not self._disabled
             and not toolhead.can_pause
+            and not toolhead.extra_axes
             and not toolhead.printer.is_exiting()
             and self._gcode_move.transform is toolhead
             and is_done_in_c(

@@ -15,11 +15,20 @@ import logging
 import math
 import re
 from collections.abc import Callable, Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 OutputHandler = Callable[[str], None]
 # (text, start, end) -> where it stopped, behind a line end; see GCodeDispatch.run_block
 BlockRunner = Callable[[bytes, int, int], int]
+
+
+class Coord(NamedTuple):
+    """A position: x, y, z and extruder, mm."""
+
+    x: float
+    y: float
+    z: float
+    e: float
 
 
 class CommandError(Exception):
@@ -246,6 +255,7 @@ class GCodeDispatch:
     """The object `gcode`: knows all commands and runs lines of G-code."""
 
     error = CommandError
+    Coord = Coord
 
     def __init__(self, printer: Any) -> None:
         self.printer = printer
@@ -257,6 +267,7 @@ class GCodeDispatch:
         self._handlers = self._base_handlers
         self._mux: dict[str, _MuxCommand] = {}
         self._help: dict[str, str] = {}
+        self._comment_listeners: list[Callable[[str], None]] = []
         self._block_runner: BlockRunner | None = None
         self._status_commands: dict[str, dict[str, str]] = {}
         self.is_printer_ready = False
@@ -400,6 +411,10 @@ class GCodeDispatch:
             else:
                 gcmd.ack()
 
+    def register_comment_listener(self, listener: Callable[[str], None]) -> None:
+        """Call listener(line) for each line that is only a comment: slicers tell there what comes."""
+        self._comment_listeners.append(listener)
+
     def register_block_runner(self, runner: BlockRunner) -> None:
         """A short way for rows of simple lines: runner(text, start, end) carries out as many as it can."""
         self._block_runner = runner
@@ -437,6 +452,8 @@ class GCodeDispatch:
         if number is not None and "_" not in text[: number.end() + 1]:
             text = self._check_number(text, number)
         if not text or text[0] in ";#%":
+            for listener in self._comment_listeners:
+                listener(text)
             return None, self._ignore
         word = _TRADITIONAL_WORD.match(text) or _COMMAND_WORD.match(text)
         if word is None:

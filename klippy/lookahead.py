@@ -28,12 +28,15 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import chelper
+from gcode import Coord
 
 if TYPE_CHECKING:
     from toolhead import ToolHead
+
+__all__ = ["Coord", "LookAheadQueue", "Move", "done_in_c", "is_done_in_c"]
 
 # Moves without a distance the planner cares about: the acceleration of pure extruder moves comes from the extruder.
 UNLIMITED_ACCEL = 99999999.9
@@ -46,15 +49,6 @@ _PLAIN_FIELDS = (
     "move_d", "min_move_t", "accel", "junction_deviation", "max_cruise_v2", "delta_v2", "smooth_delta_v2",
     "max_start_v2", "max_smoothed_v2",
 )  # fmt: skip
-
-
-class Coord(NamedTuple):
-    """A position: x, y, z and extruder, mm."""
-
-    x: float
-    y: float
-    z: float
-    e: float
 
 
 class Move:
@@ -74,6 +68,7 @@ class Move:
         "delta_v2",
         "end_pos",
         "end_v",
+        "extra_d",
         "is_kinematic_move",
         "junction_deviation",
         "max_cruise_v2",
@@ -110,6 +105,7 @@ class Move:
         dy = end_pos[1] - start_pos[1]
         dz = end_pos[2] - start_pos[2]
         de = end_pos[3] - start_pos[3]
+        self.extra_d = tuple(b - a for a, b in zip(start_pos[4:], end_pos[4:], strict=False))
         move_d = math.sqrt(dx * dx + dy * dy + dz * dz)
         if move_d >= MIN_DISTANCE_MM:
             self.is_kinematic_move = True
@@ -117,11 +113,11 @@ class Move:
             if speed > toolhead.max_velocity:
                 speed = toolhead.max_velocity
             inverse = 1.0 / move_d
-        else:  # the extruder alone
+        else:  # the extruder or further axes alone
             self.is_kinematic_move = False
             self.end_pos = (start_pos[0], start_pos[1], start_pos[2], end_pos[3])
             dx = dy = dz = 0.0
-            move_d = abs(de)
+            move_d = max(abs(de), *map(abs, self.extra_d)) if self.extra_d else abs(de)
             self.accel = UNLIMITED_ACCEL
             inverse = 1.0 / move_d if move_d else 0.0
         self.move_d = move_d
@@ -140,6 +136,7 @@ class Move:
         move = cls.__new__(cls)
         move.toolhead = toolhead
         move.timing_callbacks = None
+        move.extra_d = ()
         move.start_pos, move.end_pos = tuple(record.start_pos), tuple(record.end_pos)
         move.axes_d, move.axes_r = tuple(record.axes_d), tuple(record.axes_r)
         move.is_kinematic_move = bool(record.is_kinematic_move)
@@ -269,7 +266,12 @@ class LookAheadQueue:
         number = self.row.next
         extruder_v2 = move.max_cruise_v2
         if number != self.row.first:
-            extruder_v2 = extruder.calc_junction(self._move(number - 1), move)
+            before = self._move(number - 1)
+            extruder_v2 = extruder.calc_junction(before, move)
+            for axis, way in enumerate(move.extra_d):
+                if way or before.extra_d[axis : axis + 1] not in ((), (0.0,)):
+                    axis_v2 = self._toolhead.extra_axes[axis].calc_junction(before, move, axis)
+                    extruder_v2 = min(extruder_v2, axis_v2)
         self._PLANNED.pack_into(
             self._scratch_bytes, 0, *move.start_pos, *move.end_pos, *move.axes_d, *move.axes_r, move.move_d,
             move.min_move_t, move.accel, move.junction_deviation, move.is_kinematic_move, move.max_cruise_v2,

@@ -232,7 +232,7 @@ class MCU:
         commands = [self._encode_config(cmd) for cmd in script.config_cmds]
         init = [self._encode_config(cmd) for cmd in script.init_cmds]
         restart = [self._encode_config(cmd) for cmd in script.restart_cmds]
-        state = self._query_config()
+        state = self._query_config(first=True)
         if not state["is_config"]:
             logging.info("Sending MCU '%s' printer configuration...", self._name)
             self._send_all(commands)
@@ -269,11 +269,17 @@ class MCU:
         for command in commands:
             self._serial.raw_send(command, 0, 0, queue)
 
-    def _query_config(self) -> dict[str, Any]:
+    def _query_config(self, first: bool = False) -> dict[str, Any]:
         query = self.lookup_query_command(
             "get_config", "config is_config=%c crc=%u is_shutdown=%c move_count=%hu"
         )
         state = query.send()
+        if first and self._start_args.get("start_reason") == "startup":
+            # what a host that crashed has left: its moves and outputs may still run
+            if state["is_shutdown"]:
+                self._restart_for("it was shut down before this host started")
+            if state["is_config"]:
+                self._restart_for("it was configured by another run of the host")
         if self._is_shutdown:
             reason = self._shutdown_msg
             self._fail(f"MCU '{self._name}' error during config: {reason}. {shutdown_help(reason)}")
@@ -339,6 +345,7 @@ class MCU:
         """Reset the MCU; the next start of the host finds it unconfigured."""
         if self._is_fileoutput or self._serial.port is None:
             return
+        self._is_shutdown = True  # the greeting of the MCU that starts again is no surprise
         reset, config_reset = self.try_lookup_command("reset"), self.try_lookup_command("config_reset")
         if self._options.restart_method == "arduino" or (reset is None and config_reset is None):
             logging.info("Attempting MCU '%s' reset by its port", self._name)
@@ -348,7 +355,6 @@ class MCU:
             reset.send()
         elif config_reset is not None and self._emergency_stop is not None:
             logging.info("Attempting MCU '%s' config_reset command", self._name)
-            self._is_shutdown = True
             self._emergency_stop.send()  # config_reset works in shutdown only
             self._reactor.pause(self._reactor.monotonic() + RESET_SETTLE_S)
             config_reset.send()

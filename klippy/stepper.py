@@ -64,6 +64,7 @@ class MCU_stepper:
         self._want_both_edge = False
         self._oid = self._mcu.create_oid()
         self._mcu.register_config_callback(self._build_config)
+        self._mcu.get_printer().register_event_handler("klippy:connect", self._adopt_mcu_position)
         self._active_callbacks: list[Callable[[float], None]] = []
         self._ffi, self._lib = chelper.get_ffi()
         self._stepcompress = self._ffi.gc(
@@ -155,6 +156,22 @@ class MCU_stepper:
         self._position_query = self._mcu.lookup_query_command(
             "stepper_get_position oid=%c", "stepper_position oid=%c pos=%i", oid=self._oid
         )
+
+    def _adopt_mcu_position(self) -> None:
+        """An MCU that was not reset counts on from the session before: take over its count, the place stays."""
+        if not self._mcu.kept_configuration():
+            return
+        position = self._ask_position()[0]
+        self._lib.stepcompress_reset(self._stepcompress, 0, position)
+        if self._solver is not None:
+            self._lib.itersolve_adopt_steps(self._solver, position)
+
+    def _ask_position(self) -> tuple[int, int]:
+        """(steps, clock) as the MCU says."""
+        params = self._position_query.send([self._oid])
+        position = -params["pos"] if self._invert_dir else params["pos"]
+        clock = self._mcu.print_time_to_clock(self._mcu.estimated_print_time(params["#receive_time"]))
+        return position, max(0, clock)
 
     # -- the step solver --
 
@@ -264,10 +281,8 @@ class MCU_stepper:
             clock = self._lib.stepcompress_last_clock(self._stepcompress)
             self._lib.stepcompress_reset(self._stepcompress, clock, position)
             return
-        params = self._position_query.send([self._oid])
-        position = -params["pos"] if self._invert_dir else params["pos"]
-        clock = self._mcu.print_time_to_clock(self._mcu.estimated_print_time(params["#receive_time"]))
-        self._lib.stepcompress_reset(self._stepcompress, max(0, clock), position)
+        position, clock = self._ask_position()
+        self._lib.stepcompress_reset(self._stepcompress, clock, position)
         if self._solver is not None:
             self._lib.itersolve_set_steps(self._solver, position)
 
@@ -463,7 +478,9 @@ class GenericPrinterRail:
         self._endstop_of_pin[key] = {**params, "endstop": mcu_endstop}
         self.endstops.append((mcu_endstop, name))
         query_endstops = self.printer.load_object(config, "query_endstops")
-        query_endstops.register_endstop(mcu_endstop, name)
+        # clients know endstops by the name of the section; texts for people say 'x'
+        prefix = "stepper_" if self._config_name.startswith("stepper_") else ""
+        query_endstops.register_endstop(mcu_endstop, prefix + name)
         return mcu_endstop
 
     def add_stepper(

@@ -43,6 +43,9 @@ STALL_WINDOW_S = 1.0
 DRIP_AHEAD_S = 0.100
 DRIP_STEP_S = 0.050
 WAIT_POLL_S = 0.100
+# Motion beside the head's while it rests: worked out this far ahead, this often.
+OTHERS_AHEAD_S = 0.200
+OTHERS_PERIOD_S = 0.050
 # (sqrt(2) - 1) relates the corner deviation to the speed of a right angle: sin(45)/(1 - sin(45)) = 1/(sqrt(2) - 1)
 RIGHT_ANGLE_FACTOR = math.sqrt(2.0) - 1.0
 
@@ -61,7 +64,8 @@ class ToolHead:
         self.reactor = self.printer.get_reactor()
         self.mcu = self.printer.lookup_object("mcu")
         self.can_pause = not self.mcu.is_fileoutput()
-        self.commanded_pos = [0.0, 0.0, 0.0, 0.0]
+        self.commanded_pos = [0.0, 0.0, 0.0, 0.0]  # and of further axes
+        self.extra_axes: list[Any] = []  # of G1 beside x, y, z, e; their positions follow those four
         self.lookahead = LookAheadQueue(self)
         self._streams = stepstream.lookup_streams(self.printer)
         ffi, lib = chelper.get_ffi()
@@ -78,6 +82,7 @@ class ToolHead:
         self._at_rest = True  # nothing planned runs on: print_time may have passed
         self._next_check_time = -math.inf
         self._forced_stop = False
+        self._others_end = 0.0  # print_time up to which others move beside the head
         self.print_stall = 0
         self._watch_timer = self.reactor.register_timer(self._watch)
         self._watching = False
@@ -146,6 +151,8 @@ class ToolHead:
             if self._forced_stop and 0.0 < now - self.print_time < STALL_WINDOW_S:
                 self.print_stall += 1
         self._forced_stop = False
+        if self._others_end:  # their steps may be worked out farther than the head's last motion
+            earliest = max(earliest, self._streams.done_time)
         if self.print_time < earliest:
             self.print_time = earliest
             self.printer.send_event(
@@ -169,6 +176,9 @@ class ToolHead:
                 )  # fmt: skip
             if move.axes_d[3]:
                 extruder_move(print_time, move)
+            for number, way in enumerate(move.extra_d):
+                if way:
+                    self.extra_axes[number].process_move(print_time, move, number)
             print_time += move.accel_t + move.cruise_t + move.decel_t
             if move.timing_callbacks is not None:
                 for callback in move.timing_callbacks:
@@ -207,7 +217,7 @@ class ToolHead:
         count = self.lookahead.plan(lazy)
         if not count:
             return
-        if self._listeners or not is_done_in_c(self.extruder.process_move):
+        if self._listeners or self.extra_axes or not is_done_in_c(self.extruder.process_move):
             self._commit(self.lookahead.take(count))
         else:
             self._commit_unseen(count)
@@ -234,11 +244,22 @@ class ToolHead:
                     return eventtime + (ahead - BUFFER_LOW_S)
                 self._forced_stop = True
                 self._settle()
+            if self._attend_others(eventtime):
+                return eventtime + OTHERS_PERIOD_S
         except Exception as problem:
             logging.exception("Exception in the toolhead's timer")
             self.printer.invoke_shutdown(f"Motion stopped: {problem}")
         self._watching = False
         return self.reactor.NEVER
+
+    def _attend_others(self, eventtime: float) -> bool:
+        """While the head rests, steps of motion beside it are worked out just in time; True while there are any."""
+        if self._streams.done_time >= self._others_end:
+            self._others_end = 0.0
+            return False
+        reach = self.mcu.estimated_print_time(eventtime) + OTHERS_AHEAD_S
+        self._streams.advance(min(self._others_end, reach), hold_back=False)
+        return True
 
     def _start_watch(self) -> None:
         self._watching = True
@@ -265,7 +286,7 @@ class ToolHead:
         """The head is at newpos from now on, without moving; homing_axes count as homed."""
         self.flush_step_generation()
         self._trapq_set_position(self.trapq, self.print_time, newpos[0], newpos[1], newpos[2])
-        self.commanded_pos[:] = newpos[:4]
+        self.commanded_pos[:4] = newpos[:4]
         self.kin.set_position(newpos, homing_axes)
         self.printer.send_event("toolhead:set_position")
 
@@ -283,7 +304,12 @@ class ToolHead:
             self.kin.check_move(move)
         if move.axes_d[3]:
             self.extruder.check_move(move)
-        self.commanded_pos[:] = move.end_pos
+        for number, way in enumerate(move.extra_d):
+            if way:
+                self.extra_axes[number].check_move(move, number)
+        self.commanded_pos[:4] = move.end_pos
+        if move.extra_d:
+            self.commanded_pos[4:] = newpos[4:]
         self.note_queued(self.lookahead.add_move(move, self.extruder))
 
     def note_queued(self, due: bool) -> None:
@@ -350,7 +376,7 @@ class ToolHead:
             self.extruder.check_move(move)
         self.lookahead.add_move(move, self.extruder)
         start = self._begin_drip(move)
-        self.commanded_pos[:] = move.end_pos
+        self.commanded_pos[:4] = move.end_pos
         self._drip(start, drip_completion)
 
     def _begin_drip(self, move: Move) -> float:
@@ -381,7 +407,7 @@ class ToolHead:
             self._streams.advance(time, hold_back=False)
         if time < end:  # stopped by the trigger: the rest of the plan is void
             self.print_time = time
-            x, y, z, _ = self.commanded_pos
+            x, y, z = self.commanded_pos[:3]
             self._trapq_set_position(self.trapq, time, x, y, z)
         self._streams.advance(self.print_time, hold_back=False)
         self._at_rest = True
@@ -412,9 +438,13 @@ class ToolHead:
             self._streams.generators.remove(handler)
 
     def note_mcu_movequeue_activity(self, mq_time: float, set_step_gen_time: bool = False) -> None:
-        """Something else than a stepper uses an MCU's move queue up to mq_time: steps must not lag behind it."""
-        if set_step_gen_time and not self._watching:
-            self._start_watch()
+        """Something else than a stepper uses an MCU's move queue up to mq_time: steps must not lag behind it.
+
+        set_step_gen_time: there is motion beside the head's, in a queue of its own, until mq_time."""
+        if set_step_gen_time:
+            self._others_end = max(self._others_end, mq_time)
+            if not self._watching:
+                self._start_watch()
 
     # -- parts --
 
@@ -432,6 +462,24 @@ class ToolHead:
         self._flush_lookahead()
         self.extruder = extruder
         self.commanded_pos[3] = extrude_pos
+
+    def add_extra_axis(self, extra_axis: Any, axis_pos: float) -> None:
+        """One more axis for G1 (see extras/manual_stepper.py); it stands at axis_pos."""
+        self.flush_step_generation()
+        self.extra_axes.append(extra_axis)
+        self.commanded_pos.append(axis_pos)
+        self.printer.send_event("toolhead:update_extra_axes")
+
+    def remove_extra_axis(self, extra_axis: Any) -> None:
+        if extra_axis in self.extra_axes:
+            self.flush_step_generation()
+            number = self.extra_axes.index(extra_axis)
+            del self.extra_axes[number], self.commanded_pos[4 + number]
+            self.printer.send_event("toolhead:update_extra_axes")
+
+    def get_extra_axes(self) -> list[Any]:
+        """What stands behind each number of a position: nothing for x, y, z, then the extruder and further axes."""
+        return [None, None, None, self.extruder, *self.extra_axes]
 
     def get_max_velocity(self) -> tuple[float, float]:
         """(mm/s, mm/s^2)."""
@@ -458,7 +506,7 @@ class ToolHead:
             stalls=self.print_stall,
             estimated_print_time=self.mcu.estimated_print_time(eventtime),
             extruder=self.extruder.get_name(),
-            position=Coord(*self.commanded_pos),
+            position=Coord(*self.commanded_pos[:4]),
             max_velocity=self.max_velocity,
             max_accel=self.max_accel,
             minimum_cruise_ratio=self.min_cruise_ratio,

@@ -56,6 +56,14 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         dest="overrides",
         help="override an option of the config, printer or plant alike; may be repeated",
     )
+    parser.add_argument(
+        "--build",
+        action="append",
+        default=[],
+        metavar="[MCU=]BUILD",
+        dest="builds",
+        help="what an MCU runs: simulator, or the image for a chip on its emulator: stm32f334, atmega2560",
+    )
     parser.add_argument("--until", type=float, metavar="SECONDS", help="stop after so much simulated time")
     parser.add_argument("--log", type=Path, metavar="FILE", help="the host's log")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
@@ -71,6 +79,15 @@ def parse_override(text: str) -> tuple[str, str, str]:
             f"--set {text}: this needs the form SECTION.OPTION=VALUE, such as extruder.nozzle_diameter=0.6"
         )
     return section.strip(), option.strip(), value.strip()
+
+
+def parse_builds(texts: Sequence[str]) -> dict[str, str]:
+    """'stm32f334' and 'heater=stm32f334' → build by MCU."""
+    builds = {}
+    for text in texts:
+        name, equals, build = text.partition("=")
+        builds[name if equals else "mcu"] = build if equals else text
+    return builds
 
 
 def check_overrides(config: Path, overrides: Sequence[tuple[str, str, str]]) -> None:
@@ -186,6 +203,7 @@ def main(argv: Sequence[str]) -> int:
                     options.trace,
                     options.until,
                     bar.show if bar else None,
+                    parse_builds(options.builds),
                 )
             ).run()
         write_results(options, outcome)

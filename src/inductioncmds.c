@@ -1,6 +1,6 @@
 /* The induction heater: bridge, synchronous ADC and guard behind messages.
  *
- *   queue_induction_phase ─► pending phases ─► timer at their clock ─► bridge_pwm      (phase.h)
+ *   queue_induction_plan, _phase ─► pending phases ─► timer at their clock ─► bridge_pwm      (phase.h)
  *                                                  │ sample index of each step
  *   induction_block  ◄─ task ◄─ ring of blocks ◄─ ADC interrupt ◄─ half buffers        (oversample.h)
  *                                                  └► guard ─► bridge off, shutdown    (guard.h)
@@ -415,18 +415,18 @@ start_sampling(struct induction *u)
     irq_restore(flag);
 }
 
-void
-command_queue_induction_phase(const struct command_args *args)
+/* One step of the bridge at a clock, after all that are queued. */
+static void
+queue_step(struct induction *u, uint32_t at, uint32_t phase)
 {
-    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
-    if (args->val[2] > BRIDGE_PHASE_MAX)
+    if (phase > BRIDGE_PHASE_MAX)
         shutdown(SHUTDOWN_INDUCTION_PHASE);
     if (u->guard.trip)
         trip(u, (enum guard_trip)u->guard.trip);
     start_sampling(u);
     struct phase_node *node = move_alloc();
-    node->clock = args->val[1];
-    node->phase = (uint16_t)args->val[2];
+    node->clock = at;
+    node->phase = (uint16_t)phase;
     irqstatus_t flag = irq_save();
     uint32_t clock, earliest = timer_read_time() + timer_from_us(LATE_MARGIN_US);
     if (!phase_push(&u->track, node, earliest)) {
@@ -440,7 +440,42 @@ command_queue_induction_phase(const struct command_args *args)
     }
     irq_restore(flag);
 }
+
+void
+command_queue_induction_phase(const struct command_args *args)
+{
+    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
+    queue_step(u, args->val[1], args->val[2]);
+}
 DECL_COMMAND(command_queue_induction_phase, "queue_induction_phase oid=%c clock=%u phase=%hu");
+
+/* What the host means to do from `clock` on, in place of all that was pending from there on: a host that comes late has
+ * said before what to do meanwhile.  steps: u16 bridge periods after the step before (the first: after `clock`) · u16
+ * phase, little endian.  The watchdog counts from the last step applied, as with single commands. */
+enum { PLAN_STEP_SIZE = 4 };
+
+void
+command_queue_induction_plan(const struct command_args *args)
+{
+    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
+    const uint8_t *p = args->data, *end = p + args->data_len;
+    uint32_t clock = args->val[1];
+    if (args->data_len % PLAN_STEP_SIZE)
+        shutdown(SHUTDOWN_INDUCTION_PHASE);
+    irqstatus_t flag = irq_save();
+    struct phase_node *stale = phase_cut(&u->track, clock);
+    irq_restore(flag);
+    while (stale) {
+        struct phase_node *node = stale;
+        stale = node->next;
+        move_free(node);
+    }
+    for (; p < end; p += PLAN_STEP_SIZE) {
+        clock += (uint32_t)(p[0] | p[1] << 8) * u->period_ticks;
+        queue_step(u, clock, (uint32_t)p[2] | (uint32_t)p[3] << 8);
+    }
+}
+DECL_COMMAND(command_queue_induction_plan, "queue_induction_plan oid=%c clock=%u steps=%*s");
 
 void
 command_induction_report(const struct command_args *args)

@@ -33,6 +33,22 @@ phase_push(struct phase_track *t, struct phase_node *node, uint32_t earliest)
 }
 
 struct phase_node *
+phase_cut(struct phase_track *t, uint32_t clock)
+{
+    struct phase_node *kept = NULL, *node = t->first;
+    while (node && is_before(node->clock, clock)) {
+        kept = node;
+        node = node->next;
+    }
+    if (kept)
+        kept->next = NULL;
+    else
+        t->first = NULL;
+    t->last = kept;
+    return node;
+}
+
+struct phase_node *
 phase_pop(struct phase_track *t)
 {
     struct phase_node *node = t->first;

@@ -10,8 +10,9 @@
  * Applied: a ring of steps, a step a bridge period at most (a later one for the same sample takes its place), as
  * long as the ADC's double buffer: a step that falls out of the ring is older than any sample that can still be read.
  *
- * Contexts: push in tasks with interrupts disabled; pop, applied in the timer interrupt; run in the ADC's interrupt.
- * The two interrupts must not preempt each other.  All O(1) but phase_run, which walks past steps that have passed.
+ * Contexts: push and cut in tasks with interrupts disabled; pop, applied in the timer interrupt; run in the ADC's interrupt.
+ * The two interrupts must not preempt each other.  All O(1) but phase_run, which walks past steps that have passed, and
+ * phase_cut, which walks past the nodes that stay.
  */
 #ifndef PHASE_H
 #define PHASE_H
@@ -47,6 +48,8 @@ void phase_init(struct phase_track *t, uint16_t phase_max);
 /* Queue a node with clock and phase filled in.  0 if its clock is before the newest pending one's (the node is not
  * taken), 1 if queued.  Above phase_max becomes phase_max; a clock before `earliest` is due then. */
 uint8_t phase_push(struct phase_track *t, struct phase_node *node, uint32_t earliest);
+/* Take back all pending nodes whose clock is `clock` or later: the first of them, chained by next, or NULL. */
+struct phase_node *phase_cut(struct phase_track *t, uint32_t clock);
 /* The oldest pending node if it is due at `clock`, else NULL. */
 struct phase_node *phase_pop_due(struct phase_track *t, uint32_t clock);
 /* The oldest pending node whatever its clock, else NULL: for emptying the queue. */

@@ -58,7 +58,20 @@
     X(SHUTDOWN_INDUCTION_HIGH, "Induction signal above limit") \
     X(SHUTDOWN_BRIDGE_ID, "Not a valid bridge") \
     X(SHUTDOWN_BRIDGE_PERIOD, "Bridge period out of range") \
-    X(SHUTDOWN_SYNC_ADC, "Synchronous ADC cannot be set up so")
+    X(SHUTDOWN_SYNC_ADC, "Synchronous ADC cannot be set up so") \
+    X(SHUTDOWN_BRIDGE_CLOCK, "Bridge refused: its clock does not run as it should") \
+    X(SHUTDOWN_BRIDGE_DELAY_LINE, "Bridge refused: the timer's delay line is not calibrated") \
+    X(SHUTDOWN_BRIDGE_REGISTERS, "Bridge refused: its registers do not read back as written") \
+    X(SHUTDOWN_BRIDGE_ADC, "Bridge refused: the ADC is not calibrated or does not run") \
+    X(SHUTDOWN_BRIDGE_FAULT_AT_START, "Bridge refused: the fault line is active") \
+    X(SHUTDOWN_BRIDGE_BROWN_OUT, "Bridge refused: the supply dipped, a firmware restart is needed") \
+    X(SHUTDOWN_BRIDGE_SUPPLY, "Bridge refused: the supply is too low") \
+    X(SHUTDOWN_BRIDGE_FAULT, "Bridge fault line became active") \
+    X(SHUTDOWN_BRIDGE_SYSTEM_FAULT, "Bridge stopped: supply, clock or memory failed") \
+    X(SHUTDOWN_SAMPLES_STOPPED, "Bridge stopped: the ADC's samples do not arrive") \
+    /* ports */ \
+    X(SHUTDOWN_PWM_CYCLE, "PWM already programmed at different speed") \
+    X(SHUTDOWN_FLASH_DAMAGED, "Firmware image in flash is damaged")
 
 enum shutdown_reason {
     SHUTDOWN_NONE = 0,

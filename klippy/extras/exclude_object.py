@@ -188,13 +188,17 @@ class ExcludeObject:
         else:
             gcmd.respond_info("Known objects: " + " ".join(str(entry["name"]) for entry in self.objects))
 
+    def _enter(self, name: str | None) -> None:
+        self.current_object = name
+        self._decide()
+        self.printer.send_event("exclude_object:current", name)
+
     def cmd_EXCLUDE_OBJECT_START(self, gcmd: Any) -> None:
         """What follows belongs to the object NAME."""
         name = gcmd.get("NAME").upper()
         if not self._is_known(name):
             self._add(name, {})
-        self.current_object = name
-        self._decide()
+        self._enter(name)
 
     def cmd_EXCLUDE_OBJECT_END(self, gcmd: Any) -> None:
         """The current object ends."""
@@ -206,8 +210,7 @@ class ExcludeObject:
             gcmd.respond_info(
                 f"EXCLUDE_OBJECT_END NAME={name.upper()} does not match the current object {self.current_object}"
             )
-        self.current_object = None
-        self._decide()
+        self._enter(None)
 
     def cmd_EXCLUDE_OBJECT(self, gcmd: Any) -> None:
         """Exclude NAME or the CURRENT one; RESET=1 takes one or all exclusions back; without parameters: list."""

@@ -58,6 +58,7 @@ class GCodeMove:
         self.modes = _Modes()
         self.last_position = [0.0] * 4  # toolhead coordinates after the last command
         self.saved_states: dict[str, SavedState] = {}
+        self._extra_letters: dict[str, int] = {}  # of further axes: their numbers in a position
         self.is_printer_ready = False
         self._move: Any = None
 
@@ -81,6 +82,7 @@ class GCodeMove:
             ("klippy:shutdown", self._handle_shutdown),
             ("toolhead:set_position", self.reset_last_position),
             ("toolhead:manual_move", self.reset_last_position),
+            ("toolhead:update_extra_axes", self._handle_extra_axes),
             ("gcode:command_error", self.reset_last_position),
             ("extruder:activate_extruder", self._handle_activate_extruder),
             ("homing:home_rails_end", self._handle_home_rails_end),
@@ -104,6 +106,18 @@ class GCodeMove:
         self.reset_last_position()
         self.modes.extrude_factor = 1.0
         self.modes.base_position[3] = self.last_position[3]
+
+    def _handle_extra_axes(self) -> None:
+        """Letters of G1 have been added or removed; a new one is counted from where it stands at 0."""
+        base = dict(zip(self._extra_letters, self.modes.base_position[4:], strict=True))
+        letters: dict[str, int] = {}
+        for number, axis in enumerate(self.toolhead.get_extra_axes()):
+            letter = axis.get_axis_gcode_id() if axis is not None and number > 3 else None
+            if letter:
+                letters[letter] = number
+        self._extra_letters = letters
+        self.modes.base_position[4:] = [base.get(letter, 0.0) for letter in letters]
+        self.reset_last_position()
 
     def _handle_home_rails_end(self, homing_state: Any, rails: Any) -> None:
         self.reset_last_position()
@@ -171,12 +185,16 @@ class GCodeMove:
                 value = float(params["E"]) * modes.extrude_factor
                 absolute = modes.absolute_coord and modes.absolute_extrude
                 target[3] = value + base[3] if absolute else value + target[3]
+            for letter, number in self._extra_letters.items():
+                if letter in params:
+                    value = float(params[letter])
+                    target[number] = value + (base if modes.absolute_coord else target)[number]
             if "F" in params:
                 speed = float(params["F"]) * MM_PER_MIN
         except ValueError:
             raise self._bad_number(gcmd) from None
         # a sum is finite exactly if all its parts are (coordinates far below overflow)
-        if not math.isfinite(target[0] + target[1] + target[2] + target[3] + speed):
+        if not math.isfinite(sum(target) + speed):
             raise self._bad_number(gcmd)
         if speed <= 0.0:
             raise gcmd.error(f"Invalid speed in '{gcmd.get_commandline()}': F must be above zero")
@@ -184,12 +202,11 @@ class GCodeMove:
         modes.speed = speed
         self.last_position = target
 
-    @staticmethod
-    def _bad_number(gcmd: Any) -> Exception:
+    def _bad_number(self, gcmd: Any) -> Exception:
         """The error that names the parameter at fault."""
         for letter, text in gcmd.get_command_parameters().items():
             try:
-                if letter not in "XYZEF" or math.isfinite(float(text)):
+                if letter not in {*"XYZEF", *self._extra_letters} or math.isfinite(float(text)):
                     continue
             except ValueError:
                 pass
@@ -224,9 +241,9 @@ class GCodeMove:
 
     def cmd_G92(self, gcmd: Any) -> None:
         """G92 [X] [Y] [Z] [E]: the place where the head is gets these coordinates; all zero without any."""
-        offsets = [gcmd.get_float(axis, None) for axis in AXES]
+        offsets = [gcmd.get_float(axis, None) for axis in (*AXES, *self._extra_letters)]
         if all(offset is None for offset in offsets):
-            self.modes.base_position = list(self.last_position[:4])
+            self.modes.base_position = list(self.last_position)
             return
         for axis, offset in enumerate(offsets):
             if offset is not None:
@@ -265,6 +282,7 @@ class GCodeMove:
         speed = gcmd.get_float("MOVE_SPEED", modes.speed, above=0.0)
         if move:
             target = [p + d for p, d in zip(self.last_position, deltas, strict=False)]
+            target += self.last_position[4:]
             self._move(target, speed)
             self.last_position = target
         for axis, delta in enumerate(deltas):
@@ -291,7 +309,7 @@ class GCodeMove:
         state = self.saved_states.get(name)
         if state is None:
             raise gcmd.error(f"Unknown g-code state: {name}")
-        move = gcmd.get_int("MOVE", 0)
+        modes, move = self.modes, gcmd.get_int("MOVE", 0)
         speed = gcmd.get_float("MOVE_SPEED", state.speed, above=0.0)
         target = [*state.last_position[:3], *self.last_position[3:]]
         if move:
@@ -304,7 +322,7 @@ class GCodeMove:
             state.speed,
             state.speed_factor,
             state.extrude_factor,
-            [*state.base_position[:3], state.base_position[3] + e_diff],
+            [*state.base_position[:3], state.base_position[3] + e_diff, *modes.base_position[4:]],
             list(state.homing_position),
         )
         if move:

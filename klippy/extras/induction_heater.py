@@ -136,8 +136,7 @@ class InductionHeater:
         return eventtime + period_s if self._running else self._reactor.NEVER
 
     def _send(self, commands: list[PhaseCommand]) -> None:
-        for command in commands:
-            self.unit.queue_phase(command)
+        self.unit.queue_plan(commands)
         if self.loop.fault and self._running:
             self._running = False
             text = f"Induction heater '{self.section_name}': {self.loop.fault}"
@@ -197,7 +196,7 @@ class InductionHeater:
     def use(self, parameters: loop.LoopParameters) -> None:
         """Work with other parameters from now on (a new calibration); the MCU's own limits stay as configured."""
         self.parameters = parameters
-        self.loop.parameters = parameters
+        self.loop.use(parameters)
         self.loop.state.estimate = loop.NOT_MEASURED
 
     def _smooth(self) -> None:
@@ -259,7 +258,7 @@ class InductionHeater:
         return {
             "temperature": round(self._smoothed_c, 2),
             "target": state.target_c,
-            "power": round(state.request.power_w / self.parameters.pid.output_high, 4),
+            "power": round(state.request.power_w / self.parameters.control.power_max_w, 4),
         }
 
     def get_detail(self, eventtime: float) -> dict[str, Any]:
@@ -291,7 +290,7 @@ class InductionHeater:
     def stats(self, eventtime: float) -> tuple[bool, str]:
         state = self.loop.state
         active = state.target_c > 0.0 or self._smoothed_c > 50.0
-        share = state.request.power_w / self.parameters.pid.output_high
+        share = state.request.power_w / self.parameters.control.power_max_w
         text = (
             f"{self.name}: target={state.target_c:.0f} temp={self._smoothed_c:.1f} pwm={share:.3f}"
             f" power_w={state.request.power_w:.2f} phase={state.commanded.phase_ticks}"

@@ -1,6 +1,7 @@
 """The induction unit's border: SI and print time on this side, ticks and clocks on the wire. Decides nothing.
 
-    queue_phase(print_time, phase) ──> queue_induction_phase clock= phase=
+    queue_plan([PhaseCommand])     ──> queue_induction_plan clock= steps=    replaces what was pending from then on
+    queue_phase(PhaseCommand)      ──> queue_induction_phase clock= phase=
     on_blocks([SampleBlock])       <── induction_block sequence= clock= data=
 
 The MCU turns the bridge off by itself when it hears no phase command for `max_duration`, and trips on its own
@@ -10,6 +11,8 @@ table of raw limits, which is sent here once at configuration.
 from __future__ import annotations
 
 import logging
+import math
+import struct
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -18,8 +21,10 @@ from thermal import convert
 from thermal.limits import LimitRow
 from thermal.records import PHASE_MAX_TICKS, PhaseCommand, SampleBlock
 
-# Phase commands that may wait on the MCU at one time: two for a sensing pulse each 8 ms, 25 ms ahead, twice over.
-MOVE_QUEUE_SLOTS = 16
+PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
+# Steps that may wait on the MCU at one time: a plan, and what stays of the one before.
+MOVE_QUEUE_SLOTS = 24
+PLAN_STEP = struct.Struct("<HH")
 
 OnBlocks = Callable[[list[SampleBlock]], None]
 
@@ -50,6 +55,8 @@ class InductionUnit:
         self._oid = mcu.create_oid()
         self._on_blocks: OnBlocks | None = None
         self._queue_phase: Any = None
+        self._queue_plan: Any = None
+        self._period_ticks, self._period_s = 0, math.inf
         self._report: Any = None
         self._converter: convert.ConvertParameters | None = None
         self.counters = convert.ConvertState()
@@ -91,6 +98,8 @@ class InductionUnit:
         mcu.add_config_cmd(f"induction_report oid={oid} enable=1", is_init=True)
         queue = mcu.alloc_command_queue()
         self._queue_phase = mcu.lookup_command("queue_induction_phase oid=%c clock=%u phase=%hu", cq=queue)
+        self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
+        self._period_ticks, self._period_s = period_ticks, period_ticks / clock_hz
         self._report = mcu.lookup_command("induction_report oid=%c enable=%c", cq=queue)
 
     # Samples up
@@ -123,6 +132,19 @@ class InductionUnit:
         clock = max(clock, self._last_clock + 1)
         self._last_clock = clock
         self._queue_phase.send([self._oid, clock, command.phase_ticks], minclock=0, reqclock=clock)
+
+    def queue_plan(self, commands: Sequence[PhaseCommand]) -> None:
+        """Send phases in order of time, in place of all that is pending from the first of them on."""
+        if not commands:
+            return
+        clock = self.mcu.print_time_to_clock(commands[0].time_s)
+        steps, periods = b"", 0
+        for command in commands[:PLAN_STEPS_MAX]:
+            at = max(periods, round((command.time_s - commands[0].time_s) / self._period_s))
+            steps += PLAN_STEP.pack(min(0xFFFF, at - periods), command.phase_ticks)
+            periods = at
+        self._last_clock = clock + periods * self._period_ticks
+        self._queue_plan.send([self._oid, clock, steps], minclock=0, reqclock=clock)
 
     def set_report(self, enable: bool) -> None:
         """Start or stop sampling and reports."""

@@ -15,6 +15,8 @@ from thermal import (
     limits,
     loop,
     model,
+    model_control,
+    model_nozzle,
     plausible,
     supervise,
     track,
@@ -114,17 +116,35 @@ def _drive(config: Any, timing: loop.Timing, frequency_hz: float) -> actuator.Ac
     )
 
 
-def _pid(config: Any, drive: actuator.DriveLaw) -> control.PidParameters:
-    config.getchoice("control", {"pid": "pid"}, "pid")
-    max_power_w = config.getfloat("max_power_w", drive.power_max_w, above=0.0, maxval=drive.power_max_w)
+def _pid(config: Any, power_max_w: float) -> control.PidParameters:
     return control.PidParameters(
         config.getfloat("pid_kp_w_per_k", DEFAULT_KP_W_PER_K, above=0.0),
         config.getfloat("pid_ki_w_per_k_s", DEFAULT_KI_W_PER_K_S, minval=0.0),
         config.getfloat("pid_kd_w_s_per_k", DEFAULT_KD_W_S_PER_K, minval=0.0),
         0.0,
-        max_power_w,
+        power_max_w,
         config.getfloat("pid_derivative_time", DEFAULT_DERIVATIVE_S, minval=0.0, maxval=1.0),
     )
+
+
+def _control(
+    config: Any,
+    drive: actuator.DriveLaw,
+    heat: model.HeatCapacity,
+    loss: plausible.TwoNodeLoss,
+    timing: loop.Timing,
+) -> loop.Control:
+    """The control law by name; the options of all are read, switching is no reason to delete a tuning."""
+    choice = config.getchoice("control", {name: name for name in ("model", "pid", "watermark")}, "model")
+    power_max_w = config.getfloat("max_power_w", drive.power_max_w, above=0.0, maxval=drive.power_max_w)
+    pid = _pid(config, power_max_w)
+    watermark = control.WatermarkParameters(config.getfloat("max_delta", 2.0, above=0.0), power_max_w)
+    held = model_nozzle.nozzle_model(heat, loss, power_max_w, timing)
+    if choice == "pid":
+        return loop.Control(control.PID, pid, power_max_w)
+    if choice == "watermark":
+        return loop.Control(control.WATERMARK, watermark, power_max_w)
+    return loop.Control(model_control.MODEL, held, power_max_w, models=True)
 
 
 def approach_for(law: laws.Law, drive: actuator.DriveLaw) -> loop.Approach:
@@ -178,17 +198,18 @@ def read_parameters(config: Any, unit: UnitSettings) -> loop.LoopParameters:
     drive = _drive(config, timing, unit.frequency_hz)
     loss = _loss(config)
     heat = model.HeatCapacity(config.getfloat("heat_capacity_j_per_k", 0.414, above=0.0))
+    balance = _plausible(config, heat, loss)
     return loop.LoopParameters(
         front,
         estimator.EstimatorParameters(law, supply=drive.law.vdc_v / drive.law.vdc_reference_v),
-        _pid(config, drive.law),
+        _control(config, drive.law, heat, balance.loss, timing),
         loss,
         drive,
         supervise.SuperviseParameters(temp_low_c, temp_high_c, calibrated=calibrated),
         timing,
         _approach(config, drive.law, law),
         track.TrackParameters(loss, heat),
-        _plausible(config, heat, loss),
+        balance,
     )
 
 

@@ -102,6 +102,7 @@ class InputShaper:
 
     def register(self) -> None:
         self.printer.register_event_handler("klippy:connect", self._handle_connect)
+        self.printer.register_event_handler("dual_carriage:update_kinematics", self.enable_shaping)
         self.printer.register_event_handler("homing:homing_move_begin", self._handle_homing_begin)
         self.printer.register_event_handler("homing:homing_move_end", self._handle_homing_end)
         self.printer.lookup_object("gcode").register_command(

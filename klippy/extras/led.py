@@ -2,6 +2,7 @@
 
 SET_LED LED=NAME [RED GREEN BLUE WHITE 0..1] [INDEX=n] [TRANSMIT=0] [SYNC=0]: without INDEX all LEDs of the chain; with
 TRANSMIT=0 only remembered until the next transmission; with SYNC=0 at once instead of in step with the moves.
+SET_LED_TEMPLATE lets it follow the printer's status (led_template.py).
 """
 
 from __future__ import annotations
@@ -29,8 +30,15 @@ class LEDHelper:
         self.led_state: list[Color] = [(initial[0], initial[1], initial[2], initial[3])] * led_count
         self.need_transmit = False
         name = config.get_name().split(maxsplit=1)[-1]
-        self.printer.lookup_object("gcode").register_mux_command(
-            "SET_LED", "LED", name, self.cmd_SET_LED, desc="Set the color of an LED"
+        gcode = self.printer.lookup_object("gcode")
+        gcode.register_mux_command("SET_LED", "LED", name, self.cmd_SET_LED, desc="Set the color of an LED")
+        templates = self.printer.load_object(config, "led_template")
+        gcode.register_mux_command(
+            "SET_LED_TEMPLATE",
+            "LED",
+            name,
+            lambda gcmd: templates.assign(self, gcmd),
+            desc="Assign a display_template to an LED",
         )
 
     def get_led_count(self) -> int:

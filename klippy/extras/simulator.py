@@ -29,6 +29,7 @@ LINE_BAUD = 250000.0
 LINE_LATENCY_S = 0.0005  # a USB serial adapter's turn-round, both directions alike
 FAN_SPIN_UP_S = 0.2
 FILAMENT_DIAMETER_MM = 1.75
+MCU_BUILDS = ("simulator", "stm32f334", "atmega2560")
 
 
 class ParameterRow(Protocol):
@@ -52,7 +53,10 @@ class SimulatorSettings:
 
 @dataclass(frozen=True, slots=True)
 class McuSettings:
-    """[simulator mcu NAME]. Probabilities are per byte and direction; with baud 0 bytes take no time."""
+    """[simulator mcu NAME]. Probabilities are per byte and direction; with baud 0 bytes take no time.
+
+    `build`: which build of the firmware it runs; a chip's image runs on an emulator, whose line has the chip's baud.
+    """
 
     name: str
     clock_ppm: float = 0.0
@@ -62,6 +66,7 @@ class McuSettings:
     corrupt: float = 0.0
     drop: float = 0.0
     duplicate: float = 0.0
+    build: str = "simulator"
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,6 +157,7 @@ def _read_mcu(config: Any, name: str) -> McuSettings:
         corrupt=chance("corrupt"),
         drop=chance("drop"),
         duplicate=chance("duplicate"),
+        build=config.getchoice("build", {name: name for name in MCU_BUILDS}, "simulator"),
     )
 
 

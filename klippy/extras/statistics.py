@@ -60,7 +60,9 @@ class PrinterStats:
     def _report(self, eventtime: float) -> float:
         reports = [source(eventtime) for source in self._sources]
         if any(active for active, _ in reports):
-            logging.info("Stats %.1f: %s", eventtime, " ".join(text for _, text in reports if text))
+            # an object may be known by two names: say everything once
+            texts = dict.fromkeys(text for _, text in reports if text)
+            logging.info("Stats %.1f: %s", eventtime, " ".join(texts))
         return eventtime + _PERIOD_S
 
 

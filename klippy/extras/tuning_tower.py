@@ -126,8 +126,7 @@ class TuningTower:
 
 
 def load_config(config: Any) -> TuningTower:
-    """Loaded with the toolhead."""
-    config.get_printer().load_object(config, "gcode_move")
+    """Always loaded."""
     tower = TuningTower(config.get_printer())
     tower.register()
     return tower

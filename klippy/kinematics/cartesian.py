@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from kinematics.axes import LinearKinematics, LinearMachine
+from kinematics import idex
+from kinematics.axes import BoxKinematics, LinearKinematics, LinearMachine
 
 MACHINE = LinearMachine(
     (("cartesian_stepper_alloc", b"x"), ("cartesian_stepper_alloc", b"y"), ("cartesian_stepper_alloc", b"z")),
@@ -12,7 +13,9 @@ MACHINE = LinearMachine(
 )
 
 
-def load_kinematics(toolhead: Any, config: Any) -> LinearKinematics:
+def load_kinematics(toolhead: Any, config: Any) -> BoxKinematics:
+    if config.has_section(idex.SECTION):
+        return idex.load_dual(toolhead, config, MACHINE, "xy")
     return LinearKinematics(toolhead, config, MACHINE)
 
 

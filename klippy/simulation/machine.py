@@ -26,6 +26,7 @@ from extras.simulator import (
     SimulatorSettings,
 )
 
+from .builds import Build, make_build
 from .world import Pin, World, WorldError, parameter_values
 
 Config = Mapping[str, Mapping[str, str]]
@@ -40,7 +41,7 @@ Settings = (
 )
 _T = TypeVar("_T")
 
-_PIN = re.compile(r"^(?P<marks>[!^~ ]*)(?:(?P<mcu>[^:]+):)? *P(?P<port>[A-H])(?P<number>\d{1,2})$")
+_PIN = re.compile(r"^(?P<marks>[!^~ ]*)(?:(?P<mcu>[^:]+):)? *(?P<name>\w+)$")
 _ROLES = {"x": "X", "y": "Y", "z": "Z", "extruder": "E"}
 _SLACK_MM = 2.0  # how far the frame lets an axis go beyond what the host thinks possible
 
@@ -51,6 +52,7 @@ class Machine:
 
     world: World
     mcus: dict[str, int] = field(default_factory=dict)
+    builds: dict[str, Build] = field(default_factory=dict)  # what each MCU runs
     serials: dict[str, str] = field(default_factory=dict)  # serial path → name of the MCU
     axes: dict[str, int] = field(default_factory=dict)
     fans: dict[str, int] = field(default_factory=dict)
@@ -59,13 +61,15 @@ class Machine:
     trace_rate_hz: float = SimulatorSettings().trace_rate_hz
 
 
-def assemble(world: World, settings: Iterable[Settings], config: Config) -> Machine:
-    """Build everything the config describes. Raises WorldError."""
+def assemble(
+    world: World, settings: Iterable[Settings], config: Config, builds: Mapping[str, str] | None = None
+) -> Machine:
+    """Build everything the config describes; `builds`: MCU → build in place of the config's. Raises WorldError."""
     things = list(settings)
     machine = Machine(world)
     for recording in _of(things, SimulatorSettings):
         machine.trace_rate_hz = recording.trace_rate_hz
-    _add_mcus(machine, {mcu.name: mcu for mcu in _of(things, McuSettings)}, config)
+    _add_mcus(machine, {mcu.name: mcu for mcu in _of(things, McuSettings)}, config, builds or {})
     for axis in _of(things, AxisSettings):
         machine.axes[axis.name] = _add_axis(machine, axis, config)
     for fan in _of(things, FanSettings):
@@ -87,15 +91,26 @@ def _of(things: list[Settings], kind: type[_T]) -> list[_T]:
 # --- MCUs and pins ---
 
 
-def _add_mcus(machine: Machine, known: dict[str, McuSettings], config: Config) -> None:
+def _add_mcus(
+    machine: Machine, known: dict[str, McuSettings], config: Config, builds: Mapping[str, str]
+) -> None:
     for section, options in config.items():
         words = section.split(None, 1)
         if words[:1] != ["mcu"]:
             continue
         name = words[1] if len(words) > 1 else "mcu"
         mcu = known.pop(name, None) or McuSettings(name)
+        build = make_build(builds.get(name, mcu.build))
+        machine.builds[name] = build
         machine.mcus[name] = machine.world.add_mcu(
-            mcu.clock_ppm, mcu.baud, mcu.latency_s, mcu.jitter_s, mcu.corrupt, mcu.drop, mcu.duplicate
+            mcu.clock_ppm,
+            mcu.baud,
+            mcu.latency_s,
+            mcu.jitter_s,
+            mcu.corrupt,
+            mcu.drop,
+            mcu.duplicate,
+            build=build,
         )
         if "serial" in options:
             machine.serials[options["serial"]] = name
@@ -106,15 +121,17 @@ def _add_mcus(machine: Machine, known: dict[str, McuSettings], config: Config) -
         )
 
 
-def parse_pin(text: str, mcus: Mapping[str, int], where: str) -> Pin:
+def parse_pin(text: str, machine: Machine, where: str) -> Pin:
     """'!mcu:PA3' → Pin. Pull-ups play no part: a simulated switch drives its line both ways."""
     match = _PIN.match(text.strip())
-    if match is None or int(match["number"]) > 15:
-        raise WorldError(f"{where}: '{text}' is not a pin of the simulated MCU, whose pins are PA0 to PH15.")
-    name = (match["mcu"] or "mcu").strip()
-    if name not in mcus:
+    name = (match["mcu"] or "mcu").strip() if match else "mcu"
+    if name not in machine.mcus:
         raise WorldError(f"{where}: pin '{text}' names the MCU '{name}', which is not in the config.")
-    return Pin(mcus[name], (ord(match["port"]) - ord("A")) * 16 + int(match["number"]), "!" in match["marks"])
+    build = machine.builds[name]
+    number = build.pin(match["name"]) if match else None
+    if match is None or number is None:
+        raise WorldError(f"{where}: '{text}' is not a pin of the MCU '{name}' (build {build.name}).")
+    return Pin(machine.mcus[name], number, "!" in match["marks"])
 
 
 def _pin(machine: Machine, given: str | None, config: Config, section: str, option: str, where: str) -> Pin:
@@ -123,7 +140,7 @@ def _pin(machine: Machine, given: str | None, config: Config, section: str, opti
         raise WorldError(
             f"Section '{where}' needs option '{option}', as section '{section}' does not give it."
         )
-    return parse_pin(text, machine.mcus, f"Section '{where}', {option}")
+    return parse_pin(text, machine, f"Section '{where}', {option}")
 
 
 # --- axes ---
@@ -146,9 +163,7 @@ def _add_axis(machine: Machine, axis: AxisSettings, config: Config) -> int:
         raise WorldError(f"Section '{where}': position_min must be below position_max.")
     endstop_mm = _first(axis.endstop_mm, _number(belief, "position_endstop", low + _SLACK_MM, where))
     endstop_text = axis.endstop_pin or belief.get("endstop_pin")
-    endstop = (
-        parse_pin(endstop_text, machine.mcus, f"Section '{where}', endstop_pin") if endstop_text else None
-    )
+    endstop = parse_pin(endstop_text, machine, f"Section '{where}', endstop_pin") if endstop_text else None
     start_mm = _first(axis.start_mm, low + 0.4 * (high - low))
     return machine.world.add_axis(
         role,

@@ -68,14 +68,19 @@ class _Terminal:
 
 
 class RealTimePrinter:
-    """The machine of a config file in real time. `terminals`: name of an MCU → path of its terminal."""
+    """The machine of a config file in real time. By MCU: `terminals`, paths; `builds`, what they run."""
 
     def __init__(
-        self, config: Path, terminals: Mapping[str, Path], seed: int = 1, trace: Path | None = None
+        self,
+        config: Path,
+        terminals: Mapping[str, Path],
+        seed: int = 1,
+        trace: Path | None = None,
+        builds: Mapping[str, str] | None = None,
     ) -> None:
         settings, text = read_settings(config)
         self.world = World(seed)
-        self.machine: Machine = assemble(self.world, settings, text)
+        self.machine: Machine = assemble(self.world, settings, text, builds)
         self.world.open_trace(trace, self.machine.trace_rate_hz)
         paths = {name: Path(serial) for serial, name in self.machine.serials.items()}
         paths.update(terminals)

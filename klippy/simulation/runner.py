@@ -12,8 +12,8 @@ from __future__ import annotations
 import gc
 import shlex
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,10 @@ class Progress:
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """What to print on what. `overrides`: (section, option, value) over the config file."""
+    """What to print on what.
+
+    `overrides`: (section, option, value) over the config file; `builds`: MCU → the build it runs.
+    """
 
     config: Path
     gcode: Path
@@ -58,6 +61,7 @@ class RunOptions:
     trace: Path | None = None
     until_s: float | None = None
     on_progress: Callable[[Progress], None] | None = None
+    builds: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +141,8 @@ class Simulation:
         sections = [section for _, section in self.printer.lookup_objects("simulator")]
         config = self.printer.lookup_object("configfile").get_status(0.0)["config"]
         try:
-            machine = assemble(self.world, [section.settings for section in sections], config)
+            settings = [section.settings for section in sections]
+            machine = assemble(self.world, settings, config, self.options.builds)
             self.world.open_trace(self.options.trace, machine.trace_rate_hz)
         except WorldError as e:
             raise self.printer.config_error(str(e)) from None
@@ -195,7 +200,16 @@ class Simulation:
         if until_s is not None and now - self.world.start_s >= until_s:
             self._end(PRINTED, f"stopped after {until_s:g} simulated seconds, as asked")
             return False
-        return not self._printer_failed()
+        return not (self._chip_failed() or self._printer_failed())
+
+    def _chip_failed(self) -> bool:
+        """The model of an emulated chip objects to its firmware: nothing after that means anything."""
+        try:
+            self.world.check()
+        except WorldError as e:
+            self._end(SHUT_DOWN, f"the emulated chip objects: {e}")
+            return True
+        return False
 
     def _printer_failed(self) -> bool:
         message, state = self.printer.get_state_message()

@@ -1,15 +1,12 @@
-"""The simulated world (src/simulator/world_api.h) for Python: building, loading, a thin typed shell.
+"""The simulated world (src/simulator/world_api.h) for Python: loading, a thin typed shell.
 
 Units as in world_api.h: seconds, mm, °C. Nothing here decides anything.
 """
 
 from __future__ import annotations
 
-import fcntl
-import json
 import os
 import shutil
-import subprocess
 import tempfile
 from dataclasses import dataclass
 from functools import lru_cache
@@ -18,16 +15,13 @@ from typing import Any
 
 import cffi
 
-ROOT = Path(__file__).resolve().parent.parent.parent
-BUILD_DIR = ROOT / "out" / "simulator"
+from .builds import OUT, ROOT, SIMULATOR, Build, WorldError, make
+
+BUILD_DIR = OUT / "simulator"
 WORLD_LIBRARY = BUILD_DIR / "libferrite_world.so"
-MCU_LIBRARY = BUILD_DIR / "libferrite_mcu.so"
-MCU_DICTIONARY = BUILD_DIR / "ferrite.dict"
+MCU_LIBRARY = SIMULATOR.library
+MCU_DICTIONARY = SIMULATOR.dictionary
 API_HEADER = ROOT / "src" / "simulator" / "world_api.h"
-
-
-class WorldError(Exception):
-    """The simulated world cannot be built or made; the text is for people."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,30 +47,7 @@ class Pin:
 
 def build() -> None:
     """Bring the simulated firmware and the world library up to date. Raises WorldError."""
-    BUILD_DIR.mkdir(parents=True, exist_ok=True)
-    with open(BUILD_DIR / ".lock", "w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)  # test workers start together
-        try:
-            done = subprocess.run(
-                [
-                    "make",
-                    "-s",
-                    "--no-print-directory",
-                    *(str(p.relative_to(ROOT)) for p in (MCU_LIBRARY, WORLD_LIBRARY)),
-                ],
-                cwd=ROOT,
-                capture_output=True,
-                text=True,
-                check=False,
-            )
-        except FileNotFoundError:
-            if WORLD_LIBRARY.exists() and MCU_LIBRARY.exists():
-                return
-            raise WorldError(
-                "The simulator has to be built once, and make is not installed (apt-get install make gcc)."
-            ) from None
-    if done.returncode:
-        raise WorldError("The simulator does not build:\n" + (done.stderr.strip() or done.stdout.strip()))
+    make((MCU_LIBRARY, WORLD_LIBRARY), "The simulator")
 
 
 @lru_cache(maxsize=1)
@@ -85,12 +56,6 @@ def get_world_ffi() -> tuple[Any, Any]:
     ffi = cffi.FFI()
     ffi.cdef("\n".join(line for line in API_HEADER.read_text().splitlines() if not line.startswith("#")))
     return ffi, ffi.dlopen(str(WORLD_LIBRARY))
-
-
-@lru_cache(maxsize=1)
-def mcu_clock_hz() -> float:
-    """Nominal clock of the simulated firmware, from its own dictionary."""
-    return float(json.loads(MCU_DICTIONARY.read_text())["config"]["CLOCK_FREQ"])
 
 
 _PRESETS = {"nozzle": ("reference", "strong"), "load": ("hotend", "bed")}
@@ -162,9 +127,15 @@ class World:
         corrupt: float = 0.0,
         drop: float = 0.0,
         duplicate: float = 0.0,
-        library: Path = MCU_LIBRARY,
+        library: Path | None = None,
+        build: Build = SIMULATOR,
     ) -> int:
-        """One more MCU: its own copy of the firmware, so that it has its own variables. Returns its index."""
+        """One more MCU: its own copy of the firmware, so that it has its own variables. Returns its index.
+
+        `library` in place of the build's; the line of an emulated chip has the chip's own baud rate.
+        """
+        library = library or build.library
+        baud = 0.0 if build.emulated else baud
         link = self.ffi.new(
             "struct world_link_options *", (baud, latency_s, jitter_s, corrupt, drop, duplicate)
         )
@@ -172,9 +143,12 @@ class World:
         os.close(handle)
         try:
             shutil.copyfile(library, copy)
-            return self._index(
-                self.lib.world_add_mcu(self.pointer, copy.encode(), mcu_clock_hz(), clock_ppm, link)
+            index = self._index(
+                self.lib.world_add_mcu(self.pointer, copy.encode(), build.clock_hz, clock_ppm, link)
             )
+            if build.image is not None:
+                self._index(self.lib.world_load_image(self.pointer, index, os.fspath(build.image).encode()))
+            return index
         except FileNotFoundError:
             raise WorldError(
                 f"The simulated firmware {library} is not there; `make sim` builds it."
@@ -250,8 +224,15 @@ class World:
 
     # --- running ---
     def advance(self, until_s: float) -> int:
-        """Let time pass; returns a bit per MCU whose host queue holds messages."""
-        return int(self.lib.world_advance(self.pointer, until_s))
+        """Let time pass; returns a bit per MCU whose host queue holds messages. Raises WorldError, see `check`."""
+        waiting = int(self.lib.world_advance(self.pointer, until_s))
+        self.check()
+        return waiting
+
+    def check(self) -> None:
+        """Raises WorldError if the model of an emulated chip has objected to what its firmware did."""
+        if self.lib.world_failed(self.pointer):
+            raise WorldError(self.ffi.string(self.lib.world_error(self.pointer)).decode())
 
     def feed_bytes(self, mcu: int, data: bytes) -> None:
         """Bytes from an outside host, for an MCU without attached queue."""

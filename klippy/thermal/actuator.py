@@ -16,8 +16,10 @@ requests.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+from .control_api import Planned
 from .estimator import SENSING_PHASE_TICKS
 from .records import PHASE_MAX_TICKS, PhaseCommand
 
@@ -121,3 +123,24 @@ def actuate(
         PhaseCommand(time_s, parameters.phase_low_ticks, parameters.power_low_w),
         PhaseCommand(end_s, 0, 0.0),
     ]
+
+
+def ahead(
+    parameters: ActuatorParameters, first: PhaseCommand, horizon: Sequence[Planned]
+) -> list[PhaseCommand]:
+    """Commands after `first` that follow a law's horizon; told for the case that nothing newer arrives.
+
+    Below the least useful phase the bridge is off or at that phase, whichever is nearer: pulses are booked only
+    when they are sure to come.
+    """
+    law, low_w = parameters.law, parameters.power_low_w
+    commands, before = [], first
+    for planned in horizon:
+        phase = round(law.phase_ticks(planned.value))
+        if phase < parameters.phase_low_ticks:
+            phase = parameters.phase_low_ticks if planned.value > 0.5 * low_w else 0
+        if phase == before.phase_ticks or planned.time_s <= before.time_s:
+            continue
+        before = PhaseCommand(planned.time_s, phase, law.power_w(phase))
+        commands.append(before)
+    return commands

@@ -21,7 +21,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Generic, Protocol, TypeVar
+from typing import Generic, NamedTuple, Protocol, TypeVar
 
 
 class ParameterError(ValueError):
@@ -87,11 +87,30 @@ class Schedule:
 IDLE = Schedule()
 
 
+class Sample(NamedTuple):
+    """One measurement, and the output in force from the end of the sample before until `end_s`."""
+
+    time_s: float  # the instant temp_c belongs to
+    end_s: float
+    temp_c: float  # NaN: nothing measured, the output still counts
+    sigma_c: float  # 1 sigma of its random part; 0: the parameters' own
+    output: float
+    rebased: bool = False  # the sensing law jumped here: no slope, nothing to learn from
+
+
+@dataclass(frozen=True, slots=True)
+class Planned:
+    """`value` (output units) from `time_s` on."""
+
+    time_s: float
+    value: float
+
+
 @dataclass(frozen=True, slots=True)
 class ControlInput:
     """What every controller sees."""
 
-    reference_c: float  # wanted at apply_s
+    reference_c: float  # wanted at apply_s; 0 or less: heater off
     measured_c: float  # NaN: nothing measured this time
     feedforward: float = 0.0  # in output units, on top of what the law knows itself
     limit: float = math.inf  # output limit of this step, on top of the parameters' own
@@ -102,16 +121,13 @@ class ControlInput:
         math.nan
     )  # from when this output will be in force; NaN: time_s + the parameters' own delay
     reference: Reference | None = None  # the wanted temperature ahead; None: reference_c from now on
+    hold_s: float = math.nan  # for how long; NaN: the parameters' own
+    samples: tuple[Sample, ...] = ()  # what measured_c is the newest of, where there are several to a step
+    pending: tuple[Planned, ...] | None = (
+        None  # decided before, in force until apply_s; None: as this law returned it
+    )
     flow_mm3_s: Schedule = IDLE  # planned extrusion, past and ahead
     fan: Schedule = IDLE  # part fan 0..1, past and ahead
-
-
-@dataclass(frozen=True, slots=True)
-class Planned:
-    """`value` (output units) from `time_s` on."""
-
-    time_s: float
-    value: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,8 +12,8 @@ Against infrared measurements of ABS (Seppala & Migler 2016, doi 10.1016/j.addma
 about 1 s, falling about 100 K/s) the time above Tg agrees in order; the rate at the weld is about a quarter of
 the measured one, so the law keeps welds warm too long right after laying.
 
-The map is a grid of columns that keeps the newest road only: memory goes with the area of the part, not with
-the number of moves.
+The map is a grid of columns that keeps two roads each: memory goes with the area of the part, not with the
+number of moves. `DepositMap` is the readable form; a print runs chelper/tempplan.c, which the tests hold to it.
 """
 
 from __future__ import annotations
@@ -72,54 +72,88 @@ def weld_c(
     return around_c + (base_c - around_c + 0.5 * (laid_c - base_c) * math.erf(thick_mm / reach_mm)) * kept
 
 
-Laid = tuple[float, float, float, float, float]  # time s, z mm, laid degC, base degC, thickness mm
+@dataclass(frozen=True, slots=True)
+class Road:
+    """Laid at `time_s` and `laid_c` on something at `base_c`."""
+
+    time_s: float
+    z_mm: float
+    laid_c: float
+    base_c: float
+    thick_mm: float
+
+
+@dataclass(slots=True)
+class Column:
+    """The newest road of the newest layer, that of the layer below, and what the present pass met."""
+
+    top: Road
+    under: Road | None
+    met_c: float
+    odometer_mm: float  # path of the head when it was last here
 
 
 class DepositMap:
-    """The newest road in every column of a square grid."""
+    """The newest roads in every column of a square grid.
+
+    A road is laid in pieces far shorter than a column; its own fresh material is no substrate. A touch within
+    `SAME_PASS_CELLS` of path after the last one belongs to the same pass and meets what the pass met when it came.
+    A later road of the same layer has the layer below under it and its neighbour beside it: the contact's
+    temperature is their mean, weighted with width and height of the road.
+    """
+
+    SAME_PASS_CELLS = 1.5  # the diagonal of a cell is 1.41
+    SAME_LAYER = 0.5  # of the road's thickness
 
     def __init__(self, material: Material, surroundings: Surroundings, cell_mm: float = 2.0) -> None:
         self.material = material
         self.surroundings = surroundings
         self.cell_mm = cell_mm
-        self._cells: dict[tuple[int, int], Laid] = {}
+        self._cells: dict[tuple[int, int], Column] = {}
 
     def __len__(self) -> int:
         return len(self._cells)
 
-    def _cell(self, x_mm: float, y_mm: float) -> tuple[int, int]:
-        return math.floor(x_mm / self.cell_mm), math.floor(y_mm / self.cell_mm)
-
-    def substrate_c(self, x_mm: float, y_mm: float, time_s: float, fan: float = 0.0) -> float:
-        """What a road laid here and now meets: the newest road of the column, else the bed."""
-        laid = self._cells.get(self._cell(x_mm, y_mm))
+    def road_c(self, road: Road | None, time_s: float, fan: float = 0.0) -> float:
+        """Upper side of a road now; without a road that is the bed."""
         around = self.surroundings
-        if laid is None:
+        if road is None:
             return around.bed_c
-        then_s, z_mm, laid_c, base_c, thick_mm = laid
         h = around.still_w_m2k + fan * around.fan_w_m2k
-        around_c = around.around_c(z_mm)
-        return surface_c(self.material, laid_c, base_c, around_c, h, thick_mm, time_s - then_s)
+        around_c = around.around_c(road.z_mm)
+        age_s = time_s - road.time_s
+        return surface_c(self.material, road.laid_c, road.base_c, around_c, h, road.thick_mm, age_s)
 
     def lay(
         self,
-        x_mm: float,
-        y_mm: float,
-        z_mm: float,
+        at_mm: tuple[float, float, float],
         time_s: float,
         melt_c: float,
         thick_mm: float,
+        odometer_mm: float,
+        width_mm: float = 0.45,
         fan: float = 0.0,
     ) -> float:
-        """Put a road down; returns the temperature of the substrate it met.
-
-        A second road of the same layer in the column finds its neighbour; the column's base stays the one of
-        the first, since the neighbour does not lie below.
-        """
-        met_c = self.substrate_c(x_mm, y_mm, time_s, fan)
-        key = self._cell(x_mm, y_mm)
-        before = self._cells.get(key)
-        same_layer = before is not None and abs(before[1] - z_mm) < 0.5 * thick_mm
-        base_c = before[3] if before is not None and same_layer else met_c
-        self._cells[key] = (time_s, z_mm, melt_c, base_c, thick_mm)
-        return met_c
+        """Put a short piece of road down; returns the temperature of what it met."""
+        x_mm, y_mm, z_mm = at_mm
+        key = math.floor(x_mm / self.cell_mm), math.floor(y_mm / self.cell_mm)
+        column = self._cells.get(key)
+        if column is None:
+            met_c = self.surroundings.bed_c
+            self._cells[key] = Column(Road(time_s, z_mm, melt_c, met_c, thick_mm), None, met_c, odometer_mm)
+            return met_c
+        same_layer = abs(column.top.z_mm - z_mm) < self.SAME_LAYER * thick_mm
+        passed_mm = odometer_mm - column.odometer_mm
+        column.odometer_mm = odometer_mm
+        if same_layer and passed_mm <= self.SAME_PASS_CELLS * self.cell_mm:
+            return column.met_c
+        top_c = self.road_c(column.top, time_s, fan)
+        if same_layer:
+            below_c = self.road_c(column.under, time_s, fan)
+            column.met_c = (width_mm * below_c + thick_mm * top_c) / (width_mm + thick_mm)
+            base_c = column.top.base_c
+        else:
+            column.met_c = base_c = top_c
+            column.under = column.top
+        column.top = Road(time_s, z_mm, melt_c, base_c, thick_mm)
+        return column.met_c

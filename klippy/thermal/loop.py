@@ -1,14 +1,17 @@
 """The whole chain of one induction nozzle, without a printer: blocks in, phase commands out.
 
-    on_blocks(blocks, now) ─ features ─ estimate ─ track ─ PID + loss feed-forward ─ actuate ─> [PhaseCommand]
+    on_blocks(blocks, now) ─ features ─ estimate ─ track ─ control law ─ actuate ─> [PhaseCommand]
     on_timer(now)          ─ the same without news: keeps the bridge's watchdog fed, or steps back to sensing
 
 When: a message brings the blocks of about 5 ms; each one makes a control step. The new phase is to start on
 the edge between two blocks, so that no block is cut: the first edge that lies at least `lead_s` ahead (time
 for the command to reach the MCU and for a busy host). A misjudged edge costs one short block, nothing else.
+The commands a verb returns replace all that the bridge was told for times from the first of them on: a law
+with a model sends along what it means to do next, and a host that comes late has already said it.
 
-    blocks  |settle|--block--|--block--|--block--|--block--|
-                             ^ known edge        ^ edge >= now + lead: the command's time
+Which law: any of control_api's (`LoopParameters.control`). A law without a model is given the filtered
+temperature and the static losses as feed-forward; the model law gets the blocks, what is pending, and the
+planned flow and reference ahead.
 
 The bridge turns itself off when it hears nothing for `max_duration`; `refresh_s` is a third of that. A loop
 that has not seen a temperature for `stale_s` does not heat on blindly: it falls back to the least phase that
@@ -18,26 +21,18 @@ still measures.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
-from . import actuator, control, estimator, features, model, plausible, supervise, track
+from . import actuator, control_api, estimator, features, model, plausible, supervise, track
 from .records import PhaseCommand, PowerRequest, SampleBlock, TempEstimate
+from .timeline import NOT_COMMANDED, TIME_SLACK_S, Timeline, Timing
+
+__all__ = ["NOT_COMMANDED", "Approach", "Control", "InductionLoop", "LoopParameters", "LoopState", "Timing"]
 
 BALANCE_S = 0.1
-TIME_SLACK_S = 1e-7  # rounding of print times against clocks, far below a bridge period
-
-
-@dataclass(frozen=True, slots=True)
-class Timing:
-    """When commands may start and how blocks lie in time."""
-
-    block_s: float  # whole block
-    settle_s: float  # discarded after a phase step
-    lead_s: float  # a command is sent at least this much before it holds
-    refresh_s: float  # longest time between commands while the bridge is on
-    stale_s: float = 0.15  # no temperature for this long: stop heating blindly
-    control_s: float = 0.0  # commands are at least this much apart: a step costs settling samples
+RESAY_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +54,22 @@ class Approach:
 
 
 @dataclass(frozen=True, slots=True)
+class Control:
+    """A control law with its parameters; output in watts."""
+
+    law: control_api.Law[Any, Any]
+    parameters: Any
+    power_max_w: float
+    models: bool = False  # the law knows losses, delays and flow itself
+
+
+@dataclass(frozen=True, slots=True)
 class LoopParameters:
     """Everything one nozzle's chain is told."""
 
     front: features.FeatureParameters
     estimator: estimator.EstimatorParameters
-    pid: control.PidParameters  # watts
+    control: Control
     loss: model.LossLaw
     actuator: actuator.ActuatorParameters
     supervise: supervise.SuperviseParameters
@@ -79,7 +84,6 @@ BlockListener = Callable[[SampleBlock, TempEstimate | None, float], None]
 
 # Where a chain begins.
 NO_REQUEST = PowerRequest(-math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-NOT_COMMANDED = PhaseCommand(-math.inf, 0, 0.0)
 NOT_MEASURED = TempEstimate(math.nan, math.nan, math.nan, math.nan, math.nan, 0, False, "not measured yet")
 
 
@@ -90,12 +94,14 @@ class LoopState:
     target_c: float = 0.0
     estimate: TempEstimate = NOT_MEASURED  # newest valid one
     request: PowerRequest = NO_REQUEST
-    commanded: PhaseCommand = NOT_COMMANDED  # newest command sent
+    line: Timeline = field(default_factory=Timeline)  # commands sent
+    sampled_fraction: float = 0.0  # p of the newest block with a temperature
+    horizon: tuple[control_api.Planned, ...] = ()  # what the law means to do after its request
+    samples: list[control_api.Sample] = field(default_factory=list)  # since the newest control step
     decided_s: float = -math.inf  # last control step
-    edge_s: float = -math.inf  # an edge between two blocks
     settled_s: float = math.inf  # since when the estimate has been near the target
     arriving: bool = False  # near the target, power limited
-    pid: control.PidState = field(default_factory=control.PidState)
+    law: Any = None  # memory of the control law
     actuator: actuator.ActuatorState = field(default_factory=actuator.ActuatorState)
     supervise: supervise.SuperviseState = field(default_factory=supervise.SuperviseState)
     track: track.TrackState = field(default_factory=track.TrackState)
@@ -105,6 +111,11 @@ class LoopState:
     noise: features.NoiseState = field(default_factory=features.NoiseState)
     warning: str = ""  # plausibility: text for people
     latency_s: float = 0.0  # newest: from the centre of a block to its value here
+
+    @property
+    def commanded(self) -> PhaseCommand:
+        """Newest command sent, the last of a plan."""
+        return self.line.newest
 
 
 class InductionLoop:
@@ -118,6 +129,10 @@ class InductionLoop:
         self.state = LoopState()
         self.listeners: list[BlockListener] = []  # told of every block, in order
         self.quiet = True  # told from outside: neither melt nor fan takes heat
+        self.flow = control_api.IDLE  # told from outside: planned extrusion, mm^3/s
+        self.fan = control_api.IDLE  # told from outside: part fan, 0..1
+        self.reference: control_api.Reference | None = None
+        self.state.law = parameters.control.law.start
 
     @property
     def fault(self) -> str:
@@ -133,14 +148,41 @@ class InductionLoop:
         state = self.state
         if target_c == state.target_c:
             return []
-        if target_c <= 0.0 or state.target_c <= 0.0:
-            state.pid = control.PidState()
+        if (target_c <= 0.0 or state.target_c <= 0.0) and not self.parameters.control.models:
+            state.law = self.parameters.control.law.start
         state.target_c = target_c
+        self.reference = None
         state.settled_s = math.inf
         state.arriving = False
         if state.estimate.valid:
-            self._decide(state.estimate, state.estimate.phase_ticks, now_s)
+            self._decide(state.estimate, state.estimate.phase_ticks, now_s, apart_s=0.0)
         return self._command(now_s, apart_s=0.0)
+
+    def set_reference(self, points: Sequence[tuple[float, float]], now_s: float) -> list[PhaseCommand]:
+        """The wanted temperature over time, (print time, degC) corners of straight lines: known ahead, met on time.
+
+        Replaces the one before. `target_c` follows it; after the last corner its temperature stays the target.
+        set_target ends it. An empty list leaves the target where it is.
+        """
+        if not points:
+            self.reference = None
+            return []
+        self.reference = control_api.Reference.of(points)
+        if self.state.target_c <= 0.0:
+            return []  # the heater is off: a plan alone does not turn it on
+        self._follow_reference(now_s)
+        return []
+
+    def _follow_reference(self, now_s: float) -> None:
+        if self.reference is not None and self.state.target_c > 0.0:
+            self.state.target_c = self.reference.at(now_s)
+
+    def use(self, parameters: LoopParameters) -> None:
+        """Go on with other parameters; another law begins without memory."""
+        if parameters.control.law is not self.parameters.control.law:
+            self.state.law = parameters.control.law.start
+            self.state.samples = []
+        self.parameters = parameters
 
     def on_blocks(self, blocks: list[SampleBlock], now_s: float) -> list[PhaseCommand]:
         """Blocks of one message arrived."""
@@ -157,13 +199,15 @@ class InductionLoop:
             self._note_settled(news)
             self._note_balance(news)
             self._decide(news, before.phase_ticks, now_s)
+        elif state.samples:  # blocks without a temperature still tell the model what heat went in
+            self._decide(state.estimate, 0, now_s)
         return self._step(now_s)
 
     def _take(self, block: SampleBlock) -> TempEstimate | None:
         """One block through conversion, supervision and filter."""
         parameters, state = self.parameters, self.state
         end_s = block.time_s + block.duration_s
-        state.edge_s = end_s
+        state.line.edge_s = end_s
         result = None
         if block.phase_ticks:
             result = estimator.estimate(parameters.estimator, features.extract(parameters.front, block))
@@ -172,10 +216,30 @@ class InductionLoop:
         settle_s = block.discarded * block.duration_s / block.count
         state.heat_j += heat_w * (block.duration_s + settle_s)
         features.note_noise(state.noise, block)
-        return track.track(parameters.track, state.track, block, heat_w, result)
+        found = track.track(parameters.track, state.track, block, heat_w, result)
+        if parameters.control.models:
+            self._note_sample(block, heat_w, result if found is not None else None)
+        return found
+
+    def _note_sample(self, block: SampleBlock, heat_w: float, seen: TempEstimate | None) -> None:
+        """For the model law: each block's own temperature, and the heat since the block before."""
+        state, phase_max = self.state, self.parameters.front.phase_max_ticks
+        end_s = block.time_s + block.duration_s
+        centre_s = block.time_s + 0.5 * block.duration_s
+        if seen is None:
+            state.samples.append(control_api.Sample(centre_s, end_s, math.nan, 0.0, heat_w))
+            return
+        fraction = features.power_fraction(block.phase_ticks, phase_max)
+        jump = abs(fraction - state.sampled_fraction) > self.parameters.approach.rebase_fraction
+        state.sampled_fraction = fraction
+        # With the law's residual, not the noise alone: it moves with the phase, and a law that is off by a degree
+        # must not be taken for heat.
+        state.samples.append(control_api.Sample(centre_s, end_s, seen.temp_c, seen.sigma_c, heat_w, jump))
 
     def on_timer(self, now_s: float) -> list[PhaseCommand]:
         """Nothing came for a while; also the regular watch."""
+        if self.parameters.control.models:
+            self._decide(self.state.estimate, 0, now_s)
         return self._step(now_s)
 
     def resume(self, now_s: float) -> None:
@@ -183,13 +247,16 @@ class InductionLoop:
         self.start(now_s)
         self.restart_filter()
         self.state.estimate = NOT_MEASURED
-        self.state.commanded = PhaseCommand(now_s, 0, 0.0)
+        self.state.line.note([PhaseCommand(now_s, 0, 0.0)], now_s)
+        self.state.samples = []
+        self.state.law = self.parameters.control.law.start
         self.state.actuator = actuator.ActuatorState()
         self.state.request = NO_REQUEST
 
     def restart_filter(self) -> None:
         """The law changed: what the filter and the balance remember was told by another one."""
         self.state.track = track.TrackState()
+        self.state.law = self.parameters.control.law.start
         self.state.plausible = plausible.PlausibleState()
         self.state.warning = ""
 
@@ -224,34 +291,71 @@ class InductionLoop:
             state.arriving = True
         elif below_c > approach.leave_c:
             state.arriving = False
+        if self.parameters.control.models and approach.rebase_fraction == math.inf:
+            return math.inf  # the law follows the drive, and the control knows when to stop
         return approach.power_w if state.arriving else math.inf
 
-    def _decide(self, news: TempEstimate, phase_before: int, now_s: float) -> None:
-        """PID on the newest temperature; keeps the request with its terms."""
+    def _decide(self, news: TempEstimate, phase_before: int, now_s: float, apart_s: float = math.inf) -> None:
+        """The control law on the newest temperature; keeps the request with its terms."""
         state, parameters = self.state, self.parameters
-        if state.target_c <= 0.0:
+        self._follow_reference(now_s)
+        if state.target_c <= 0.0 and not parameters.control.models:
             state.request = PowerRequest(now_s, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             return
+        if parameters.control.models:
+            inputs = self._model_input(news, now_s, apart_s)
+        else:
+            inputs = self._plain_input(news, phase_before)
+        self._apply(inputs, news.time_s, now_s)
+
+    def _apply(self, inputs: control_api.ControlInput, time_s: float, now_s: float) -> None:
+        state, chosen = self.state, self.parameters.control
+        out, state.law = chosen.law.step(chosen.parameters, state.law, inputs, time_s)
+        state.request = PowerRequest(
+            now_s, out.value, out.unlimited, out.proportional, out.integral, out.derivative, out.feedforward
+        )
+        state.horizon = out.horizon
+
+    def _plain_input(self, news: TempEstimate, phase_before: int) -> control_api.ControlInput:
+        """For laws without a model: the filtered temperature, the static losses fed forward."""
+        state, parameters = self.state, self.parameters
         phase_max = parameters.front.phase_max_ticks
         step = features.power_fraction(news.phase_ticks, phase_max) - features.power_fraction(
             phase_before, phase_max
         )
-        inputs = control.ControlInput(
+        return control_api.ControlInput(
             state.target_c,
             news.temp_c,
             model.loss_w(parameters.loss, state.target_c),
             self._limit_w(state.target_c - news.temp_c),
             abs(step) > parameters.approach.rebase_fraction,
         )
-        out, state.pid = control.pid_step(parameters.pid, state.pid, inputs, news.time_s)
-        state.request = PowerRequest(
-            now_s, out.value, out.unlimited, out.proportional, out.integral, out.derivative, out.feedforward
+
+    def _model_input(self, news: TempEstimate, now_s: float, apart_s: float) -> control_api.ControlInput:
+        """For the model law: all that was measured since the step before, what is pending, what lies ahead."""
+        state, timing = self.state, self.parameters.timing
+        samples, state.samples = tuple(state.samples), []
+        apply_s = self._slot(now_s, apart_s) or now_s + timing.lead_s
+        since_s = samples[-1].end_s if samples else state.line.edge_s
+        limit_w = self._limit_w(state.target_c - news.temp_c) if state.target_c > 0.0 else 0.0
+        return control_api.ControlInput(
+            state.target_c,
+            math.nan,
+            limit=limit_w,
+            applied=samples[-1].output if samples else state.line.last_before(since_s).power_w,
+            apply_s=apply_s,
+            hold_s=timing.stride_s,
+            samples=samples,
+            pending=state.line.pending(since_s - TIME_SLACK_S, apply_s - TIME_SLACK_S),
+            reference=self.reference,
+            flow_mm3_s=self.flow,
+            fan=self.fan,
         )
 
     def _step(self, now_s: float) -> list[PhaseCommand]:
         state, parameters = self.state, self.parameters
         state.decided_s = now_s
-        fraction = state.request.power_w / parameters.pid.output_high
+        fraction = state.request.power_w / parameters.control.power_max_w
         temp_c = state.estimate.temp_c
         fault = supervise.watch(
             parameters.supervise, state.supervise, now_s, temp_c, state.target_c, fraction
@@ -263,39 +367,58 @@ class InductionLoop:
 
     def _off(self, now_s: float) -> list[PhaseCommand]:
         state = self.state
-        if not state.commanded.phase_ticks:
+        if not any(c.phase_ticks for c in state.line.commands if c.time_s > now_s) and not (
+            state.line.last_before(now_s).phase_ticks
+        ):
             return []
-        time_s = max(now_s + self.parameters.timing.lead_s, state.commanded.time_s)
-        state.commanded = PhaseCommand(time_s, 0, 0.0)
-        return [state.commanded]
+        time_s = max(now_s + self.parameters.timing.lead_s, state.line.last_before(now_s).time_s)
+        commands = [PhaseCommand(time_s, 0, 0.0)]
+        state.line.note(commands, now_s)
+        return commands
 
     def _command(self, now_s: float, apart_s: float = math.inf) -> list[PhaseCommand]:
         """Turn the request into commands from the next usable edge on, at least `apart_s` after the last."""
         state, parameters = self.state, self.parameters
         timing = parameters.timing
-        at_s = self._next_edge(now_s + timing.lead_s)
-        if at_s <= state.commanded.time_s + max(TIME_SLACK_S, min(apart_s, timing.control_s) - TIME_SLACK_S):
-            return []  # the edge is taken by a command already sent, or it is too soon after one
+        at_s = self._slot(now_s, apart_s)
+        if at_s is None:
+            return []
         power_w = state.request.power_w if state.target_c > 0.0 else 0.0
+        horizon = state.horizon if state.target_c > 0.0 else ()
         if power_w > 0.0 and not now_s - state.estimate.time_s <= timing.stale_s + self._interval_s():
-            power_w = parameters.actuator.power_low_w
+            power_w, horizon = parameters.actuator.power_low_w, ()
+        taken = state.line.at(at_s)
+        if taken is not None and apart_s > 0.0 and not self._improves(taken, power_w):
+            return []
         idle = state.target_c <= 0.0
         commands = actuator.actuate(parameters.actuator, state.actuator, power_w, at_s, idle)
-        if commands:
-            state.commanded = commands[-1]
+        if len(commands) == 1 and horizon:
+            commands += actuator.ahead(parameters.actuator, commands[0], horizon)
+        state.line.note(commands, now_s)
         return commands
+
+    def _slot(self, now_s: float, apart_s: float) -> float | None:
+        """Where a command sent now may begin; None: it is too soon after the last.
+
+        The model law's next place is held for it ahead of time and may be filled anew by each message; a law
+        without one waits for the newest measurement instead.
+        """
+        state, timing = self.state, self.parameters.timing
+        apart_s = min(apart_s, timing.control_s)
+        if self.parameters.control.models:
+            return state.line.slot(timing, now_s, apart_s - TIME_SLACK_S)
+        at_s = state.line.edge(timing, now_s + timing.lead_s)
+        taken_s = state.line.newest.time_s + max(TIME_SLACK_S, apart_s - TIME_SLACK_S)
+        return at_s if at_s > taken_s else None
+
+    def _improves(self, taken: PhaseCommand, power_w: float) -> bool:
+        """Is it worth a message to say anew what was said for this edge? Pulses are booked and stay."""
+        parameters = self.parameters
+        driving = self.state.actuator.driving and power_w >= parameters.actuator.power_low_w
+        if not driving or not parameters.control.models or not taken.phase_ticks:
+            return False
+        return abs(power_w - taken.power_w) > RESAY_SHARE * parameters.control.power_max_w
 
     def _interval_s(self) -> float:
         """Time between measurements that is normal in the present mode of the actuator."""
         return 0.0 if self.state.actuator.driving else self.parameters.actuator.idle_interval_s
-
-    def _next_edge(self, earliest_s: float) -> float:
-        """First edge between two blocks not before `earliest_s`, given the commands already sent."""
-        state, timing = self.state, self.parameters.timing
-        edge_s = state.edge_s
-        if state.commanded.time_s > edge_s:
-            edge_s = state.commanded.time_s + timing.settle_s
-        if edge_s == -math.inf:
-            return earliest_s
-        blocks = math.ceil((earliest_s - edge_s) / timing.block_s - 1e-6)
-        return edge_s + max(0, blocks) * timing.block_s

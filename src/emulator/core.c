@@ -679,7 +679,10 @@ int emulator_mutate(const char *what, uint32_t value)
 
 int emulator_peek(const char *what, uint32_t *value)
 {
-    return chip_peek(what, value);
+    if (*what != '=')
+        return chip_peek(what, value);
+    uint32_t address = symbol_address(what + 1);
+    return address ? memory_read(address, value, sizeof *value) : -1;
 }
 
 int64_t emulator_profile(const char *symbol)

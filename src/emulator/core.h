@@ -27,6 +27,7 @@ uint64_t now(void);                     /* the chip's present, ticks */
 void fault(const char *format, ...) __attribute__((format(printf, 1, 2)));
 void core_set_cpu_hz(uint32_t hz);
 /* The chip starts again: at once, from the reset vector.  `cause` is for the chip's reset flags. */
+enum { RESET_SOFTWARE = 1, RESET_WATCHDOG = 2 };
 void core_reset(uint32_t cause);
 void core_halt(const char *why);        /* stand still until the next boot, without objecting */
 

@@ -49,7 +49,8 @@ SIM_EXPORT void emulator_counters(struct emulator_counters *out);
 /* Break something: from now on, over resets, `what` is as `value` says.  0 on success, -1 if the chip has no such thing.
  * Names: see docs/Emulation.md. */
 SIM_EXPORT int emulator_mutate(const char *what, uint32_t value);
-/* Registers as they stand, by the model's own names ("hrtim.phase", "hrtim.outputs", ...); 0 and *value, or -1. */
+/* Registers as they stand, by the model's own names ("hrtim.phase", "hrtim.outputs", ...), or "=name": the word of a
+ * variable of the image. 0 and *value, or -1. */
 SIM_EXPORT int emulator_peek(const char *what, uint32_t *value);
 /* Instructions spent in the function `symbol` itself since load: counted by block start address. -1: no such function. */
 SIM_EXPORT int64_t emulator_profile(const char *symbol);

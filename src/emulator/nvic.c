@@ -251,6 +251,8 @@ static void irq_word_write(uint32_t *map, int word, uint32_t value, int to, cons
         }
         if (map == n.pending && to)
             pend(e);
+        if (map == n.enabled && to && !bit(map, e))
+            n.pended_at[e] = now(); /* waiting counts from here */
         set(map, e, to);
         if (map == n.pending && !to && n.line[e])
             pend(e); /* the peripheral still asks */
@@ -390,7 +392,7 @@ static void aircr_write(uint32_t value)
     }
     n.aircr = value & 0x700u;
     if (value & 4u)
-        core_reset(EXC_RESET);
+        core_reset(RESET_SOFTWARE);
 }
 
 static void scb_write(uint32_t offset, uint32_t value)

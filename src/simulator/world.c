@@ -1,6 +1,7 @@
 /* The world's loop and its construction; README.md in this folder is the theory of operation. */
 #include "world_internal.h"
 
+#include <dlfcn.h>
 #include <stdarg.h>
 #include <stdlib.h>
 #include <string.h>
@@ -82,6 +83,23 @@ int world_add_mcu(struct world *w, const char *library, double clock_hz, double 
     double crossing_s = link->latency_s + 5.0 * m->up.byte_s; /* the shortest block has five bytes */
     w->lookahead_s = fmax(WORLD_LOOKAHEAD_MIN_S, fmin(w->lookahead_s, crossing_s));
     return w->mcu_count++;
+}
+
+int world_load_image(struct world *w, int mcu, const char *image)
+{
+    struct world_mcu *m = mcu_at(w, mcu);
+    return m ? world_mcu_load_image(m, image) : world_fail(w, "image: no such MCU");
+}
+
+int world_failed(const struct world *w)
+{
+    return w->failed;
+}
+
+uintptr_t world_symbol(struct world *w, int mcu, const char *name)
+{
+    struct world_mcu *m = mcu_at(w, mcu);
+    return m ? (uintptr_t)dlsym(m->library.handle, name) : 0;
 }
 
 int world_add_axis(struct world *w, const struct world_axis_options *options)

@@ -90,6 +90,8 @@ double world_now(const struct world *w);
 /* Building the machine; all of it before the first world_advance(). */
 int world_add_mcu(struct world *w, const char *library, double clock_hz, double clock_ppm,
                   const struct world_link_options *link);
+/* The image an emulator runs (src/emulator/emulator.h); once, before the first world_advance(). */
+int world_load_image(struct world *w, int mcu, const char *image);
 int world_add_axis(struct world *w, const struct world_axis_options *options);
 int world_add_fan(struct world *w, struct world_pin pin, double spin_up_s);
 int world_add_nozzle(struct world *w, int mcu, const double *parameters, struct world_feed feed, int fan);
@@ -118,6 +120,12 @@ uint32_t world_drain(struct world *w, int mcu, uint8_t *data, uint32_t capacity)
 /* Let time pass up to `until_s`. Returns a bit per MCU (1 << index) whose host queue holds messages;
  * when any is set `now` may be earlier than asked for. */
 uint32_t world_advance(struct world *w, double until_s);
+
+/* 1 if the model of an emulated chip has objected to what its firmware did: that MCU stands still, and world_error() tells
+ * why. */
+int world_failed(const struct world *w);
+/* Address of a function of the library of one MCU, 0 if it has none of that name. */
+uintptr_t world_symbol(struct world *w, int mcu, const char *name);
 
 /* CSV at `rate_hz`; path may be NULL: figures only. world_trace_close() flushes; -1 if the disc was full. */
 int world_trace_open(struct world *w, const char *path, double rate_hz);

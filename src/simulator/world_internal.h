@@ -25,7 +25,7 @@ static const double WORLD_LOOKAHEAD_MIN_S = 0.00002;
 typedef int (*world_receive_fn)(void *queue, const uint8_t *data, int len, double now);
 typedef int (*world_transmit_fn)(void *queue, uint8_t *out, int capacity, double now, double *next_wake);
 
-/* The functions of one loaded copy of libferrite_mcu.so (sim_mcu.h). */
+/* The functions of one loaded copy of libferrite_mcu.so (sim_mcu.h), or of an emulator (with those of emulator.h). */
 struct mcu_library {
     void *handle;
     void (*boot)(const struct sim_board *board, uint64_t clock);
@@ -33,6 +33,8 @@ struct mcu_library {
     void (*advance)(uint64_t clock);
     void (*receive)(const uint8_t *data, uint32_t len);
     int (*take_reset)(void);
+    const char *(*load_image)(const char *path); /* emulators only, else NULL */
+    int (*fault)(char *text, int size);          /* likewise */
 };
 
 struct world_mcu {
@@ -64,7 +66,8 @@ struct world_trace {
 struct world {
     double start_s, now_s;
     uint64_t seed, streams; /* streams: random generators handed out so far */
-    char error[256];
+    char error[640];
+    int failed;
     struct world_mcu mcus[WORLD_MCUS];
     int mcu_count;
     double lookahead_s;
@@ -80,6 +83,7 @@ uint64_t world_new_seed(struct world *w);
 
 /* world_mcu.c: one MCU and its clock */
 int world_mcu_load(struct world_mcu *m, const char *path);
+int world_mcu_load_image(struct world_mcu *m, const char *image);
 void world_mcu_unload(struct world_mcu *m);
 double world_mcu_next_s(const struct world_mcu *m); /* world time of its next event, never before now */
 void world_mcu_advance(struct world_mcu *m, double until_s);

@@ -81,6 +81,20 @@ static int find_function(struct world_mcu *m, const char *name, void *out)
     return 0;
 }
 
+static void find_optional(struct world_mcu *m, const char *name, void *out)
+{
+    void *address = dlsym(m->library.handle, name);
+    memcpy(out, &address, sizeof address);
+}
+
+int world_mcu_load_image(struct world_mcu *m, const char *image)
+{
+    if (!m->library.load_image)
+        return world_fail(m->world, "this simulated MCU is no emulator: it runs no image");
+    const char *error = m->library.load_image(image);
+    return error ? world_fail(m->world, "%s", error) : 0;
+}
+
 int world_mcu_load(struct world_mcu *m, const char *path)
 {
     struct mcu_library *l = &m->library;
@@ -91,6 +105,8 @@ int world_mcu_load(struct world_mcu *m, const char *path)
         || find_function(m, "sim_mcu_advance", &l->advance) || find_function(m, "sim_mcu_receive", &l->receive)
         || find_function(m, "sim_mcu_take_reset", &l->take_reset))
         return -1;
+    find_optional(m, "emulator_load", &l->load_image);
+    find_optional(m, "emulator_fault", &l->fault);
     m->board = (struct sim_board){
         .ctx = m,
         .pin_write = on_pin_write,
@@ -121,8 +137,12 @@ double world_mcu_next_s(const struct world_mcu *m)
     return fmax(to_seconds(m, clock), m->world->now_s);
 }
 
-static void restart_if_asked(struct world_mcu *m, uint64_t clock)
+/* After every stretch of an MCU: has its model objected, does it want to be restarted? */
+static void look_after(struct world_mcu *m, uint64_t clock)
 {
+    struct world *w = m->world;
+    if (m->library.fault && !w->failed && m->library.fault(w->error, sizeof w->error))
+        w->failed = 1;
     if (!m->library.take_reset())
         return;
     machine_reset_outputs(&m->world->machine, m->index, to_seconds(m, clock));
@@ -140,7 +160,7 @@ void world_mcu_advance(struct world_mcu *m, double until_s)
     if (m->library.next_event() > clock)
         return;
     m->library.advance(clock);
-    restart_if_asked(m, clock);
+    look_after(m, clock);
 }
 
 void world_mcu_receive(struct world_mcu *m, const uint8_t *data, uint32_t length)
@@ -149,5 +169,5 @@ void world_mcu_receive(struct world_mcu *m, const uint8_t *data, uint32_t length
     m->library.advance(clock);
     m->library.receive(data, length);
     m->library.advance(clock);
-    restart_if_asked(m, clock);
+    look_after(m, clock);
 }

@@ -52,6 +52,24 @@ def test_phases_come_due_in_order_across_the_clocks_wrap(base):
     assert t.first == ffi.NULL and t.last == ffi.NULL
 
 
+@pytest.mark.parametrize("base", [1000, 2**32 - 50])
+@pytest.mark.parametrize(("cut_at", "kept"), [(0, 0), (39, 1), (40, 1), (41, 2), (500, 4)])
+def test_a_cut_takes_back_what_is_not_before_its_clock(base, cut_at, kept):
+    t = track()
+    nodes = [push(t, base + 40 * i, 100 + i)[1] for i in range(4)]
+    node, taken = lib.phase_cut(t, (base + cut_at) & 0xFFFFFFFF), []
+    while node != ffi.NULL:
+        taken.append(node.phase)
+        node = node.next
+    assert taken == [100 + i for i in range(kept, 4)]
+    accepted, newest = push(t, base + max(cut_at, 0), 7)  # goes behind what stayed
+    assert accepted
+    left = []
+    while (node := lib.phase_pop(t)) != ffi.NULL:
+        left.append(node.phase)
+    assert left == [n.phase for n in nodes[:kept]] + [newest.phase]
+
+
 def test_order_of_clocks_is_demanded_and_a_refused_node_is_not_kept():
     t = track()
     first, second = push(t, 1000, 1), push(t, 999, 2)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import struct
 from dataclasses import dataclass
 
 import pytest
@@ -189,6 +190,50 @@ def test_queued_phases_are_applied_in_order():
     told = [(at, phase) for at, phase in unit.mcu.bridge_sets if phase]
     assert [phase for _, phase in told] == [1000 * (i + 1) for i in range(20)]
     assert all(0 < at - clock <= PERIOD for (at, _), clock in zip(told, clocks, strict=True))
+
+
+def plan(unit: Unit, delay_s: float, *steps: tuple[int, int]) -> int:
+    """Send a plan from `delay_s` on: (periods after the step before, phase); its clock."""
+    clock = unit.mcu.now + round(delay_s * 72e6)
+    unit.mcu.send(
+        "queue_induction_plan", oid=0, clock=clock, steps=b"".join(struct.pack("<HH", *s) for s in steps)
+    )
+    return clock
+
+
+def test_a_plan_takes_the_place_of_what_was_pending_from_its_clock_on():
+    unit = Unit()
+    start = unit.mcu.now
+    plan(unit, 0.002, (0, 1000), (240, 2000), (240, 3000), (240, 4000))  # 2, 4, 6, 8 ms
+    plan(unit, 0.005, (0, 5000), (480, 0))  # 5, 9 ms
+    unit.mcu.run(0.015)
+    told = [(round((at - start) / 72e3), phase) for at, phase in unit.mcu.bridge_sets if at > start]
+    assert told == [(2, 1000), (4, 2000), (5, 5000), (9, 0)]
+
+
+def test_a_plan_that_comes_late_goes_on_where_it_should_be_now():
+    unit = Unit()
+    unit.mcu.run(0.020)
+    plan(unit, -0.010, (0, 1000), (600, 2000), (1200, 3000))  # 10 and 5 ms ago, in 5 ms
+    unit.mcu.run(0.002)
+    assert unit.mcu.bridge_sets[-1][1] == 2000
+    unit.mcu.run(0.004)
+    assert unit.mcu.bridge_sets[-1][1] == 3000
+
+
+def test_plans_give_their_places_in_the_queue_back():
+    unit = Unit()
+    for _ in range(500):  # many times the move queue
+        plan(unit, 0.010, *[(120, 3000 + i) for i in range(10)])
+        unit.mcu.run(0.001)
+    assert unit.mcu.shutdown_reason() is None
+
+
+def test_a_torn_plan_is_refused():
+    unit = Unit()
+    unit.mcu.send("queue_induction_plan", oid=0, clock=unit.mcu.now, steps=b"123")
+    unit.mcu.run(0.001)
+    assert unit.mcu.shutdown_reason() is not None
 
 
 def test_a_late_phase_is_applied_at_once():

@@ -16,7 +16,7 @@ import math
 import random
 import subprocess
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +33,8 @@ from thermal import (
     laws,
     loop,
     model,
+    model_control,
+    model_nozzle,
     plausible,
     supervise,
     sweep,
@@ -52,6 +54,7 @@ struct plant *plant_new(void);
 void plant_free(struct plant *p);
 void plant_init(struct plant *p, const double *values, uint64_t seed);
 void plant_set_param(struct plant *p, int index, double value);
+double plant_get_param(const struct plant *p, int index);
 void plant_set_phase(struct plant *p, double phase_ticks);
 void plant_set_inputs(struct plant *p, double flow_mm3_s, double fan);
 void plant_advance(struct plant *p, double dt_s);
@@ -107,6 +110,9 @@ class Plant:
     def set_param(self, name: str, value: float) -> None:
         self.lib.plant_set_param(self._p, self.index[name], value)
 
+    def get_param(self, name: str) -> float:
+        return float(self.lib.plant_get_param(self._p, self.index[name]))
+
     def set_phase(self, phase: float) -> None:
         self.lib.plant_set_phase(self._p, phase)
 
@@ -122,6 +128,33 @@ class Plant:
     def read(self) -> Any:
         self.lib.plant_read(self._p, self._out)
         return self._out
+
+
+def true_law(preset: str = "reference", **values: float) -> laws.TankLaw:
+    """The tank law a perfect calibration of the C plant would find, from its components."""
+    plant = Plant(0, preset, **values)
+    v = {name: plant.get_param(name) for name in plant.index}
+    omega = 2.0 * math.pi * 120e3 * (1.0 + 1e-6 * v["frequency_ppm"])
+    c1_f, l2_h, l1_h = 1e-6 * v["c1_uf"] * v["c1_factor"], 1e-6 * v["l2_uh"], 1e-6 * v["l1_uh"]
+    per_k = l1_h * v["l1_slope_per_k"]
+    k = omega * omega * l2_h * c1_f - 1.0
+    return laws.TankLaw(
+        math.degrees(v["gain_units_deg"]),
+        v["l1_reference_c"],
+        v["r_ohm"] / (omega * per_k),
+        (l2_h / k - l1_h) / per_k,
+        *_saturation(v, k),
+        0.0,
+        v["offset_units"],
+        v["offset_decay"],
+        0.06,
+    )
+
+
+def _saturation(v: dict[str, float], k: float) -> tuple[float, float]:
+    """b and q of S = exp(-b u - q u^4), u = (sin(phi/2) cos psi)^2, from the current at full drive in resonance."""
+    full_a = 4.0 / math.pi * v["supply_v"] / (v["r_ohm"] * k) / v["l1_saturation_a"]
+    return 0.457 * full_a**2, 0.599 * full_a**8
 
 
 BLOCK_LEN, OVERSAMPLE, RECORDS = 192, 4, 3  # as [induction_heater] has them by default
@@ -151,18 +184,21 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
         "derivative_s": defaults.DEFAULT_DERIVATIVE_S,
     }
     law = changes.pop("law", laws.ExpLaw())
+    choice = changes.pop("control", "model")
     front = changes.pop("front", features.FeatureParameters())
     drive = actuator.DriveLaw(power_full_w=changes.pop("power_full_w", 81.3))
     pulse_s = block_s + settle_s + defaults.SETTLE_MARGIN_SAMPLES * PERIOD_S
     max_temp_c = changes.pop("max_temp_c", 350.0)
     loss_known = changes.pop("loss_uncertainty", 0.25)
+    held = changes.pop("model", {})
     pid.update(changes)
     approach = defaults.CALIBRATED_APPROACH if isinstance(law, laws.TankLaw) else loop.Approach()
     loss, heat = model.LossLaw(), model.HeatCapacity()
+    balance = plausible.scaled(1.0, 20.0)
     return loop.LoopParameters(
         front,
         estimator.EstimatorParameters(law),
-        control.PidParameters(**pid),
+        _control(choice, control.PidParameters(**pid), heat, balance, drive, timing, held),
         loss,
         actuator.ActuatorParameters(
             drive, pulse_s, pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1
@@ -171,8 +207,26 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
         timing,
         approach,
         track.TrackParameters(loss, heat),
-        plausible.PlausibleParameters(heat, plausible.scaled(1.0, 20.0), loss_known),
+        plausible.PlausibleParameters(heat, balance, loss_known),
     )
+
+
+def _control(
+    choice: str,
+    pid: control.PidParameters,
+    heat: model.HeatCapacity,
+    balance: plausible.TwoNodeLoss,
+    drive: actuator.DriveLaw,
+    timing: loop.Timing,
+    held: dict[str, Any],
+) -> loop.Control:
+    power_w = drive.power_max_w
+    if choice == "pid":
+        return loop.Control(control.PID, replace(pid, output_high=power_w), power_w)
+    if choice == "watermark":
+        return loop.Control(control.WATERMARK, control.WatermarkParameters(2.0, power_w), power_w)
+    parameters = replace(model_nozzle.nozzle_model(heat, balance, power_w, timing), **held)
+    return loop.Control(model_control.MODEL, parameters, power_w, models=True)
 
 
 @dataclass
@@ -294,6 +348,9 @@ class Rig:
     # The host
 
     def _send(self, commands: list[PhaseCommand]) -> None:
+        if commands:  # a plan: what was pending from its first time on is void
+            first = round(commands[0].time_s / PERIOD_S)
+            self._queue = [entry for entry in self._queue if entry[0] < first]
         for command in commands:
             period = round(command.time_s / PERIOD_S)
             if command.time_s < self.now_s + self.down_s:

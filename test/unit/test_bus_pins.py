@@ -505,3 +505,55 @@ def test_wrong_fan_targets_are_refused(tmp_path: Path) -> None:
                 s.gcode.run_script(f"SET_TEMPERATURE_FAN_TARGET TEMPERATURE_FAN=t {options}")
 
     run(tmp_path, TEMPERATURE_FAN + "control: watermark\n", body)
+
+
+TEMPLATES = """
+[display_template state]
+param_idle: 0.1
+text:
+  {% if printer["output_pin lamp"].value %}
+  1, 0, 0, 0
+  {% else %}
+  0, {param_idle}, 0, 0
+  {% endif %}
+[display_template broken]
+text: 1, green
+[output_pin lamp]
+pin: PB7
+"""
+
+
+def test_leds_follow_a_template_until_it_is_taken_away(tmp_path: Path) -> None:
+    def body(s: BusSession) -> None:
+        colors = lambda: s.status("neopixel n")["color_data"]  # noqa: E731
+        s.gcode.run_script("SET_LED_TEMPLATE LED=n TEMPLATE=state INDEX=2 PARAM_IDLE=0.5")
+        s.sleep(1.0)
+        assert colors() == [(0.0, 0.0, 0.0, 0.0), (0.0, 0.5, 0.0, 0.0)]
+        s.gcode.run_script("SET_PIN PIN=lamp VALUE=1\nSET_LED_TEMPLATE LED=n TEMPLATE=state INDEX=1")
+        s.sleep(1.0)
+        assert colors() == [(1.0, 0.0, 0.0, 0.0)] * 2
+        s.gcode.run_script("SET_LED_TEMPLATE LED=n TEMPLATE=\nSET_LED LED=n BLUE=1")
+        s.sleep(1.0)
+        assert colors() == [(0.0, 0.0, 1.0, 0.0)] * 2
+        s.gcode.run_script("SET_LED_TEMPLATE LED=n TEMPLATE=broken")
+        s.sleep(1.0)
+        assert colors() == [(0.0, 0.0, 0.0, 0.0)] * 2, "no colour is black, and harms nobody"
+
+    neopixel(tmp_path, "chain_count: 2\n" + TEMPLATES, body)
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        ("TEMPLATE=nobody", "Unknown display_template 'nobody'"),
+        ("TEMPLATE=state PARAM_X=1", "no parameter param_x"),
+        ("TEMPLATE=state PARAM_IDLE=a+b", "Unable to parse"),
+        ("TEMPLATE=state INDEX=2", "INDEX"),
+    ],
+)
+def test_a_wrong_template_is_refused(tmp_path: Path, command: str, reason: str) -> None:
+    def body(s: BusSession) -> None:
+        with pytest.raises(s.printer.command_error, match=reason):
+            s.gcode.run_script(f"SET_LED_TEMPLATE LED=n {command}")
+
+    neopixel(tmp_path, TEMPLATES, body)

@@ -54,22 +54,32 @@ def test_small_layers_stay_warmer_than_large_ones():
     for layer_s in (3.0, 60.0):
         laid = deposit.DepositMap(ABS, deposit.Surroundings())
         for n in range(40):
-            met = laid.lay(5.0, 5.0, 0.2 * (n + 1), n * layer_s, 230.0, 0.2)
+            met = laid.lay((5.0, 5.0, 0.2 * (n + 1)), n * layer_s, 230.0, 0.2, odometer_mm=100.0 * n)
         temps.append(met)
     assert temps[0] > temps[1] + 10.0
     assert temps[1] > 24.0
 
 
+def test_a_road_is_not_its_own_substrate():
+    laid = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=90.0))
+    met = [laid.lay((0.1 * n, 0.0, 0.2), 0.002 * n, 230.0, 0.2, odometer_mm=0.1 * n) for n in range(60)]
+    assert met == [90.0] * 60  # 6 mm in three columns, chords of 0.1 mm
+    back = laid.lay((0.5, 0.4, 0.2), 1.0, 230.0, 0.2, odometer_mm=50.0, width_mm=0.4)
+    neighbour = deposit.surface_c(ABS, 230.0, 90.0, laid.surroundings.around_c(0.2), 30.0, 0.2, 1.0)
+    assert back == pytest.approx((0.4 * 90.0 + 0.2 * neighbour) / 0.6)
+
+
 def test_memory_goes_with_area_not_with_moves():
     laid = deposit.DepositMap(ABS, deposit.Surroundings())
     for n in range(50000):
-        laid.lay((n * 7 % 200) / 10, (n * 13 % 200) / 10, 0.2 + n // 500 * 0.2, n * 0.05, 230.0, 0.2)
+        at = ((n * 7 % 200) / 10, (n * 13 % 200) / 10, 0.2 + n // 500 * 0.2)
+        laid.lay(at, n * 0.05, 230.0, 0.2, odometer_mm=2.0 * n)
     assert len(laid) <= 100  # 20 mm square in 2 mm cells
 
 
 def test_empty_bed_is_the_first_substrate():
     laid = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=100.0))
-    assert laid.lay(0.0, 0.0, 0.2, 0.0, 230.0, 0.2) == 100.0
+    assert laid.lay((0.0, 0.0, 0.2), 0.0, 230.0, 0.2, odometer_mm=0.0) == 100.0
 
 
 def test_every_number_of_a_material_names_a_known_source():

@@ -9,6 +9,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "c"))
 
+import greenlet
 from mcu_harness import make
 
 from printer import Printer
@@ -81,6 +82,8 @@ class LinkSession:
                     reactor.pause(reactor.monotonic() + 0.05)
                 if even_failed or printer.get_state_message()[1] == "ready":
                     body(printer)
+            except greenlet.GreenletExit:
+                return  # the host ended while still starting up
             except BaseException as e:
                 failures.append(e)
             outcome.append(printer.get_state_message()[::-1])

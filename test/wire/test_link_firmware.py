@@ -85,7 +85,7 @@ def test_configuration_is_sent_once_and_kept_over_a_restart_of_the_host(
     assert session.host(nothing, outputs)[0] == "ready"
     assert "Sending MCU 'mcu' printer configuration" in caplog.text
     caplog.clear()
-    assert session.host(nothing, outputs)[0] == "ready"
+    assert session.host(nothing, outputs, start_reason="restart")[0] == "ready"
     assert "Configured MCU 'mcu' (1024 moves)" in caplog.text
     assert "Sending MCU" not in caplog.text
 
@@ -108,7 +108,7 @@ def test_crc_is_that_of_the_command_text(session: LinkSession) -> None:
 
 def test_changed_configuration_resets_the_mcu_and_the_next_start_configures_it(session: LinkSession) -> None:
     assert session.host(nothing, outputs)[0] == "ready"
-    session.host(nothing)  # another configuration: none
+    session.host(nothing, start_reason="restart")  # another configuration: none
     assert session.exit == "firmware_restart"
     assert session.host(nothing, start_reason="firmware_restart")[0] == "ready"
 
@@ -196,11 +196,28 @@ def test_host_shutdown_stops_the_mcu_and_only_a_firmware_restart_revives_it(sess
         session.reactor.pause(session.reactor.monotonic() + 0.2)
 
     assert session.host(stop, outputs)[0] == "shutdown"
-    state, text = session.host(nothing, outputs)
+    state, text = session.host(nothing, outputs, start_reason="restart")
     assert state == "error" and "shutdown" in text and "FIRMWARE_RESTART" in text
 
     session.host(lambda p: p.request_exit("firmware_restart"), outputs, even_failed=True)
     assert session.host(nothing, outputs)[0] == "ready"
+
+
+@pytest.mark.parametrize("left", ["configured", "shut down"])
+def test_a_host_that_was_killed_leaves_an_mcu_the_next_one_resets_by_itself(
+    session: LinkSession, left: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    def die(printer: Any) -> None:
+        if left == "shut down":
+            printer.invoke_shutdown("test")
+            session.reactor.pause(session.reactor.monotonic() + 0.2)
+
+    caplog.set_level(logging.INFO)
+    session.host(die, outputs)
+    session.host(nothing, outputs)
+    assert session.exit == "firmware_restart"
+    assert "Transition to shutdown" not in caplog.text.partition("automated")[2], "clients see no shutdown"
+    assert session.host(nothing, outputs, start_reason="firmware_restart")[0] == "ready"
 
 
 def test_silent_mcu_is_noticed_within_seconds(session: LinkSession) -> None:

@@ -123,6 +123,7 @@ DECLARE_PERIPHERAL(syscfg);
 DECLARE_PERIPHERAL(exti);
 DECLARE_PERIPHERAL(dbgmcu);
 uint32_t syscfg_remap(void);           /* SYSCFG_CFGR1 */
+int pwr_system_fault(void);             /* low supply voltage is wired to the timers (PVD_LOCK) */
 uint32_t syscfg_remap3(void);          /* SYSCFG_CFGR3 */
 
 #endif

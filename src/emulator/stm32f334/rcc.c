@@ -83,7 +83,7 @@ void rcc_power_on(uint32_t cause)
     r.cr = 0x83u;
     r.enable[0] = 0x14u;
     /* Power-on and pin flags; a watchdog's or software's reset shows as such, with the pin flag (it pulls NRST). */
-    r.csr = cause ? 1u << 26 | cause : 1u << 27 | 1u << 26;
+    r.csr = 1u << 26 | (cause == RESET_SOFTWARE ? 1u << 28 : cause == RESET_WATCHDOG ? 1u << 29 : 1u << 27);
     recalculate();
 }
 

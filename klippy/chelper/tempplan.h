@@ -1,0 +1,76 @@
+#ifndef FERRITE_TEMPPLAN_H
+#define FERRITE_TEMPPLAN_H
+/*
+ * The temperature plan: pieces of planned path in, a nozzle temperature over time out.
+ *
+ *   piece ─► deposit map: what lies there, how warm ─► wanted melt ─► wanted wall ─► ramps that physics can follow
+ *            (thermal/deposit.py)                      (this file)    (thermal/nozzle_melt.py)  (thermal/plan.py)
+ *
+ * The Python modules named are the readable reference, with the equations and their sources; the tests hold this file
+ * to them. Two histories of the part are kept side by side: [0] as planned, [1] as one fixed temperature would have
+ * laid it. Times are print times in s, lengths mm, temperatures degC.
+ */
+#include <stdint.h>
+
+enum { TEMPPLAN_HISTORIES = 2, TEMPPLAN_BINS = 600 };
+
+struct tempplan_params {
+    /* limits of the nozzle; losses and capacity come as tables per whole degree */
+    double floor_c, ceiling_c, power_w, cooling_share;
+    double ua_w_k, heat_mj_m3k, inlet_c, bore_lag_s, melt_mm3;
+    /* material: window of the melt, diffusivity m2/s, rho c in J/(m3 K) */
+    double low_c, high_c, diffusivity_m2_s, rho_c, bonding_c;
+    /* surroundings (thermal/deposit.py) */
+    double bed_c, chamber_c, still_w_m2k, fan_w_m2k, bed_reach_mm, cell_mm;
+    double interface_c;             /* wanted at the weld; NaN: bonding has no say */
+    double core_c;                  /* the filament's core must reach it; NaN: no say */
+    double core_step_mm3_s;         /* flow per entry of the core table */
+};
+
+/* Doubles only: Python packs rows of them in one go. */
+struct tempplan_piece {
+    double start_s, end_s;
+    double start_pos[3], end_pos[3];
+    double flow_mm3_s, height_mm, fan;
+    double wish_c;                  /* melt temperature asked for by name, NaN: none, bonding may choose */
+    double base_c;                  /* nozzle temperature of the user's own target */
+    /* filled in */
+    double substrate_c[TEMPPLAN_HISTORIES], melt_c, wall_c;
+};
+
+struct tempplan_point {
+    double time_s, temp_c;
+};
+
+/* What has been laid so far; lengths mm of path with extrusion. */
+struct tempplan_report {
+    double length_mm, bonded_mm[TEMPPLAN_HISTORIES];
+    double interface_mm[TEMPPLAN_HISTORIES][TEMPPLAN_BINS];  /* length by interface temperature, whole degrees */
+    double off_sum, off_squares;    /* planned less wanted melt, length weighted */
+    double cold_mm;                 /* wanted melt lay above the window's top: the substrate was too cold */
+    double hot_mm;                  /* below its bottom: too hot even for the coolest melt */
+    uint64_t pieces;
+};
+
+struct tempplan;
+/* loss_w and capacity_j_k: `degrees` entries from 0 degC; core_share: `cores` entries, flow in steps. NULL: no memory. */
+struct tempplan *tempplan_alloc(const struct tempplan_params *params, const double *loss_w, const double *capacity_j_k,
+                                int degrees, const double *core_share, int cores);
+void tempplan_free(struct tempplan *tp);
+/* Other parameters from now on (material, bed); what has been laid stays. */
+void tempplan_set(struct tempplan *tp, const struct tempplan_params *params);
+/* Pieces in order of time, after all added before. Fills in their results; 0, or -1: no memory (nothing added). */
+int tempplan_add(struct tempplan *tp, struct tempplan_piece *pieces, int count);
+/* Plan again from from_s on, where the nozzle is asked to be at start_c. Returns corners, 0: nothing lies ahead. */
+int tempplan_make(struct tempplan *tp, double from_s, double start_c);
+const struct tempplan_point *tempplan_points(const struct tempplan *tp);
+double tempplan_at(const struct tempplan *tp, double time_s, double otherwise_c);
+/* Pieces that end before until_s have been laid: book them and let them go. Returns the rows of `done`, if given. */
+int tempplan_finish(struct tempplan *tp, double until_s, double *done, int capacity);
+/* Forget what lies ahead of time_s (a stop); what has been laid stays. */
+void tempplan_cut(struct tempplan *tp, double time_s);
+const struct tempplan_report *tempplan_report(const struct tempplan *tp);
+/* {cells of the map, pieces held}: what memory goes with. */
+void tempplan_sizes(const struct tempplan *tp, uint64_t sizes[2]);
+
+#endif

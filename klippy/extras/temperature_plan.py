@@ -1,0 +1,416 @@
+"""[temperature_plan]: every segment at the temperature that makes it weld.
+
+    toolhead ── moves with times ─► pathpieces ─► tempplan (substrate, wanted melt, ramps) ─► heater.loop.set_reference
+    G-code ─── names of places ──► wishes ────────┘
+
+The plan lies on top of the user's own target: M104/M109, a fault or `TEMPERATURE_PLAN ENABLE=0` win at once. It is made
+again whenever `REPLAN_S` of new motion has come, from `COMMIT_S` ahead of now on; what lies before that is not touched.
+"""
+
+from __future__ import annotations
+
+import csv
+import logging
+import math
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from pathpieces import PathPieces
+from tempplan import Craft, Laid, Piece, Summary, TemperaturePlan
+from thermal import wishes
+from thermal.deposit import Surroundings
+from thermal.materials import MATERIALS, Material
+from thermal.nozzle_melt import MeltExchange, NozzleLimits
+
+REPLAN_S = 0.25  # so much new motion is worth another plan
+COMMIT_S = 0.20  # the plan nearer than this stays: commands for it may be on their way
+WORK_S = 0.10  # how often it is looked
+BOOK_BEHIND_S = 0.5  # pieces are booked when they are surely laid
+RETURN_S = 0.5  # after the last piece the nozzle goes back to the user's target
+ROWS_AT_ONCE = 4096
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """The section's options."""
+
+    heater: str
+    material: Material
+    surroundings: Surroundings
+    craft: Craft
+    table: wishes.WishTable
+    exchange: MeltExchange
+    power_share: float
+    enabled: bool
+    record: str | None  # file for a row of each laid piece
+
+
+class TemperaturePlanner:
+    """One heater's plan."""
+
+    plan: TemperaturePlan
+
+    def __init__(self, printer: Any, settings: Settings) -> None:
+        self.printer = printer
+        self.settings = settings
+        self.material = settings.material
+        self.craft = settings.craft
+        self.enabled = settings.enabled
+        self.heater: Any = None
+        self._reactor = printer.get_reactor()
+        self._gcode = printer.lookup_object("gcode")
+        self._toolhead: Any = None
+        self._timer: Any = None
+        self._rows: Any = None  # csv writer
+        self._state = wishes.Wishes()
+        self._marks: deque[wishes.Wishes] = deque([self._state])
+        self._waiting: list[Piece] = []  # since the newest plan
+        self._reference: Any = None  # as we set it: another one means that the user has spoken
+        self._base_c = 0.0
+        self._end_s = -math.inf
+        self._printing = False
+        self._path = PathPieces(0.0)
+
+    def _on_connect(self) -> None:
+        """All sections are read: find the heater."""
+        settings = self.settings
+        self.heater = self.printer.lookup_object("heaters").lookup_heater(settings.heater)
+        if not hasattr(self.heater, "loop"):
+            raise self.printer.config_error(
+                f"[temperature_plan]: heater '{settings.heater}' is no [induction_heater], and no other is quick enough."
+                " For other printers scripts/plan_temperature.py --emit writes M104 commands into the file"
+            )
+        try:
+            self._begin()
+        except ValueError as e:
+            raise self.printer.config_error(f"[temperature_plan]: {e}") from None
+
+    def _limits(self) -> NozzleLimits:
+        heater, parameters = self.heater, self.heater.parameters
+        return NozzleLimits(
+            min_c=heater.min_temp,
+            max_c=heater.max_temp,
+            min_extrude_c=heater.min_extrude_c,
+            power_w=self.settings.power_share * parameters.control.power_max_w,
+            loss=parameters.loss,
+            capacity=parameters.track.heat,
+            exchange=self.settings.exchange,
+        )
+
+    def _begin(self) -> None:
+        """An empty bed."""
+        self.plan = TemperaturePlan(self._limits(), self.material, self.settings.surroundings, self.craft)
+        self._path = PathPieces(math.pi / 4.0 * self.craft.filament_mm**2)
+
+    def register(self) -> None:
+        self.printer.register_event_handler("klippy:connect", self._on_connect)
+        self.printer.register_event_handler("klippy:ready", self._on_ready)
+        self.printer.register_event_handler("klippy:shutdown", self._stop)
+        self.printer.register_event_handler("exclude_object:current", self._on_object)
+        gcode = self._gcode
+        gcode.register_command(
+            "SET_SEGMENT_TEMPERATURE",
+            self.cmd_SET_SEGMENT_TEMPERATURE,
+            desc="Melt temperature of the path that follows",
+        )
+        gcode.register_command("M104.1", self.cmd_M104_1)
+        gcode.register_command(
+            "TEMPERATURE_PLAN",
+            self.cmd_TEMPERATURE_PLAN,
+            desc="Switch, set up or report the temperature plan",
+        )
+
+    def _on_ready(self) -> None:
+        self._toolhead = self.printer.lookup_object("toolhead")
+        if self.heater.batch:
+            return
+        if self.settings.record is not None:
+            stream = open(self.settings.record, "w", newline="", encoding="utf-8")  # noqa: SIM115  # until the end
+            self.printer.register_event_handler("klippy:disconnect", stream.close)
+            self._rows = csv.writer(stream)
+            self._rows.writerow(Laid._fields)
+        self._gcode.register_comment_listener(self._on_comment)
+        self._toolhead.register_move_listener(self._on_moves)
+        self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
+
+    def _stop(self) -> None:
+        if self._timer is not None:
+            self._reactor.unregister_timer(self._timer)
+            self._timer = None
+
+    # Names of places, as the G-code comes by
+
+    def _mark(self, state: wishes.Wishes) -> None:
+        """`state` holds from the end of what is queued now."""
+        if state == self._state:
+            return
+        self._state = state
+        if self.enabled and self._timer is not None:
+            self._toolhead.register_lookahead_callback(
+                lambda time_s: self._marks.append(replace(state, since_s=time_s))
+            )
+
+    def _on_comment(self, line: str) -> None:
+        found = wishes.read_comment(line)
+        if found is not None:
+            self._mark(self._state.comment(found))
+
+    def _on_object(self, name: str | None) -> None:
+        self._mark(self._state.inside(name or ""))
+
+    def _at(self, time_s: float) -> wishes.Wishes:
+        """What was asked for at a print time; marks of the past go."""
+        marks = self._marks
+        while len(marks) > 1 and marks[1].since_s <= time_s + 1e-6:
+            marks.popleft()
+        return marks[0]
+
+    # Moves, as soon as their times are known
+
+    def _on_moves(self, moves: Sequence[Any]) -> None:
+        if not self.enabled:
+            return
+        serving = self._toolhead.get_extruder()
+        if serving.get_name() and serving.get_heater() is not self.heater:
+            return  # another tool prints
+        fan = self.printer.lookup_object("fan", None)
+        speed = fan.get_status(self._reactor.monotonic())["speed"] if fan is not None else 0.0
+
+        def ask(time_s: float, layer: int, z_mm: float) -> tuple[float, float, float]:
+            state = self._at(time_s)
+            return state.wish_c(self.settings.table, time_s, layer, z_mm), self._base_c, state.height_mm
+
+        self._waiting.extend(self._path.pieces(moves, ask, speed))
+
+    # The plan
+
+    def _on_timer(self, eventtime: float) -> float:
+        self._watch_print(eventtime)
+        self._watch_target()
+        now_s = self.heater.now_s()
+        if self._waiting and self._base_c > 0.0:
+            news_s = self._waiting[-1].end_s - self._end_s
+            if news_s >= REPLAN_S or now_s + 2.0 * COMMIT_S > self._end_s:
+                self._replan(now_s)
+        elif self._reference is not None and now_s > self._end_s + RETURN_S:
+            self._go_back(now_s)
+        self._book(now_s - BOOK_BEHIND_S)
+        return eventtime + WORK_S
+
+    def _watch_target(self) -> None:
+        """Who set the heater's target last? Not the plan: then it is the user's, and counts from now on."""
+        loop = self.heater.loop
+        if loop.reference is not None and loop.reference is self._reference:
+            if not loop.state.target_c:  # turned off
+                self._let_go(0.0)
+            return
+        self._let_go(loop.state.target_c)
+
+    def _let_go(self, base_c: float) -> None:
+        if self._reference is not None and base_c <= 0.0:
+            self.plan.cut(self.heater.now_s())
+            self._waiting.clear()
+        self._reference = None
+        self._base_c = base_c
+
+    def _replan(self, now_s: float) -> None:
+        pieces, self._waiting = self._waiting, []
+        if self._base_c > 0.0:  # pieces queued before the user's target was known take it now
+            pieces = [p if p.base_c else p._replace(base_c=self._base_c) for p in pieces]
+        self._end_s = pieces[-1].end_s
+        self.plan.add(pieces)
+        if not self.enabled:
+            return
+        from_s = now_s + COMMIT_S
+        start_c = self.plan.at(from_s, self.heater.loop.state.target_c)
+        if self._reference is None:
+            start_c = self.heater.loop.state.target_c
+        self._set(self.plan.make(from_s, start_c), now_s)
+
+    def _set(self, corners: list[tuple[float, float]], now_s: float) -> None:
+        if corners:
+            self.heater.loop.set_reference(corners, now_s)
+            self._reference = self.heater.loop.reference
+
+    def _go_back(self, now_s: float) -> None:
+        """Nothing more comes: back to the user's target."""
+        loop = self.heater.loop
+        if loop.reference is self._reference:
+            loop.set_reference([(now_s, loop.state.target_c), (now_s + RETURN_S, self._base_c)], now_s)
+            self._reference = loop.reference
+            self._end_s = math.inf if self._waiting else now_s
+            if abs(loop.state.target_c - self._base_c) < 1e-6:
+                self._reference = None
+                loop.set_reference([], now_s)
+
+    def _book(self, until_s: float) -> None:
+        rows = self.plan.finish(until_s, ROWS_AT_ONCE if self._rows is not None else 0)
+        if self._rows is not None:
+            self._rows.writerows(rows)
+
+    # The print
+
+    def _watch_print(self, eventtime: float) -> None:
+        stats = self.printer.lookup_object("print_stats", None)
+        state = stats.get_status(eventtime)["state"] if stats is not None else ""
+        printing = state in ("printing", "paused")
+        if printing and not self._printing:
+            self._begin()
+            self._state = wishes.Wishes()
+            self._marks = deque([self._state])
+        elif self._printing and not printing:
+            self._book(math.inf)
+            if self.enabled and self.plan.summary().pieces:
+                self._gcode.respond_info(report_line(self.plan.summary(), self.material))
+        self._printing = printing
+
+    # Commands
+
+    def cmd_SET_SEGMENT_TEMPERATURE(self, gcmd: Any) -> None:
+        temp_c = gcmd.get_float("TEMP", minval=0.0, maxval=self.heater.max_temp)
+        until = gcmd.get("UNTIL", "").lower()
+        if until not in ("", "layer", "feature", "object"):
+            raise gcmd.error(f"UNTIL is layer, feature or object, not '{until}'")
+        duration_s = gcmd.get_float("DURATION", math.inf, above=0.0)
+        self._ask_for(gcmd, temp_c, until, duration_s)
+
+    def cmd_M104_1(self, gcmd: Any) -> None:
+        """M104.1 S<degC>: the same, until the next one; S0 takes it back."""
+        self._ask_for(gcmd, gcmd.get_float("S", minval=0.0, maxval=self.heater.max_temp), "", math.inf)
+
+    def _ask_for(self, gcmd: Any, temp_c: float, until: str, duration_s: float) -> None:
+        if temp_c and temp_c < self.heater.min_extrude_c:
+            raise gcmd.error(
+                f"A segment cannot be laid at {temp_c:.0f} C: min_extrude_temp is {self.heater.min_extrude_c:.0f} C"
+            )
+        if not self.enabled:
+            raise gcmd.error("The temperature plan is disabled; TEMPERATURE_PLAN ENABLE=1 enables it")
+        self._mark(self._state.explicitly(temp_c or math.nan, until, duration_s))
+
+    def cmd_TEMPERATURE_PLAN(self, gcmd: Any) -> None:
+        enable = gcmd.get_int("ENABLE", None, minval=0, maxval=1)
+        material = gcmd.get("MATERIAL", None)
+        interface_c = gcmd.get_float("INTERFACE", None, minval=0.0, maxval=500.0)
+        if material is not None:
+            material = material.upper()
+            if material not in MATERIALS:
+                raise gcmd.error(f"Material '{material}' is not known; known are {', '.join(MATERIALS)}")
+            self.material = MATERIALS[material]
+        if interface_c is not None:
+            self.craft = replace(self.craft, interface_c=interface_c or None)
+        if material is not None or interface_c is not None:
+            self.plan.change(self.material, self.settings.surroundings, self.craft)
+        if enable is not None:
+            self._enable(bool(enable))
+        if gcmd.get_int("REPORT", 0) or (enable, material, interface_c) == (None, None, None):
+            gcmd.respond_info(report_line(self.plan.summary(), self.material))
+
+    def _enable(self, enable: bool) -> None:
+        if enable == self.enabled:
+            return
+        self.enabled = enable
+        if not enable and self._reference is not None:
+            now_s = self.heater.now_s()
+            self.plan.cut(now_s)
+            self._waiting.clear()
+            self._go_back(now_s)
+        logging.info("Temperature plan %s", "enabled" if enable else "disabled")
+
+    # Status
+
+    def get_status(self, eventtime: float) -> dict[str, Any]:
+        now_s = self.heater.now_s() if self._timer is not None else 0.0
+        books = self.plan.summary()
+        active = self._reference is not None
+        return {
+            "enabled": self.enabled,
+            "active": active,
+            "material": self.material.name,
+            "planned_temperature": round(self.plan.at(now_s, self._base_c), 2) if active else None,
+            "base_target": self._base_c,
+            "planned_until": round(self._end_s, 3) if active else None,
+            "layer": self._path.layers.number,
+            "feature": self._state.feature,
+            "length": round(books.length_mm, 1),
+            "bonded_share": round(books.bonded_share[0], 4),
+            "bonded_share_fixed": round(books.bonded_share[1], 4),
+        }
+
+
+def report_line(books: Summary, material: Material) -> str:
+    """What was laid, with the plan and as one fixed temperature would have laid it."""
+    if not books.pieces:
+        return f"Temperature plan ({material.name}): nothing laid yet"
+    (low, _, high), (low_fixed, _, high_fixed) = books.interface_5_50_95_c
+    planned, fixed = books.bonded_share
+    return (
+        f"Temperature plan ({material.name}, welds above {material.bonding_c:.0f} C): {books.length_mm / 1000:.1f} m"
+        f" laid, {100 * planned:.1f} % welded, {100 * fixed:.1f} % without the plan;"
+        f" interface {low:.0f}..{high:.0f} C (5..95 %), {low_fixed:.0f}..{high_fixed:.0f} C without"
+    )
+
+
+def _read(config: Any, option: str, reader: Callable[[str], Any]) -> Any:
+    try:
+        return reader(config.get(option, ""))
+    except ValueError as e:
+        raise config.error(f"Option '{option}' in section '{config.get_name()}': {e}") from None
+
+
+def _material(config: Any) -> Material:
+    names = {name: name for name in MATERIALS} | {name.lower(): name for name in MATERIALS}
+    base = MATERIALS[config.getchoice("material", names, "PLA")]
+    low_c = config.getfloat("melt_min", base.low_c, minval=100.0, maxval=500.0)
+    high_c = config.getfloat("melt_max", base.high_c, above=low_c, maxval=500.0)
+    return replace(
+        base,
+        low_c=low_c,
+        high_c=high_c,
+        bonding_c=config.getfloat("bonding_temp", base.bonding_c, minval=0.0, maxval=400.0),
+        flow_c=config.getfloat("flow_temp", base.flow_c, minval=0.0, maxval=450.0),
+    )
+
+
+def load_config(config: Any) -> TemperaturePlanner:
+    printer = config.get_printer()
+    name = config.get("heater", "extruder")
+    material = _material(config)
+    margin_c = config.getfloat("bonding_margin", 15.0, minval=0.0, maxval=150.0)
+    wanted_c = config.getfloat("interface_temp", material.bonding_c + margin_c, above=0.0, maxval=500.0)
+    filament_mm = 1.75
+    if config.has_section(name):
+        filament_mm = config.getsection(name).getfloat("filament_diameter", 1.75, above=0.0)
+    settings = Settings(
+        name,
+        material,
+        Surroundings(
+            bed_c=config.getfloat("bed_temp", 60.0),
+            chamber_c=config.getfloat("chamber_temp", 25.0),
+            still_w_m2k=config.getfloat("still_air", 30.0, above=0.0),
+            fan_w_m2k=config.getfloat("fan_air", 60.0, minval=0.0),
+        ),
+        Craft(
+            interface_c=wanted_c if config.getboolean("bonding", True) else None,
+            core=config.getboolean("flow", False),
+            zone_mm=config.getfloat("melt_zone_length", 20.0, above=0.0),
+            filament_mm=filament_mm,
+        ),
+        wishes.WishTable(
+            {wishes.feature_name(k): v for k, v in _read(config, "features", wishes.read_names).items()},
+            {k.upper(): v for k, v in _read(config, "objects", wishes.read_names).items()},
+            _read(config, "layers", wishes.read_ranges),
+            _read(config, "heights", wishes.read_ranges),
+        ),
+        MeltExchange(
+            ua_w_k=config.getfloat("melt_exchange", 0.0276, above=0.0),
+            volume_mm3=config.getfloat("melt_volume", 0.0, minval=0.0),
+        ),
+        config.getfloat("power_share", 0.8, above=0.0, maxval=1.0),
+        config.getboolean("enable", True),
+        config.get("record", None),
+    )
+    planner = TemperaturePlanner(printer, settings)
+    planner.register()
+    return planner

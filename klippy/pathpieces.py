@@ -1,0 +1,95 @@
+"""Planned moves to pieces of path for the temperature plan: split, with flow and layer height.
+
+Move (print_time, speeds) ─► up to `longest_mm` each, one extrusion rate per piece ─► tempplan.Piece
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from tempplan import Piece
+
+HEIGHT_LEAST_MM, HEIGHT_MOST_MM = 0.05, 1.0
+HEIGHT_FIRST_MM = 0.2  # before a second layer tells
+SAME_Z_MM = 1e-3
+
+
+@dataclass(slots=True)
+class Layers:
+    """Layers as the extruding path shows them."""
+
+    number: int = 0
+    z_mm: float = math.nan
+    height_mm: float = HEIGHT_FIRST_MM
+    _seen: list[float] = field(default_factory=list)
+
+    def note(self, z_mm: float, told_mm: float = math.nan) -> float:
+        """Material is laid at z; returns the layer's height. `told_mm`: what the slicer says, NaN if nothing."""
+        if not abs(z_mm - self.z_mm) < SAME_Z_MM:
+            step = z_mm - self.z_mm
+            self.number = self.number + 1 if not step < 0.0 else 1  # down again: another object begins
+            first = math.isnan(self.z_mm) or step < 0.0
+            self.height_mm = min(HEIGHT_MOST_MM, max(HEIGHT_LEAST_MM, z_mm if first else step))
+            self.z_mm = z_mm
+        return self.height_mm if math.isnan(told_mm) else told_mm
+
+
+# (print time of the piece's start, layer, z) -> (wish_c, base_c, layer height told or NaN)
+Asker = Callable[[float, int, float], tuple[float, float, float]]
+
+
+class PathPieces:
+    """Turns batches of moves into pieces."""
+
+    def __init__(self, filament_area_mm2: float, longest_mm: float = 10.0) -> None:
+        self.filament_area_mm2 = filament_area_mm2
+        self.longest_mm = longest_mm
+        self.layers = Layers()
+
+    def pieces(self, moves: Sequence[Any], ask: Asker, fan: float = 0.0) -> Iterator[Piece]:
+        """Pieces of moves whose times are fixed. Moves of the extruder alone lay nothing."""
+        for move in moves:
+            duration_s = move.accel_t + move.cruise_t + move.decel_t
+            if duration_s <= 0.0:
+                continue
+            flow = 0.0
+            if move.is_kinematic_move and move.axes_d[3] > 0.0 and (move.axes_d[0] or move.axes_d[1]):
+                flow = move.axes_d[3] * self.filament_area_mm2 / duration_s
+            z_mm = move.end_pos[2]
+            if flow <= 0.0:
+                yield self._travel(move, duration_s, ask, fan)
+                continue
+            _, _, told_mm = ask(move.print_time, self.layers.number, z_mm)
+            height_mm = self.layers.note(z_mm, told_mm)
+            wish_c, base_c, _ = ask(move.print_time, self.layers.number, z_mm)
+            count = max(1, math.ceil(move.move_d / self.longest_mm))
+            for i in range(count):
+                a, b = i / count, (i + 1) / count
+                yield Piece(
+                    move.print_time + a * duration_s,
+                    move.print_time + b * duration_s,
+                    _between(move, a),
+                    _between(move, b),
+                    flow,
+                    height_mm,
+                    fan,
+                    wish_c,
+                    base_c,
+                )
+
+    def _travel(self, move: Any, duration_s: float, ask: Asker, fan: float) -> Piece:
+        _, base_c, _ = ask(move.print_time, self.layers.number, move.end_pos[2])
+        start, end = move.start_pos[:3], move.end_pos[:3]
+        height_mm = self.layers.height_mm
+        return Piece(
+            move.print_time, move.print_time + duration_s, start, end, 0.0, height_mm, fan, math.nan, base_c
+        )
+
+
+def _between(move: Any, share: float) -> tuple[float, float, float]:
+    """A place on the move (by path; the little that acceleration shifts it in time is left out)."""
+    x, y, z = (a + share * (b - a) for a, b in zip(move.start_pos[:3], move.end_pos[:3], strict=True))
+    return x, y, z

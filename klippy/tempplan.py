@@ -1,0 +1,227 @@
+"""The temperature plan in the C helper (chelper/tempplan.h), for the printer and for offline tools.
+
+    pieces of path ─► add: substrate, wanted melt, wall ─► make: corners of the nozzle's temperature ─► finish: books
+
+The models and their sources are thermal/{deposit,weld,nozzle_melt,plan,filament_heat}.py. Times are print times in s.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import chelper
+from thermal import filament_heat
+from thermal.deposit import Surroundings
+from thermal.materials import Material
+from thermal.model import loss_w
+from thermal.nozzle_melt import NozzleLimits, highest_c
+
+CORE_STEP_MM3_S = 0.5
+CORE_FLOW_MAX_MM3_S = 60.0
+HISTORIES = ("planned", "fixed")
+_PIECE = struct.Struct("=17d")
+_POINT = struct.Struct("=2d")
+_DONE_FIELDS = 9
+
+
+class Piece(NamedTuple):
+    """A straight piece of path at one extrusion rate. mm, s, mm3/s, degC; `wish_c` NaN: nothing asked for by name."""
+
+    start_s: float
+    end_s: float
+    start_mm: tuple[float, float, float]
+    end_mm: tuple[float, float, float]
+    flow_mm3_s: float
+    height_mm: float
+    fan: float = 0.0
+    wish_c: float = math.nan
+    base_c: float = 0.0  # the user's own nozzle target
+
+
+class Laid(NamedTuple):
+    """What became of a piece: temperatures in degC; *_fixed_c as one fixed temperature would have laid it."""
+
+    start_s: float
+    end_s: float
+    wall_c: float
+    wanted_melt_c: float
+    melt_c: float
+    substrate_c: float
+    interface_c: float
+    substrate_fixed_c: float
+    interface_fixed_c: float
+
+
+@dataclass(frozen=True, slots=True)
+class Craft:
+    """What besides names decides: the weld and the core of the filament."""
+
+    interface_c: float | None = None  # temperature wanted at the weld; None: the weld has no say
+    core: bool = False  # the filament's core must reach the material's flow temperature
+    zone_mm: float = 20.0  # heated length of the nozzle
+    filament_mm: float = 1.75
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """Books of what has been laid; pairs are (planned, fixed)."""
+
+    length_mm: float
+    pieces: int
+    bonded_share: tuple[float, float]
+    interface_5_50_95_c: tuple[tuple[float, float, float], tuple[float, float, float]]
+    melt_rms_c: float  # planned less wanted melt
+    cold_share: float  # of the path: the wanted weld would have needed a hotter melt than the material bears
+    hot_share: float
+
+    @property
+    def spread_c(self) -> tuple[float, float]:
+        """5 to 95 % of the path, interface temperature."""
+        a, b = self.interface_5_50_95_c
+        return a[2] - a[0], b[2] - b[0]
+
+
+def _percentiles(lengths: Sequence[float]) -> tuple[float, float, float]:
+    total = sum(lengths)
+    found: list[float] = []
+    running = 0.0
+    for degree, length in enumerate(lengths):
+        while len(found) < 3 and running + length >= (0.05, 0.5, 0.95)[len(found)] * total and length > 0.0:
+            share = ((0.05, 0.5, 0.95)[len(found)] * total - running) / length
+            found.append(degree + share)
+        running += length
+    return (found[0], found[1], found[2]) if len(found) == 3 else (math.nan,) * 3
+
+
+class TemperaturePlan:
+    """One nozzle's plan. Raises ValueError if its power cannot hold the lowest temperature."""
+
+    def __init__(
+        self,
+        limits: NozzleLimits,
+        material: Material,
+        surroundings: Surroundings,
+        craft: Craft,
+        cell_mm: float = 2.0,
+    ) -> None:
+        floor_c, ceiling_c = max(limits.min_c, limits.min_extrude_c), highest_c(limits)
+        if ceiling_c < floor_c:
+            raise ValueError(
+                f"The power of {limits.power_w:.1f} W holds {ceiling_c:.0f} degC at most, below the lowest temperature"
+                f" of {floor_c:.0f} degC at which this nozzle may extrude."
+            )
+        self._ffi, self._lib = chelper.get_ffi()
+        self._limits = limits
+        self._floor_c, self._ceiling_c, self._cell_mm = floor_c, ceiling_c, cell_mm
+        degrees = range(math.ceil(ceiling_c) + 2)
+        chi, radius_m = material.diffusivity_m2_s, 0.5e-3 * craft.filament_mm
+        cores = [1.0]
+        while CORE_STEP_MM3_S * len(cores) <= CORE_FLOW_MAX_MM3_S:
+            feed_m_s = 1e-9 * CORE_STEP_MM3_S * len(cores) / (math.pi * radius_m**2)
+            cores.append(filament_heat.core_fraction(chi * 1e-3 * craft.zone_mm / (feed_m_s * radius_m**2)))
+        plan = self._lib.tempplan_alloc(
+            self._parameters(material, surroundings, craft),
+            [loss_w(limits.loss, t) for t in degrees],
+            [limits.capacity.at(t) for t in degrees],
+            len(degrees),
+            cores,
+            len(cores),
+        )
+        if plan == self._ffi.NULL:
+            raise MemoryError("no memory for the temperature plan")
+        self._plan = self._ffi.gc(plan, self._lib.tempplan_free)
+
+    def _parameters(self, material: Material, surroundings: Surroundings, craft: Craft) -> Any:
+        limits = self._limits
+        exchange = limits.exchange
+        values = {
+            "floor_c": self._floor_c,
+            "ceiling_c": self._ceiling_c,
+            "power_w": limits.power_w,
+            "cooling_share": limits.cooling_share,
+            "ua_w_k": exchange.ua_w_k,
+            "heat_mj_m3k": exchange.heat_mj_m3k,
+            "inlet_c": exchange.inlet_c,
+            "bore_lag_s": exchange.bore_lag_s,
+            "melt_mm3": exchange.volume_mm3,
+            "low_c": material.low_c,
+            "high_c": material.high_c,
+            "diffusivity_m2_s": material.diffusivity_m2_s,
+            "rho_c": material.density_kg_m3 * material.heat_j_kgk,
+            "bonding_c": material.bonding_c,
+            "bed_c": surroundings.bed_c,
+            "chamber_c": surroundings.chamber_c,
+            "still_w_m2k": surroundings.still_w_m2k,
+            "fan_w_m2k": surroundings.fan_w_m2k,
+            "bed_reach_mm": surroundings.bed_reach_mm,
+            "cell_mm": self._cell_mm,
+            "interface_c": math.nan if craft.interface_c is None else craft.interface_c,
+            "core_c": material.flow_c if craft.core else math.nan,
+            "core_step_mm3_s": CORE_STEP_MM3_S,
+        }
+        return self._ffi.new("struct tempplan_params *", values)
+
+    def change(self, material: Material, surroundings: Surroundings, craft: Craft) -> None:
+        """Other material, surroundings or wishes from now on; what has been laid stays.
+
+        The table of the core keeps the material and zone it was made for.
+        """
+        self._lib.tempplan_set(self._plan, self._parameters(material, surroundings, craft))
+
+    def add(self, pieces: Sequence[Piece]) -> list[tuple[float, float, float]]:
+        """Take pieces in order of time; (substrate, wanted melt, wanted wall) of each, NaN where nothing is laid."""
+        rows = self._ffi.new("struct tempplan_piece[]", len(pieces))
+        size = self._ffi.sizeof("struct tempplan_piece")
+        buffer = self._ffi.buffer(rows)
+        for i, piece in enumerate(pieces):
+            _PIECE.pack_into(
+                buffer, i * size, piece.start_s, piece.end_s, *piece.start_mm, *piece.end_mm, piece.flow_mm3_s,
+                piece.height_mm, piece.fan, piece.wish_c, piece.base_c, 0.0, 0.0, 0.0, 0.0,
+            )  # fmt: skip
+        if self._lib.tempplan_add(self._plan, rows, len(pieces)):
+            raise MemoryError("no memory for the temperature plan")
+        return [(row.substrate_c[0], row.melt_c, row.wall_c) for row in rows]
+
+    def make(self, from_s: float, start_c: float) -> list[tuple[float, float]]:
+        """Plan again from `from_s` on, where the nozzle is at `start_c`; corners (s, degC), also of the last 2 s."""
+        count = self._lib.tempplan_make(self._plan, from_s, start_c)
+        return list(_POINT.iter_unpack(self._ffi.buffer(self._lib.tempplan_points(self._plan), 16 * count)))
+
+    def at(self, time_s: float, otherwise_c: float) -> float:
+        """Planned nozzle temperature; `otherwise_c` if nothing is planned."""
+        return float(self._lib.tempplan_at(self._plan, time_s, otherwise_c))
+
+    def finish(self, until_s: float, rows: int = 0) -> list[Laid]:
+        """Book what has been laid by now; returns up to `rows` of it."""
+        done = self._ffi.new("double[]", max(1, rows) * _DONE_FIELDS)
+        count = self._lib.tempplan_finish(self._plan, until_s, done if rows else self._ffi.NULL, rows)
+        return [Laid(*done[i * _DONE_FIELDS : (i + 1) * _DONE_FIELDS]) for i in range(count)]
+
+    def cut(self, time_s: float) -> None:
+        """Forget what lies ahead: the motion was stopped."""
+        self._lib.tempplan_cut(self._plan, time_s)
+
+    def sizes(self) -> tuple[int, int]:
+        """(columns of the map, pieces held)."""
+        sizes = self._ffi.new("uint64_t[2]")
+        self._lib.tempplan_sizes(self._plan, sizes)
+        return int(sizes[0]), int(sizes[1])
+
+    def summary(self) -> Summary:
+        """The books."""
+        report = self._lib.tempplan_report(self._plan)
+        length = report.length_mm
+        per = 1.0 / length if length > 0.0 else 0.0
+        return Summary(
+            length,
+            int(report.pieces),
+            (report.bonded_mm[0] * per, report.bonded_mm[1] * per),
+            (_percentiles(list(report.interface_mm[0])), _percentiles(list(report.interface_mm[1]))),
+            math.sqrt(report.off_squares * per),
+            report.cold_mm * per,
+            report.hot_mm * per,
+        )

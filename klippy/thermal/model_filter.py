@@ -1,0 +1,273 @@
+"""Kalman filter around model_plant: temperatures, disturbance power and the gain of the drive, from measurements.
+
+State of the covariance, in this order, missing nodes left out: element, controlled node, second mass, sensor,
+disturbance d (W), drive gain g. Bore and flow follow the controlled node without uncertainty of their own.
+
+    mean        model_plant.advance through the outputs that were in force, sample by sample
+    covariance  P <- F P F' + Q once a call, F = 1 + A dt + ..., A the slopes of the model at the present state
+    update      the samples of one call (a message of blocks) enter as one: their mean innovation, weighted
+
+d walks at random, g nearly stands: heat that follows the power (another mass, another coupling) is learned as g
+during a climb, heat that does not (melt, draught, other losses) as d. A sample marked `rebased` came over a
+jump of the sensing law: it moves the temperature and teaches nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import NamedTuple
+
+from .control_api import IDLE, Planned, Sample, Schedule
+from .model import STEFAN_BOLTZMANN, ZERO_CELSIUS_K
+from .model_plant import ModelParameters, Nodes, advance, at_rest, capacity_j_k, heat_per_output_w, melt_w_k
+
+GAIN_LEAST, GAIN_MOST = 0.25, 4.0
+SURPRISE = 14.0  # innovation squared over its variance beyond which the disturbance is taken to have changed
+SURPRISED_W = 3.0  # by about this much at once
+LOST_C, LOST_SIGMA = 20.0, 8.0  # farther off than this: begin anew at what is measured
+REBASED_C = 10.0  # 1 sigma of a jump of the sensing law
+
+Matrix = tuple[tuple[float, ...], ...]
+
+
+UNKNOWN = Nodes(math.nan, math.nan, math.nan, math.nan, math.nan, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class ModelState:
+    """Memory of the model law."""
+
+    time_s: float = math.nan  # what the nodes belong to; NaN: nothing known yet
+    nodes: Nodes = UNKNOWN
+    disturbance_w: float = 0.0
+    gain: float = 1.0
+    covariance: Matrix = ()
+    innovation_c: float = 0.0  # newest: measured minus expected
+    heard_s: float = -math.inf  # newest measurement
+    output: float = 0.0  # newest output decided
+    sent: tuple[Planned, ...] = ()  # own outputs, where the caller does not tell what is pending
+
+    @property
+    def known(self) -> bool:
+        return self.time_s == self.time_s
+
+
+class Layout(NamedTuple):
+    """Places in the covariance; -1: no such node."""
+
+    element: int
+    temp: int
+    second: int
+    sensor: int
+    disturbance: int
+    gain: int
+    size: int
+    measured: int
+
+
+@cache
+def _layout(has_element: bool, has_second: bool, has_sensor: bool) -> Layout:
+    temp = int(has_element)
+    second = temp + 1 if has_second else -1
+    sensor = temp + 1 + has_second if has_sensor else -1
+    disturbance = temp + 1 + has_second + has_sensor
+    measured = sensor if has_sensor else temp
+    return Layout(
+        0 if has_element else -1,
+        temp,
+        second,
+        sensor,
+        disturbance,
+        disturbance + 1,
+        disturbance + 2,
+        measured,
+    )
+
+
+def layout(p: ModelParameters) -> Layout:
+    """Which node stands where."""
+    return _layout(p.element_j_k > 0.0, p.second_j_k > 0.0, p.sensor_s > 0.0)
+
+
+def begin(p: ModelParameters, temp_c: float, time_s: float, before: ModelState | None = None) -> ModelState:
+    """A state that knows one temperature; the drive's gain is kept from `before`, if any."""
+    places = layout(p)
+    nodes = at_rest(p, temp_c)
+    variances = [0.0] * places.size
+    rise_c = abs(temp_c - p.ambient_c)
+    if places.element >= 0:
+        variances[places.element] = (5.0 + 0.1 * rise_c) ** 2
+    variances[places.temp] = (p.sigma_c + (0.1 * rise_c if p.sensor_s else 0.0)) ** 2
+    if places.second >= 0:
+        variances[places.second] = (2.0 + p.second_start * rise_c) ** 2
+    if places.sensor >= 0:
+        variances[places.sensor] = p.sigma_c**2
+    variances[places.disturbance] = p.disturbance_start_w**2
+    gain, gain_variance = 1.0, p.gain_start**2
+    if before is not None and before.known:
+        gain, gain_variance = before.gain, before.covariance[places.gain][places.gain]
+    variances[places.gain] = gain_variance
+    rows = [tuple(v if i == j else 0.0 for j in range(places.size)) for i, v in enumerate(variances)]
+    output = before.output if before is not None else 0.0
+    sent = before.sent if before is not None else ()
+    return ModelState(time_s, nodes, 0.0, gain, tuple(rows), 0.0, time_s, output, sent)
+
+
+def _slopes(
+    p: ModelParameters, places: Layout, nodes: Nodes, gain: float, output: float, fan: float
+) -> list[tuple[int, int, float]]:
+    """Nonzero entries (row, column, 1/s) of A, the derivative of the model's rates by its state."""
+    heat = capacity_j_k(p, nodes.temp_c)
+    hot_k = nodes.temp_c + ZERO_CELSIUS_K
+    air = p.loss_w_k + fan * p.fan_w_k + 4.0 * STEFAN_BOLTZMANN * p.radiation_m2 * hot_k**3
+    taken = air + p.link_w_k + p.element_w_k + melt_w_k(p, nodes.flow)
+    entries = [
+        (places.temp, places.temp, -taken / heat),
+        (places.temp, places.disturbance, 1.0 / heat),
+    ]
+    drive_w = output * heat_per_output_w(p, nodes.temp_c)
+    if places.element >= 0:
+        entries.append((places.element, places.element, -p.element_w_k / p.element_j_k))
+        entries.append((places.element, places.temp, p.element_w_k / p.element_j_k))
+        entries.append((places.element, places.gain, drive_w / p.element_j_k))
+        entries.append((places.temp, places.element, p.element_w_k / heat))
+    else:
+        entries.append((places.temp, places.gain, drive_w / heat))
+    if places.second >= 0:
+        entries.append((places.temp, places.second, p.link_w_k / heat))
+        entries.append((places.second, places.temp, p.link_w_k / p.second_j_k))
+        entries.append((places.second, places.second, -(p.link_w_k + p.second_loss_w_k) / p.second_j_k))
+    if places.sensor >= 0:
+        entries.append((places.sensor, places.sensor, -1.0 / p.sensor_s))
+        entries.append((places.sensor, places.temp, 1.0 / p.sensor_s))
+    return entries
+
+
+def _spread(
+    p: ModelParameters,
+    places: Layout,
+    rows: list[list[float]],
+    slopes: list[tuple[int, int, float]],
+    dt_s: float,
+) -> list[list[float]]:
+    """P <- F P F' + Q over `dt_s`."""
+    steps = 1 if dt_s <= p.step_s else math.ceil(dt_s / p.step_s)
+    h = dt_s / steps
+    walk = p.temp_walk_c * p.temp_walk_c * h
+    for _ in range(steps):
+        left = [row[:] for row in rows]
+        for i, j, slope in slopes:
+            k = slope * h
+            target, source = left[i], rows[j]
+            for c in range(places.size):
+                target[c] += k * source[c]
+        rows = [row[:] for row in left]
+        for i, j, slope in slopes:
+            k = slope * h
+            for r in range(places.size):
+                rows[r][i] += k * left[r][j]
+        for i in range(places.disturbance):
+            rows[i][i] += walk
+        rows[places.disturbance][places.disturbance] += p.disturbance_w * p.disturbance_w * h
+        rows[places.gain][places.gain] += p.gain_walk * p.gain_walk * h
+    return rows
+
+
+class _Run(NamedTuple):
+    """What walking through the samples has given."""
+
+    nodes: Nodes
+    time_s: float
+    weight: float  # sum of 1/variance
+    innovation_c: float  # weighted mean
+    heard_s: float
+    output: float  # mean over the time walked
+    rebased: bool
+
+
+def _walk(
+    p: ModelParameters, state: ModelState, samples: Sequence[Sample], flow: Schedule, fan: Schedule
+) -> _Run:
+    nodes, now_s, heard_s = state.nodes, state.time_s, state.heard_s
+    weight = pulled = passed = 0.0
+    rebased = False
+    for sample in samples:
+        surroundings = flow.at(now_s), fan.at(now_s)
+        drive = sample.output, state.gain, state.disturbance_w
+        middle_s = min(max(sample.time_s, now_s), sample.end_s)
+        nodes = advance(p, nodes, drive, surroundings, middle_s - now_s)
+        if sample.temp_c == sample.temp_c:
+            sigma_c = sample.sigma_c if sample.sigma_c > 0.0 else p.sigma_c
+            share = 1.0 / (sigma_c * sigma_c)
+            weight += share
+            pulled += share * (sample.temp_c - nodes.sensor_c)
+            heard_s = sample.time_s
+            rebased = rebased or sample.rebased
+        nodes = advance(p, nodes, drive, surroundings, sample.end_s - middle_s)
+        passed += sample.output * max(0.0, sample.end_s - now_s)
+        now_s = max(now_s, sample.end_s)
+    elapsed_s = now_s - state.time_s
+    output = passed / elapsed_s if elapsed_s > 0.0 else state.output
+    return _Run(nodes, now_s, weight, pulled / weight if weight else 0.0, heard_s, output, rebased)
+
+
+def _moved(p: ModelParameters, places: Layout, nodes: Nodes, gains: list[float], by_c: float) -> Nodes:
+    """The nodes after an update; bore and an ideal sensor go with the controlled node."""
+    step_c = gains[places.temp] * by_c
+    element_c = nodes.element_c + (gains[places.element] * by_c if places.element >= 0 else step_c)
+    second_c = nodes.second_c + (gains[places.second] * by_c if places.second >= 0 else 0.0)
+    temp_c = nodes.temp_c + step_c
+    sensor_c = nodes.sensor_c + (gains[places.sensor] * by_c if places.sensor >= 0 else step_c)
+    return Nodes(element_c, temp_c, second_c, sensor_c, nodes.bore_c + step_c, nodes.flow)
+
+
+def observe(
+    p: ModelParameters,
+    state: ModelState,
+    samples: Sequence[Sample],
+    flow: Schedule = IDLE,
+    fan: Schedule = IDLE,
+) -> ModelState:
+    """The state after these samples, in order of time."""
+    if not samples:
+        return state
+    if not state.known or samples[-1].end_s - state.heard_s > p.gap_s:
+        measured = [s for s in samples if s.temp_c == s.temp_c]
+        if not measured:
+            return state
+        return begin(p, measured[-1].temp_c, measured[-1].end_s, state)
+    places = layout(p)
+    run = _walk(p, state, samples, flow, fan)
+    slopes = _slopes(p, places, run.nodes, state.gain, run.output, fan.at(run.time_s))
+    rows = _spread(p, places, [list(row) for row in state.covariance], slopes, run.time_s - state.time_s)
+    if not run.weight:
+        covariance = tuple(map(tuple, rows))
+        return replace(state, time_s=run.time_s, nodes=run.nodes, covariance=covariance)
+    m = places.measured
+    if run.rebased:
+        for i in range(places.size):
+            rows[m][i] = rows[i][m] = 0.0 if i != m else rows[m][m] + REBASED_C * REBASED_C
+    noise = 1.0 / run.weight
+    spread = rows[m][m] + noise
+    surprise = run.innovation_c * run.innovation_c / spread
+    if abs(run.innovation_c) > LOST_C + LOST_SIGMA * math.sqrt(spread):
+        newest = next(s for s in reversed(samples) if s.temp_c == s.temp_c)
+        return begin(p, newest.temp_c, run.time_s, state)
+    if surprise > SURPRISE and not run.rebased:
+        rows[places.disturbance][places.disturbance] += SURPRISED_W * SURPRISED_W
+    column = [row[m] for row in rows]
+    gains = [value / spread for value in column]
+    covariance = tuple(
+        tuple(v - k * c for v, c in zip(row, column, strict=True)) for row, k in zip(rows, gains, strict=True)
+    )
+    by_c = run.innovation_c
+    gain = min(GAIN_MOST, max(GAIN_LEAST, state.gain + gains[places.gain] * by_c))
+    most_w = p.disturbance_max_w
+    disturbance_w = min(most_w, max(-most_w, state.disturbance_w + gains[places.disturbance] * by_c))
+    nodes = _moved(p, places, run.nodes, gains, by_c)
+    return ModelState(
+        run.time_s, nodes, disturbance_w, gain, covariance, by_c, run.heard_s, state.output, state.sent
+    )

@@ -1,0 +1,209 @@
+"""The model a `model` controller holds of its heater: up to six nodes, integrated with plain steps.
+
+    output ─► [element] ─► controlled node ─► air, radiation, fan
+                              │   │   └► [sensor lag] ─► measured
+                              │   └► bore ─► melt (planned flow)
+                              └► [second mass] ─► air
+
+    Ce dE/dt  = g u W s(T) - ke (E - T)                                       element, 0 J/K: heats T directly
+    C(T) dT/dt = heat - k2 (T - T2) - (g0 + fan gf)(T - Ta) - sigma eA (T^4 - Ta^4) - h(flow)(B - Tin) + d
+    C2 dT2/dt = k2 (T - T2) - g2 (T2 - Ta)                                    second mass, 0 J/K: none
+    tau dS/dt = T - S,   tau_b dB/dt = T - B,   tau_f df/dt = flow - f        sensor, bore, flow: exact exponentials
+    h(f) = c f (1 - exp(-UA/(c f)))                                           heat of the melt, W/K
+
+g (drive gain, about 1) and d (disturbance, W) are what the filter learns. Forms follow the thermal balance of
+source 000's nozzle and of an ordinary cartridge hotend; the figures are the heater's own, from its config.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from .control_api import require
+from .model import STEFAN_BOLTZMANN, ZERO_CELSIUS_K
+
+STEPS_PER_LAG = 10.0  # an Euler step is this much shorter than the fastest lag: 5 % of that lag in error
+LONGEST_STEP_S = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class ModelParameters:
+    """One heater. Raises ParameterError where no heater can be so. 0 leaves a node out."""
+
+    heat_j_k: float  # controlled node, at 25 degC
+    loss_w_k: float  # controlled node to air
+    output_w: float  # heat per unit of output: 1.0 if the output is watts, the heater's power if it is duty
+    output_high: float
+    heat_slope_per_k: float = 0.0  # relative rise of heat_j_k
+    radiation_m2: float = 0.0  # emissivity times area
+    ambient_c: float = 25.0
+    second_j_k: float = 0.0
+    link_w_k: float = 0.0
+    second_loss_w_k: float = 0.0
+    element_j_k: float = 0.0
+    element_w_k: float = 0.0
+    sensor_s: float = 0.0
+    output_slope_per_k: float = 0.0  # relative change of the heat per output around 25 degC (efficiency)
+    fan_w_k: float = 0.0  # at full speed
+    melt_ua_w_k: float = 0.0
+    melt_j_mm3_k: float = 2.1e-3
+    melt_in_c: float = 25.0
+    bore_s: float = 0.0
+    flow_s: float = 0.0
+    # Control: what is wanted
+    hold_s: float = 0.3  # an output stays for so long
+    horizon_s: float = 0.0  # the wanted temperature is met so far ahead; at least hold_s
+    fade_s: float = 0.0  # a small deviation decays with this time constant
+    knee_c: float = 1.5  # "small"; larger ones are brought to it as fast as the power allows
+    slew_per_s: float = math.inf  # most the output may change in a second
+    delay_s: float = 0.0  # measurement to output in force, where the caller does not say
+    ahead: int = 0  # further outputs planned beyond the first
+    # Filter: what is uncertain, 1 sigma
+    sigma_c: float = 0.05  # a measurement
+    disturbance_w: float = 2.0  # change of the disturbance within a second, random walk
+    disturbance_start_w: float = 2.0
+    disturbance_max_w: float = math.inf
+    gain_start: float = 0.3  # relative, of the drive's gain
+    gain_walk: float = 0.005  # relative, within a second
+    second_start: float = 0.2  # of the second mass's excess over air, relative
+    temp_walk_c: float = 0.02  # of each node, within a second
+    gap_s: float = 5.0  # nothing heard for so long: begin anew
+    step_s: float = field(init=False, default=LONGEST_STEP_S)  # of the integration
+
+    def __post_init__(self) -> None:
+        self._check()
+        lags = [self.sensor_s]
+        if self.element_j_k:
+            lags.append(self.element_j_k / self.element_w_k)
+        lags.append(self.heat_j_k / (self.element_w_k + self.link_w_k + self.loss_w_k + 1e-12))
+        if self.second_j_k:
+            lags.append(self.second_j_k / (self.link_w_k + self.second_loss_w_k))
+        shortest = min((lag for lag in lags if lag > 0.0), default=math.inf)
+        object.__setattr__(self, "step_s", min(LONGEST_STEP_S, shortest / STEPS_PER_LAG))
+
+    def _check(self) -> None:
+        for name in ("heat_j_k", "output_w", "output_high", "hold_s", "sigma_c", "gap_s"):
+            value = getattr(self, name)
+            require(0.0 < value < math.inf, f"model: {name} must be above 0, it is {value:g}")
+        for name in (
+            *("loss_w_k", "radiation_m2", "second_j_k", "link_w_k", "second_loss_w_k", "element_j_k"),
+            *("element_w_k", "sensor_s", "fan_w_k", "melt_ua_w_k", "melt_j_mm3_k", "bore_s", "flow_s"),
+            *("horizon_s", "fade_s", "knee_c", "delay_s", "ahead", "disturbance_w", "disturbance_start_w"),
+            *("gain_start", "gain_walk", "second_start", "temp_walk_c"),
+        ):
+            value = getattr(self, name)
+            require(0.0 <= value < math.inf, f"model: {name} must not be negative, it is {value:g}")
+        require(self.slew_per_s > 0.0, "model: slew_per_s must be above 0")
+        require(
+            self.loss_w_k + self.radiation_m2 + self.second_loss_w_k > 0.0, "model: a heater without any loss"
+        )
+        require(-100.0 < self.ambient_c < 150.0, f"model: ambient_c of {self.ambient_c:g} is no room")
+        for name in ("heat_slope_per_k", "output_slope_per_k"):
+            value = getattr(self, name)
+            require(-1e-3 <= value <= 5e-3, f"model: {name} of {value:g} turns the sign within the range")
+        linked = self.link_w_k > 0.0
+        require(
+            (self.second_j_k > 0.0) == linked, "model: a second mass needs both heat and link, or neither"
+        )
+        linked = self.element_w_k > 0.0
+        require((self.element_j_k > 0.0) == linked, "model: an element needs both heat and link, or neither")
+
+    @property
+    def most_w(self) -> float:
+        return self.output_w * self.output_high
+
+
+class Nodes(NamedTuple):
+    """Temperatures in degC and the flow (mm^3/s) at the nozzle."""
+
+    element_c: float
+    temp_c: float
+    second_c: float
+    sensor_c: float
+    bore_c: float
+    flow: float
+
+
+def at_rest(p: ModelParameters, temp_c: float) -> Nodes:
+    """All nodes as they are when the controlled one has been held at this temperature for long."""
+    share = p.link_w_k / (p.link_w_k + p.second_loss_w_k) if p.second_j_k else 0.0
+    second_c = p.ambient_c + share * (temp_c - p.ambient_c)
+    element_c = temp_c
+    if p.element_j_k:
+        element_c += max(0.0, hold_w(p, temp_c, 0.0, 0.0)) / p.element_w_k
+    return Nodes(element_c, temp_c, second_c, temp_c, temp_c, 0.0)
+
+
+def melt_w_k(p: ModelParameters, flow_mm3_s: float) -> float:
+    """Heat the melt takes per kelvin of bore above inlet."""
+    capacity_w_k = p.melt_j_mm3_k * flow_mm3_s
+    if capacity_w_k <= 1e-9 or not p.melt_ua_w_k:
+        return 0.0
+    return capacity_w_k * -math.expm1(-p.melt_ua_w_k / capacity_w_k)
+
+
+def hold_w(p: ModelParameters, temp_c: float, flow_mm3_s: float, fan: float) -> float:
+    """Heat that holds the controlled node at this temperature in the long run."""
+    rise_k = temp_c - p.ambient_c
+    through = p.link_w_k * p.second_loss_w_k / (p.link_w_k + p.second_loss_w_k) if p.second_j_k else 0.0
+    hot_k, cold_k = temp_c + ZERO_CELSIUS_K, p.ambient_c + ZERO_CELSIUS_K
+    radiated = STEFAN_BOLTZMANN * p.radiation_m2 * (hot_k**4 - cold_k**4)
+    melt = melt_w_k(p, flow_mm3_s) * (temp_c - p.melt_in_c)
+    return (p.loss_w_k + fan * p.fan_w_k + through) * rise_k + radiated + melt
+
+
+def capacity_j_k(p: ModelParameters, temp_c: float) -> float:
+    return p.heat_j_k * (1.0 + p.heat_slope_per_k * (temp_c - 25.0))
+
+
+def heat_per_output_w(p: ModelParameters, temp_c: float) -> float:
+    """Heat of one unit of output at this temperature, drive gain 1."""
+    return p.output_w * (1.0 + p.output_slope_per_k * (temp_c - 25.0))
+
+
+def _faded(lag_s: float, dt_s: float) -> float:
+    return math.exp(-dt_s / lag_s) if lag_s > 0.0 else 0.0
+
+
+def advance(
+    p: ModelParameters,
+    nodes: Nodes,
+    drive: tuple[float, float, float],
+    surroundings: tuple[float, float],
+    dt_s: float,
+) -> Nodes:
+    """The nodes `dt_s` later. drive = (output, gain, disturbance_w); surroundings = (flow mm^3/s, fan 0..1)."""
+    if dt_s <= 0.0:
+        return nodes
+    steps = 1 if dt_s <= p.step_s else math.ceil(dt_s / p.step_s)
+    output, gain, disturbance_w = drive
+    flow_in, fan = surroundings
+    element_c, temp_c, second_c, sensor_c, bore_c, flow = nodes
+    h = dt_s / steps
+    air_w_k = p.loss_w_k + fan * p.fan_w_k
+    cold_k4 = (p.ambient_c + ZERO_CELSIUS_K) ** 4
+    radiation = STEFAN_BOLTZMANN * p.radiation_m2
+    bore_fade, sensor_fade, flow_fade = _faded(p.bore_s, h), _faded(p.sensor_s, h), _faded(p.flow_s, h)
+    for _ in range(steps):
+        flow = flow_in + (flow - flow_in) * flow_fade
+        heat = gain * output * p.output_w * (1.0 + p.output_slope_per_k * (temp_c - 25.0))
+        if p.element_j_k:
+            passed = p.element_w_k * (element_c - temp_c)
+            element_c += h * (heat - passed) / p.element_j_k
+            heat = passed
+        link = p.link_w_k * (temp_c - second_c)
+        hot_k = temp_c + ZERO_CELSIUS_K
+        net = heat + disturbance_w - link - air_w_k * (temp_c - p.ambient_c)
+        net -= radiation * (hot_k * hot_k * hot_k * hot_k - cold_k4)
+        if flow > 1e-9:
+            net -= melt_w_k(p, flow) * (bore_c - p.melt_in_c)
+        if p.second_j_k:
+            second_c += h * (link - p.second_loss_w_k * (second_c - p.ambient_c)) / p.second_j_k
+        before_c = temp_c
+        temp_c += h * net / (p.heat_j_k * (1.0 + p.heat_slope_per_k * (temp_c - 25.0)))
+        middle_c = 0.5 * (before_c + temp_c)
+        sensor_c = middle_c + (sensor_c - middle_c) * sensor_fade if p.sensor_s else temp_c
+        bore_c = middle_c + (bore_c - middle_c) * bore_fade if p.bore_s else temp_c
+    return Nodes(element_c, temp_c, second_c, sensor_c, bore_c, flow)

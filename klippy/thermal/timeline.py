@@ -1,0 +1,96 @@
+"""What the bridge has been told to do and when, and where its next command may begin.
+
+A list of commands sent replaces everything pending from its first time on (induction_plan), so what is known of
+the future is always the newest plan. Commands begin on edges between two blocks, so that no block is cut:
+
+    blocks  |settle|--block--|--block--|--block--|--block--|
+                             ^ known edge        ^ edge >= now + lead: the command's time
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from .control_api import Planned
+from .records import PhaseCommand
+
+TIME_SLACK_S = 1e-7  # rounding of print times against clocks, far below a bridge period
+
+NOT_COMMANDED = PhaseCommand(-math.inf, 0, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """When commands may start and how blocks lie in time."""
+
+    block_s: float  # whole block
+    settle_s: float  # discarded after a phase step
+    lead_s: float  # a command is sent at least this much before it holds
+    refresh_s: float  # longest time between commands while the bridge is on
+    stale_s: float = 0.15  # no temperature for this long: stop heating blindly
+    control_s: float = 0.0  # commands are at least this much apart: a step costs settling samples
+
+    @property
+    def stride_s(self) -> float:
+        """From one command to the next, when every one is followed as soon as may be."""
+        blocks = max(1, math.ceil((self.control_s - self.settle_s) / self.block_s - 1e-6))
+        return self.settle_s + blocks * self.block_s
+
+
+@dataclass(slots=True)
+class Timeline:
+    """Commands of one bridge in order of time: the newest that is surely in force, and all after it."""
+
+    edge_s: float = -math.inf  # an edge between two blocks
+    commands: list[PhaseCommand] = field(default_factory=lambda: [NOT_COMMANDED])
+
+    @property
+    def newest(self) -> PhaseCommand:
+        return self.commands[-1]
+
+    def note(self, commands: list[PhaseCommand], now_s: float) -> None:
+        """These are sent now."""
+        if not commands:
+            return
+        start_s = commands[0].time_s - TIME_SLACK_S
+        kept = [c for c in self.commands if c.time_s < start_s]
+        past = sum(
+            1 for c in kept if c.time_s <= now_s - 1.0
+        )  # blocks may still be asked about the last second
+        self.commands = kept[max(0, past - 1) :] + commands
+
+    def last_before(self, time_s: float) -> PhaseCommand:
+        """The command in force just before `time_s`."""
+        for command in reversed(self.commands):
+            if command.time_s < time_s:
+                return command
+        return self.commands[0]
+
+    def at(self, time_s: float) -> PhaseCommand | None:
+        """The command that begins at `time_s`, if one does."""
+        for command in self.commands:
+            if abs(command.time_s - time_s) <= TIME_SLACK_S:
+                return command
+        return None
+
+    def pending(self, after_s: float, until_s: float) -> tuple[Planned, ...]:
+        """Heat (W) of the commands that begin within this time."""
+        return tuple(Planned(c.time_s, c.power_w) for c in self.commands if after_s <= c.time_s < until_s)
+
+    def edge(self, timing: Timing, earliest_s: float) -> float:
+        """First edge between two blocks not before `earliest_s`, given the commands already sent."""
+        edge_s = self.edge_s
+        before = self.last_before(earliest_s + TIME_SLACK_S)
+        if before.time_s > edge_s:
+            edge_s = before.time_s + timing.settle_s
+        if edge_s == -math.inf:
+            return earliest_s
+        blocks = math.ceil((earliest_s - edge_s) / timing.block_s - 1e-6)
+        return edge_s + max(0, blocks) * timing.block_s
+
+    def slot(self, timing: Timing, now_s: float, apart_s: float) -> float:
+        """Where a command sent now may begin: lead time ahead and `apart_s` after the last that stays."""
+        earliest_s = now_s + timing.lead_s
+        settled = self.last_before(earliest_s)
+        return self.edge(timing, max(earliest_s, settled.time_s + apart_s))

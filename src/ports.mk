@@ -1,0 +1,84 @@
+# The firmware of one port: `make PORT=stm32f334`, or `make firmware-stm32f334` beside anything else.
+# Included by the top Makefile after src/build.mk.
+#
+# A port's src/PORT/port.mk gives
+#   PORT_CC PORT_OBJCOPY PORT_SIZE    its tools (PORT_CC is also what preprocesses for the dictionary)
+#   PORT_FIRMWARE                     the portable files it takes: some of build.mk's FIRMWARE_ lists
+#   PORT_SOURCES                      its own files
+#   PORT_CFLAGS PORT_LDFLAGS          what the compiler and the linker need to know beyond what is here
+#   PORT_LINK_INPUTS                  files the link depends on (linker script)
+#   PORT_IMAGES                       what is made of OUT/PORT/ferrite.elf (ferrite.bin, ferrite.hex), with rules
+#   PORT_SEAL                         a command that gets the linked file as its argument, before any image is made of it
+#   PORT_FLASH_CMD                    `make flash`
+# and may look at CONFIG_ variables of .config (`make menuconfig`); it must do without them.
+
+KCONFIG_CONFIG ?= .config
+-include $(KCONFIG_CONFIG)
+PORT ?= $(patsubst "%",%,$(CONFIG_PORT))
+PORTS := $(patsubst src/%/port.mk,%,$(wildcard src/*/port.mk))
+
+.PHONY: firmware firmware-simulator menuconfig flash size $(PORTS:%=firmware-%)
+firmware-simulator: $(SIM_MCU_LIB)
+$(PORTS:%=firmware-%): firmware-%:
+	@$(MAKE) --no-print-directory PORT=$* OUT=$(OUT) firmware
+
+ifeq ($(PORT),simulator)
+firmware: firmware-simulator
+else ifneq ($(PORT),)
+include src/$(PORT)/port.mk
+
+PORT_OUT := $(OUT)/$(PORT)
+PORT_ELF := $(PORT_OUT)/ferrite.elf
+PORT_ALL_SOURCES := $(PORT_FIRMWARE) $(PORT_SOURCES)
+PORT_OBJECTS := $(PORT_ALL_SOURCES:src/%.c=$(PORT_OUT)/obj/%.o) $(PORT_OUT)/obj/compile_time.o
+PORT_INCLUDES := -Isrc -Isrc/$(PORT)
+# Nothing of the place or the time of the build may get into the image: two builds, one hash.
+PORT_ALL_CFLAGS := $(C_WARNINGS) $(PORT_CFLAGS) $(PORT_INCLUDES) -g -ffunction-sections -fdata-sections \
+	-ffile-prefix-map=$(CURDIR)=. -ffile-prefix-map=$(PORT_OUT)=out -fno-common
+# Other options, other objects: the stamp's name changes with them.
+PORT_FLAGS_STAMP := $(PORT_OUT)/obj/flags-$(firstword $(shell echo '$(PORT_CC) $(PORT_ALL_CFLAGS) $(PORT_LDFLAGS)' | cksum))
+
+firmware: $(PORT_ELF) $(PORT_IMAGES:%=$(PORT_OUT)/%)
+flash: firmware
+	$(PORT_FLASH_CMD)
+size: firmware
+	@$(PYTHON) scripts/firmware_size.py --port $(PORT) --out $(PORT_OUT)
+
+$(PORT_FLAGS_STAMP):
+	@mkdir -p $(@D)
+	@rm -f $(PORT_OUT)/obj/flags-*
+	@touch $@
+
+$(PORT_OUT)/ferrite.dict $(PORT_OUT)/compile_time.c: $(PORT_OUT)/dictionary.stamp
+$(PORT_OUT)/dictionary.stamp: $(PORT_ALL_SOURCES) $(FIRMWARE_HEADERS) $(wildcard src/$(PORT)/*.h) \
+		scripts/build_dictionary.py $(PORT_FLAGS_STAMP)
+	$(PYTHON) scripts/build_dictionary.py --out $(PORT_OUT) --version '$(FERRITE_VERSION)' \
+		--cc '$(PORT_CC) $(PORT_CFLAGS) $(PORT_INCLUDES)' $(PORT_ALL_SOURCES)
+	@touch $@
+
+$(PORT_OUT)/obj/compile_time.o: $(PORT_OUT)/dictionary.stamp
+	@mkdir -p $(@D)
+	$(PORT_CC) $(PORT_ALL_CFLAGS) -c -o $@ $(PORT_OUT)/compile_time.c
+$(PORT_OUT)/obj/%.o: src/%.c $(PORT_FLAGS_STAMP)
+	@mkdir -p $(@D)
+	$(PORT_CC) $(PORT_ALL_CFLAGS) -MMD -MP -c -o $@ $<
+-include $(PORT_OBJECTS:.o=.d)
+
+# Put in place whole: an emulator may have the old one open.
+$(PORT_ELF): $(PORT_OBJECTS) $(PORT_LINK_INPUTS)
+	$(PORT_CC) $(PORT_CFLAGS) $(PORT_LDFLAGS) -Wl,--gc-sections -Wl,--build-id=none -Wl,-Map=$(PORT_OUT)/ferrite.map \
+		-o $@.new $(PORT_OBJECTS)
+	$(if $(PORT_SEAL),$(PORT_SEAL) $@.new)
+	@mv $@.new $@
+
+$(PORT_OUT)/ferrite.bin: $(PORT_ELF)
+	$(PORT_OBJCOPY) -O binary $< $@
+$(PORT_OUT)/ferrite.hex: $(PORT_ELF)
+	$(PORT_OBJCOPY) -O ihex -R .eeprom -R .fuse $< $@
+else
+firmware flash size:
+	@echo "Which port? make PORT=NAME $@ (simulator $(PORTS)), or choose one with make menuconfig"; exit 1
+endif
+
+menuconfig:
+	@KCONFIG_CONFIG=$(KCONFIG_CONFIG) $(PYTHON) -m menuconfig src/Kconfig

@@ -1,0 +1,42 @@
+/* Shared by the files of the STM32F334 port.  Who owns which peripheral: README.md. */
+#ifndef STM32F334_INTERNAL_H
+#define STM32F334_INTERNAL_H
+
+#include <stdint.h>
+
+#include "regs.h"
+#include "shutdown_reasons.h"
+
+/* boot.c: what the chip was found like.  Bits of boot_findings(). */
+enum boot_finding {
+    BOOT_NO_CLOCK = 1 << 0,    /* the crystal or the PLL did not start, or a clock switch does not read back */
+    BOOT_BROWN_OUT = 1 << 1,   /* the last reset was a dip of the supply, or it is too low now */
+    BOOT_BAD_FLASH = 1 << 2,   /* the image's checksum is wrong */
+};
+uint8_t boot_findings(void);
+uint8_t clock_start(void);     /* clock.c: 1 if the chip runs at 72 MHz from its crystal */
+uint8_t clock_verify(void);    /* is it still so, by the registers? */
+uint32_t clock_hz(void);       /* of processor and timers, whatever was found */
+uint8_t supply_is_low(void);
+uint8_t image_is_whole(void);  /* seal.c */
+_Noreturn void enter_rom_bootloader(void);
+
+/* gpio.c.  Numbers: port * 16 + bit. */
+enum { PIN_A = 0, PIN_B = 16, PIN_C = 32, PIN_D = 48, PIN_F = 80, PIN_COUNT = 96 };
+enum pin_mode { PIN_INPUT, PIN_OUTPUT, PIN_ALTERNATE, PIN_ANALOG };
+uint8_t pin_exists(uint32_t pin);
+/* Pins that belong to the console, the debugger, the crystal or the bridge are not for anybody else. */
+uint8_t pin_is_free(uint32_t pin);
+void pin_set_mode(uint32_t pin, enum pin_mode mode);
+void pin_set_pull(uint32_t pin, int8_t pull);
+void pin_set_function(uint32_t pin, uint8_t function); /* alternate function, fast edges */
+uint8_t pin_level(uint32_t pin);
+
+/* Interrupts all keep the priority they have after reset: they never preempt each other. */
+static inline void
+irq_allow(unsigned irq)
+{
+    NVIC_ISER(irq / 32) = BIT(irq % 32);
+}
+
+#endif

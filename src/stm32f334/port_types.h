@@ -1,0 +1,66 @@
+/* What the STM32F334 port puts into the board contract's types, and how it is configured (Kconfig; the defaults here are
+ * those of a Nucleo-F334R8). */
+#ifndef PORT_TYPES_H
+#define PORT_TYPES_H
+
+#include <stdint.h>
+
+#define PORT_CLOCK_HZ 72000000u
+#define PORT_MOVE_COUNT_MAX 1024
+#define PORT_PWM_MAX 255
+
+/* Samples in a half of the bridge ADC's buffer: what an interrupt costs is shared by so many.  Two halves make a block of
+ * 192 samples. */
+#define PORT_SYNC_HALF_LEN 96
+#define PORT_OVERSAMPLE_KERNEL
+
+struct gpio_out {
+    volatile uint32_t *set_reset;  /* GPIOx_BSRR */
+    uint32_t mask;
+};
+struct gpio_in {
+    volatile uint32_t *input;      /* GPIOx_IDR */
+    uint32_t mask;
+};
+struct adc_in {
+    uint8_t channel;               /* of ADC2 */
+};
+struct pwm_out {
+    volatile uint32_t *compare;    /* TIMx_CCRy */
+};
+struct spi_bus {
+    uint16_t control;              /* SPI_CR1: mode and rate */
+};
+struct i2c_bus {
+    uint32_t timing;               /* I2C_TIMINGR */
+    uint8_t address;
+};
+
+/* All interrupts have one priority, so PRIMASK is all the locking there is. */
+typedef uint32_t irqstatus_t;
+#define PORT_INLINE_IRQ
+static inline void
+irq_disable(void)
+{
+    __asm__ volatile("cpsid i" ::: "memory");
+}
+static inline void
+irq_enable(void)
+{
+    __asm__ volatile("cpsie i" ::: "memory");
+}
+static inline irqstatus_t
+irq_save(void)
+{
+    irqstatus_t flag;
+    __asm__ volatile("mrs %0, primask" : "=r"(flag));
+    irq_disable();
+    return flag;
+}
+static inline void
+irq_restore(irqstatus_t flag)
+{
+    __asm__ volatile("msr primask, %0" ::"r"(flag) : "memory");
+}
+
+#endif

@@ -1,0 +1,69 @@
+/* From reset to main(): the vector table, memory, and what happens when the processor objects. */
+#include <stdint.h>
+
+#include "internal.h"
+#include "sched.h"
+
+extern uint32_t data_start[], data_end[], bss_start[], bss_end[], stack_top[];
+extern const uint32_t data_image[];
+
+void reset_handler(void);
+void timer_irq(void);
+void console_irq(void);
+void console_sent_irq(void);
+void samples_irq(void);
+void adc_irq(void);
+void bridge_fault_irq(void);
+void nmi_handler(void);
+void bridge_stop(void);
+
+/* Copied and cleared word by word: nothing here may need what it sets up.  (Without the attribute the compiler makes the
+ * loops into calls of memcpy and memset, which is right too but longer.) */
+__attribute__((optimize("no-tree-loop-distribute-patterns"))) void
+reset_handler(void)
+{
+    const uint32_t *from = data_image;
+    for (uint32_t *to = data_start; to < data_end;)
+        *to++ = *from++;
+    for (uint32_t *to = bss_start; to < bss_end;)
+        *to++ = 0;
+    __asm__ volatile("cpsid i" ::: "memory");
+    extern int main(void);
+    main();
+}
+
+/* Hard fault and every interrupt nobody asked for.  The bridge goes off at once; the other outputs when the watchdog, which
+ * is no longer fed, has reset the chip. */
+static void
+stop_handler(void)
+{
+    __asm__ volatile("cpsid i" ::: "memory");
+    bridge_stop();
+    for (;;)
+        ;
+}
+
+typedef void (*vector)(void);
+
+/* RM0364, table 29. */
+#define IRQ(n) (16 + (n))
+__attribute__((section(".vectors"), used)) static const vector vectors[IRQ(IRQ_COUNT)] = {
+    [0] = (vector)stack_top,
+    [1] = reset_handler,
+    [2] = nmi_handler,
+    [3 ... 6] = stop_handler,
+    [11 ... 12] = stop_handler,
+    [14 ... 15] = stop_handler,
+    [IRQ(0) ... IRQ(10)] = stop_handler,
+    [IRQ(IRQ_DMA1_CHANNEL1)] = samples_irq,
+    [IRQ(12) ... IRQ(16)] = stop_handler,
+    [IRQ(IRQ_DMA1_CHANNEL7)] = console_sent_irq,
+    [IRQ(IRQ_ADC1_2)] = adc_irq,
+    [IRQ(19) ... IRQ(27)] = stop_handler,
+    [IRQ(IRQ_TIM2)] = timer_irq,
+    [IRQ(29) ... IRQ(37)] = stop_handler,
+    [IRQ(IRQ_USART2)] = console_irq,
+    [IRQ(39) ... IRQ(72)] = stop_handler,
+    [IRQ(IRQ_HRTIM1_FLT)] = bridge_fault_irq,
+    [IRQ(74) ... IRQ(IRQ_COUNT - 1)] = stop_handler,
+};
