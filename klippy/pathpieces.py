@@ -15,6 +15,7 @@ from tempplan import Piece
 HEIGHT_LEAST_MM, HEIGHT_MOST_MM = 0.05, 1.0
 HEIGHT_FIRST_MM = 0.2  # before a second layer tells
 SAME_Z_MM = 1e-3
+PHASE_LEAST_S = 0.015  # a shorter move is one piece: the filament's compliance (20 ms) blurs its phases
 
 
 @dataclass(slots=True)
@@ -65,20 +66,41 @@ class PathPieces:
             _, _, told_mm = ask(move.print_time, self.layers.number, z_mm)
             height_mm = self.layers.note(z_mm, told_mm)
             wish_c, base_c, _ = ask(move.print_time, self.layers.number, z_mm)
-            count = max(1, math.ceil(move.move_d / self.longest_mm))
-            for i in range(count):
-                a, b = i / count, (i + 1) / count
+            volume_mm3 = move.axes_d[3] * self.filament_area_mm2
+            for from_s, to_s, a, b in self._parts(move):
+                flow = volume_mm3 * (b - a) / (to_s - from_s)
+                start, end = _between(move, a), _between(move, b)
                 yield Piece(
-                    move.print_time + a * duration_s,
-                    move.print_time + b * duration_s,
-                    _between(move, a),
-                    _between(move, b),
+                    move.print_time + from_s,
+                    move.print_time + to_s,
+                    start,
+                    end,
                     flow,
                     height_mm,
                     fan,
                     wish_c,
                     base_c,
                 )
+
+    def _parts(self, move: Any) -> Iterator[tuple[float, float, float, float]]:
+        """(from, to) in s after the start and in shares of the way: speeding up, cruise, braking, none too long."""
+        time_s = way = 0.0
+        phases = []
+        for duration_s, speed in (
+            (move.accel_t, 0.5 * (move.start_v + move.cruise_v)),
+            (move.cruise_t, move.cruise_v),
+            (move.decel_t, 0.5 * (move.cruise_v + move.end_v)),
+        ):
+            if duration_s > 0.0:
+                phases.append((duration_s, speed * duration_s / move.move_d))
+        if sum(duration_s for duration_s, _ in phases) < PHASE_LEAST_S:
+            phases = [(sum(p[0] for p in phases), sum(p[1] for p in phases))]
+        for duration_s, share in phases:
+            count = max(1, math.ceil(share * move.move_d / self.longest_mm))
+            for _ in range(count):
+                yield time_s, time_s + duration_s / count, way, way + share / count
+                time_s += duration_s / count
+                way += share / count
 
     def _travel(self, move: Any, duration_s: float, ask: Asker, fan: float) -> Piece:
         _, base_c, _ = ask(move.print_time, self.layers.number, move.end_pos[2])

@@ -64,6 +64,7 @@ class Craft:
     core: bool = False  # the filament's core must reach the material's flow temperature
     zone_mm: float = 20.0  # heated length of the nozzle
     filament_mm: float = 1.75
+    smooth_s: float = 0.0  # wanted walls are averaged over so much time to both sides
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,6 +163,7 @@ class TemperaturePlan:
             "interface_c": math.nan if craft.interface_c is None else craft.interface_c,
             "core_c": material.flow_c if craft.core else math.nan,
             "core_step_mm3_s": CORE_STEP_MM3_S,
+            "smooth_s": craft.smooth_s,
         }
         return self._ffi.new("struct tempplan_params *", values)
 

@@ -19,7 +19,7 @@ and, beyond Klipper's format, because an exit status alone proves little:
     EXPECT position X=1 Y=2 Z=3 E=4          of the toolhead at the end (mm, to 1e-6)
     EXPECT response some text                some answer contains it (no_response: none does)
     EXPECT error some text                   the error that ended the run contains it
-    EXPECT temperature extruder: 200 0       targets set, in this order
+    EXPECT temperature extruder: 200 0       targets set, in this order (the end of a run sets 0)
     EXPECT time stepper_x: 3.25              of its last step (s of its MCU's clock, to 25 us)
 """
 
@@ -104,39 +104,57 @@ def read_cases(path: Path) -> list[Case]:
     return [*cases, current]
 
 
+def _add_dictionary(case: Case, folder: Path, rest: str) -> Case:
+    pairs = (entry.rpartition("=") for entry in rest.split())
+    return replace(case, dictionaries=tuple((name or "mcu", file) for name, _, file in pairs))
+
+
+def _add_gcode_file(case: Case, folder: Path, rest: str) -> Case:
+    text = (folder / rest).read_text(encoding="utf-8")
+    return replace(case, gcode=case.gcode + tuple(text.splitlines()))
+
+
+def _set_should_fail(case: Case, folder: Path, rest: str) -> Case:
+    return replace(case, should_fail=True)
+
+
+def _add_option(case: Case, folder: Path, rest: str) -> Case:
+    found = _OPTION.fullmatch(rest)
+    if found is None:
+        raise ValueError("expected: OPTION [section] option: value")
+    return replace(case, options=(*case.options, (found["section"], found["option"], found["value"])))
+
+
+def _add_expectation(case: Case, folder: Path, rest: str) -> Case:
+    kind, _, what = rest.partition(" ")
+    if kind not in CHECKS:
+        raise ValueError(f"unknown expectation '{kind}' (known: {', '.join(CHECKS)})")
+    return replace(case, expectations=(*case.expectations, (kind, what.strip())))
+
+
+def _add_refusal(case: Case, folder: Path, rest: str) -> Case:
+    gcode, arrow, text = rest.partition("=>")
+    if not arrow or not text.strip():
+        raise ValueError("expected: REFUSED <G-code> => <text of the error>")
+    line = f"{REFUSED_COMMAND} N={len(case.refusals)}"
+    refusals = (*case.refusals, (gcode.strip(), text.strip()))
+    return replace(case, gcode=(*case.gcode, line), refusals=refusals)
+
+
+KEYWORDS = {
+    "DICTIONARY": _add_dictionary,
+    "GCODE": _add_gcode_file,
+    "SHOULD_FAIL": _set_should_fail,
+    "OPTION": _add_option,
+    "EXPECT": _add_expectation,
+    "REFUSED": _add_refusal,
+}
+
+
 def _apply(case: Case, folder: Path, keyword: str, rest: str, line: str) -> Case:
     """The case with one more line."""
-    if keyword == "DICTIONARY":
-        pairs = tuple(
-            (name or "mcu", file) for name, _, file in (entry.rpartition("=") for entry in rest.split())
-        )
-        return replace(case, dictionaries=pairs)
-    if keyword == "GCODE":
-        text = (folder / rest).read_text(encoding="utf-8")
-        return replace(case, gcode=case.gcode + tuple(text.splitlines()))
-    if keyword == "SHOULD_FAIL":
-        return replace(case, should_fail=True)
-    if keyword == "OPTION":
-        found = _OPTION.fullmatch(rest)
-        if found is None:
-            raise ValueError("expected: OPTION [section] option: value")
-        return replace(case, options=(*case.options, (found["section"], found["option"], found["value"])))
-    if keyword == "EXPECT":
-        kind, _, what = rest.partition(" ")
-        if kind not in CHECKS:
-            raise ValueError(f"unknown expectation '{kind}' (known: {', '.join(CHECKS)})")
-        return replace(case, expectations=(*case.expectations, (kind, what.strip())))
-    if keyword == "REFUSED":
-        gcode, arrow, text = rest.partition("=>")
-        if not arrow or not text.strip():
-            raise ValueError("expected: REFUSED <G-code> => <text of the error>")
-        number = len(case.refusals)
-        return replace(
-            case,
-            gcode=(*case.gcode, f"{REFUSED_COMMAND} N={number}"),
-            refusals=(*case.refusals, (gcode.strip(), text.strip())),
-        )
-    return replace(case, gcode=(*case.gcode, line))
+    add = KEYWORDS.get(keyword)
+    return replace(case, gcode=(*case.gcode, line)) if add is None else add(case, folder, rest)
 
 
 # ---- running ----
@@ -248,9 +266,9 @@ class Run:
         for name, heater in getattr(heaters, "heaters", {}).items():
             trace = self.outcome.targets.setdefault(name.split()[-1], [])
 
-            def noting(degrees: float, plain: Any = heater.set_temp, trace: list[float] = trace) -> Any:
+            def noting(degrees: float, plain: Any = heater.set_temp, trace: list[float] = trace) -> None:
+                plain(degrees)  # raises if it is out of range
                 trace.append(degrees)
-                return plain(degrees)
 
             heater.set_temp = noting
 

@@ -19,7 +19,7 @@ struct tempplan {
     int degrees, cores;
     struct deposit_map map;
     struct tempplan_piece *pieces;          /* those of the future and of the part planned but not yet laid */
-    double *starts, *melts_w_k;
+    double *starts, *melts_w_k, *walls_c;
     int count, room;
     struct tempplan_point *points;
     int point_count, point_room;
@@ -199,7 +199,10 @@ static int reserve(struct tempplan *tp, int more)
     double *melts = realloc(tp->melts_w_k, room * sizeof(*melts));
     if (melts)
         tp->melts_w_k = melts;
-    if (!pieces || !starts || !melts)
+    double *walls = realloc(tp->walls_c, room * sizeof(*walls));
+    if (walls)
+        tp->walls_c = walls;
+    if (!pieces || !starts || !melts || !walls)
         return -1;
     tp->room = room;
     return 0;
@@ -233,20 +236,43 @@ int tempplan_add(struct tempplan *tp, struct tempplan_piece *pieces, int count)
 
 /* -- plan: thermal/plan.py in the same order of sums -- */
 
+/* Walls as they are gone after: wanted ones averaged by volume over smooth_s to both sides of each piece. */
+static void smooth_walls(struct tempplan *tp, int first)
+{
+    double sum = 0.0, volume = 0.0, half_s = tp->p.smooth_s;
+    int low = first, high = first;
+    for (int i = first; i < tp->count; i++) {
+        const struct tempplan_piece *q = &tp->pieces[i];
+        double from_s = q->start_s - half_s, until_s = q->end_s + half_s;
+        for (; half_s > 0.0 && high < tp->count && tp->pieces[high].start_s < until_s; high++) {
+            double mm3 = tp->pieces[high].flow_mm3_s * (tp->pieces[high].end_s - tp->pieces[high].start_s);
+            volume += mm3;
+            sum += mm3 * tp->pieces[high].wall_c;
+        }
+        for (; low < high && tp->pieces[low].end_s <= from_s; low++) {
+            double mm3 = tp->pieces[low].flow_mm3_s * (tp->pieces[low].end_s - tp->pieces[low].start_s);
+            volume -= mm3;
+            sum -= mm3 * tp->pieces[low].wall_c;
+        }
+        double wall_c = volume > 1e-6 ? sum / volume : q->wall_c;
+        tp->walls_c[i] = fmin(tp->p.ceiling_c, fmax(tp->p.floor_c, wall_c));
+    }
+}
+
 static void find_starts(struct tempplan *tp, int first, double from_s, double start_c)
 {
     double demand_s = 0.0, later_s = INFINITY;
     int direction = 0;
     for (int i = tp->count - 1; i >= first; i--) {
         const struct tempplan_piece *q = &tp->pieces[i];
-        double before_c = i > first ? tp->pieces[i - 1].wall_c : start_c;
-        double step_c = q->wall_c - before_c;
+        double before_c = i > first ? tp->walls_c[i - 1] : start_c;
+        double step_c = tp->walls_c[i] - before_c;
         double at_s = q->start_s - lag_s(&tp->p, q->flow_mm3_s);
         demand_s = fmax(0.0, demand_s - (later_s - at_s));
         if (fabs(step_c) > NEGLIGIBLE_C) {
             int sign = step_c > 0.0 ? 1 : -1;
             double melt_w_k = i > first ? tp->melts_w_k[i - 1] : 0.0;
-            double needed_s = fabs(step_c) / rate_k_s(tp, before_c, q->wall_c, melt_w_k);
+            double needed_s = fabs(step_c) / rate_k_s(tp, before_c, tp->walls_c[i], melt_w_k);
             demand_s = needed_s + (sign == direction ? demand_s : 0.0);
             direction = sign;
         }
@@ -306,7 +332,7 @@ static int follow(struct tempplan *tp, int first, double from_s, double start_c)
         return -1;
     while (now_s < end_s) {
         while (turn < tp->count && tp->starts[turn] <= now_s)
-            target_c = tp->pieces[turn++].wall_c;
+            target_c = tp->walls_c[turn++];
         while (flow < tp->count - 1 && tp->pieces[flow].end_s <= now_s)
             flow++;
         const struct tempplan_piece *q = &tp->pieces[flow];
@@ -331,6 +357,7 @@ int tempplan_make(struct tempplan *tp, double from_s, double start_c)
         return 0;
     for (int i = first; i < tp->count; i++)
         tp->melts_w_k[i] = melt_heat_w_k(&tp->p, tp->pieces[i].flow_mm3_s);
+    smooth_walls(tp, first);
     find_starts(tp, first, from_s, start_c);
     /* what was planned up to from_s stays: pieces not yet booked look back at it */
     while (tp->point_count && tp->points[tp->point_count - 1].time_s >= from_s)
@@ -493,6 +520,7 @@ void tempplan_free(struct tempplan *tp)
     free(tp->pieces);
     free(tp->starts);
     free(tp->melts_w_k);
+    free(tp->walls_c);
     free(tp->points);
     free(tp);
 }

@@ -25,6 +25,9 @@ struct tempplan_params {
     double interface_c;             /* wanted at the weld; NaN: bonding has no say */
     double core_c;                  /* the filament's core must reach it; NaN: no say */
     double core_step_mm3_s;         /* flow per entry of the core table */
+    /* Wanted walls are averaged over so much time to both sides, by volume. Heating is ten times as quick as cooling:
+     * a plan that went after every corner's flow would ratchet up. 0: not averaged. */
+    double smooth_s;
 };
 
 /* Doubles only: Python packs rows of them in one go. */

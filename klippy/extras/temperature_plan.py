@@ -79,7 +79,7 @@ class TemperaturePlanner:
         self.heater = self.printer.lookup_object("heaters").lookup_heater(settings.heater)
         if not hasattr(self.heater, "loop"):
             raise self.printer.config_error(
-                f"[temperature_plan]: heater '{settings.heater}' is no [induction_heater], and no other is quick enough."
+                f"[temperature_plan]: heater '{settings.heater}' is no [induction_heater], no other is quick enough."
                 " For other printers scripts/plan_temperature.py --emit writes M104 commands into the file"
             )
         try:
@@ -396,6 +396,7 @@ def load_config(config: Any) -> TemperaturePlanner:
             core=config.getboolean("flow", False),
             zone_mm=config.getfloat("melt_zone_length", 20.0, above=0.0),
             filament_mm=filament_mm,
+            smooth_s=config.getfloat("smooth_time", 0.3, minval=0.0, maxval=5.0),
         ),
         wishes.WishTable(
             {wishes.feature_name(k): v for k, v in _read(config, "features", wishes.read_names).items()},

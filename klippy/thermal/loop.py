@@ -114,8 +114,8 @@ class LoopState:
 
     @property
     def commanded(self) -> PhaseCommand:
-        """Newest command sent, the last of a plan."""
-        return self.line.newest
+        """Newest command sent; of a plan its first."""
+        return self.line.head
 
 
 class InductionLoop:

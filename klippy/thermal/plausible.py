@@ -180,8 +180,8 @@ def warning(parameters: PlausibleParameters, state: PlausibleState) -> str:
         return ""
     if abs(drift_c) > parameters.drift_most_c:
         return (
-            f"wrong nozzle? the thermometer reads {drift_c:+.0f} C off (heat balance at {state.temp_c:.0f} C), more than"
-            " any drift: another material or shape than the one calibrated; run INDUCTION_CALIBRATE for this nozzle"
+            f"wrong nozzle? the thermometer reads {drift_c:+.0f} C off (heat balance at {state.temp_c:.0f} C), more"
+            " than any drift: another material or shape than the calibrated one; run INDUCTION_CALIBRATE for it"
         )
     return (
         f"the thermometer seems to have drifted by {drift_c:+.0f} C (heat balance at {state.temp_c:.0f} C);"

@@ -44,6 +44,7 @@ class Timeline:
 
     edge_s: float = -math.inf  # an edge between two blocks
     commands: list[PhaseCommand] = field(default_factory=lambda: [NOT_COMMANDED])
+    head: PhaseCommand = NOT_COMMANDED  # first of the newest plan
 
     @property
     def newest(self) -> PhaseCommand:
@@ -53,6 +54,7 @@ class Timeline:
         """These are sent now."""
         if not commands:
             return
+        self.head = commands[0]
         start_s = commands[0].time_s - TIME_SLACK_S
         kept = [c for c in self.commands if c.time_s < start_s]
         past = sum(

@@ -538,7 +538,7 @@ static uint32_t first_symbol(const char *const *names)
 
 const char *emulator_load(const char *elf_path)
 {
-    static const char *const LIMITS[] = { "_stack_start", "_stack_limit", "__stack_limit", "_stack_bottom", NULL };
+    static const char *const LIMITS[] = { "stack_limit", "_stack_limit", "__stack_limit" };
     const char *error = elf_load(elf_path);
     if (!error && !core.uc)
         error = make_processor();
@@ -574,7 +574,7 @@ void sim_mcu_boot(const struct sim_board *outside, uint64_t clock)
     }
     for (struct event *e = core.events; e; e = e->next)
         e->due = NEVER;
-    if (!core.powered || !cause)
+    if (!core.powered || (!cause && !chip_keeps_memory()))
         power_on_memory();
     core.powered = 1;
     core.until = core.time;

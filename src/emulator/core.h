@@ -77,6 +77,7 @@ void chip_write(uint32_t address, uint32_t value, unsigned size);
 void chip_receive(const uint8_t *data, uint32_t length);
 int chip_mutate(const char *what, uint32_t value);
 int chip_peek(const char *what, uint32_t *value);
+int chip_keeps_memory(void);            /* over a power-on: the supply only dipped */
 void chip_sync(void);                   /* bring lazily made things up to now */
 int chip_irq_exists(unsigned irq);
 extern const char *const chip_irq_names[]; /* by irq number, NULL: none */

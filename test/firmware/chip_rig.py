@@ -99,18 +99,32 @@ class Firmware(Chip):
         self.dictionary = Dictionary(json.loads(build.dictionary.read_text()))
         self.run(settle_s)
 
+    def _blocks(self) -> None:
+        """The line brings pieces; the harness wants whole blocks, each at the clock of its last byte."""
+        whole: list[tuple[int, bytes]] = []
+        rest = b""
+        for clock, piece in self.sent:
+            rest += piece
+            while rest and len(rest) >= rest[0]:
+                whole.append((clock, rest[: rest[0]]))
+                rest = rest[rest[0] :]
+        if rest:
+            whole.append((self.now, rest))  # the beginning of a block, finished by the next piece
+        self.sent[:] = whole
+
     def raw(self, data: bytes) -> bytes:
         before = len(self.sent)
         self.lib.sim_mcu_receive(data, len(data))
-        limit = self.now + round(self.PATIENCE_S * FREQ)
-        while self.now < limit and len(self.sent) == before:
-            self.run(0.0005)
-        self.run(0.001)
-        assert not self.fault(), self.fault()
+        limit, quiet = self.now + round(self.PATIENCE_S * FREQ), 0
+        while self.now < limit and quiet < 3:
+            pieces = len(self.sent)
+            self.run(0.001)
+            quiet = quiet + 1 if pieces == len(self.sent) > before else 0
         return b"".join(block for _, block in self.sent[before:])
 
     def run(self, seconds: float) -> None:
         super().run(seconds)
+        self._blocks()
         assert not self.fault(), self.fault()
 
     def send_content(self, content: bytes) -> list[Reply]:

@@ -103,7 +103,7 @@ void start(void)
     for (;;)
         wfi();
 }
-/* Handlers a program does not define are the one that does nothing. */
+/* A handler that a program does not define is vector 0, which the emulator objects to. */
 __attribute__((weak)) void on_systick(void);
 __attribute__((weak)) void on_tim2(void);
 __attribute__((weak)) void on_tim3(void);

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+
 from test_klippy import TestError, read_cases, run_case, run_file
 
 FOLDER = Path(__file__).resolve().parent
@@ -35,7 +36,7 @@ def wrongs(tmp_path: Path, lines: str, config: str = "../../config/example-carte
         ("G1 X10", "it failed"),
         ("SHOULD_FAIL\nG28", "it did not fail"),
         ("SHOULD_FAIL\nG1 X10\nEXPECT error out of range", "errors: "),
-        ("M104 S200\nEXPECT temperature extruder: 200 0", "[200.0]"),
+        ("M104 S200\nEXPECT temperature extruder: 200", "[200.0, 0.0]"),
         ("G28\nREFUSED G1 X10 => out of range", "was not refused"),
         ("G28\nREFUSED G1 X500 => another reason", "was refused with"),
         ("G28 X\nEXPECT time stepper_x: 1.0", "the last step"),

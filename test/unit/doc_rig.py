@@ -2,8 +2,11 @@
 
 Config blocks of docs/Config_Reference.md are fenced texts in the form of printer.cfg:
 
-    [section]            option: value      must be given            #option: value   may be given; this is the default
-    #option:             may be given       # + options of X         those of the block below the heading "Options of X", too
+    [section]
+    option: value        must be given
+    #option: value       may be given; this is the default
+    #option:             may be given
+    # + options of X     those of the block below the heading "Options of X", too
 """
 
 from __future__ import annotations
@@ -17,10 +20,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from unit.bus_rig import build_dictionary
+import pytest
 
 from printer import Printer
 from reactor import Reactor
+from unit.bus_rig import build_dictionary
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -51,6 +55,7 @@ def load(folder: Path, config: str) -> Loaded:
     (folder / "dict").write_text(json.dumps(dictionary))
     (folder / "printer.cfg").write_text(config)
     (folder / "in.gcode").write_text("")
+    (folder / "plugins").mkdir(exist_ok=True)
     reactor = Reactor()
     start_args = {
         "config_file": str(folder / "printer.cfg"),
@@ -68,7 +73,9 @@ def load(folder: Path, config: str) -> Loaded:
     printer = Printer(reactor, start_args)
     texts: list[str] = []
     printer.register_event_handler("klippy:ready", lambda: texts.append(printer.get_state_message()[0]))
-    printer.run()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("HOME", str(folder))
+        printer.run()
     message = texts[0] if texts else printer.get_state_message()[0]
     gcode = printer.lookup_object("gcode")
     access: dict[str, dict[str, Any]] = {}
@@ -145,8 +152,9 @@ def config_blocks(page: str) -> list[Block]:
     """The config blocks of a page, one entry for each section in them."""
     blocks: list[Block] = []
     for number, heading, language, lines in fenced(page):
-        shared = heading.lower().startswith("options of ")
-        if language or not (shared or any(SECTION.match(line) for line in lines)):
+        has_sections = any(SECTION.match(line) for line in lines)
+        shared = heading.lower().startswith("options of ") and not has_sections
+        if language or not (shared or has_sections):
             continue
         block: Block | None = Block("", heading, number, f"{page}:{number}") if shared else None
         if block:
@@ -163,6 +171,6 @@ def config_blocks(page: str) -> list[Block]:
 def _read_line(block: Block, line: str) -> None:
     block.text.append(line)
     if include := INCLUDE.match(line):
-        block.includes.append(include[1])
+        block.includes.append(include[1].lower())
     elif option := OPTION.match(line):
         (block.optional if option[1] else block.required)[option[2]] = option[3]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import struct
 from typing import Any
 
 import pytest
@@ -345,7 +346,7 @@ def test_blocks_become_temperature_and_phase_commands_ahead_of_time() -> None:
     }
     clocks = [clock for _, clock, _ in printer.mcu.sent]
     assert clocks == sorted(set(clocks))
-    assert printer.mcu.sent[-1][2] == 45000
+    assert struct.unpack("<HH", printer.mcu.sent[-1][2][:4]) == (0, 45000)
     assert clocks[-1] > 100.0 * 72e6 + 0.010 * 72e6
     detail = printer.lookup_object("induction_heater nozzle").get_status(100.0)
     assert detail["estimate"] == pytest.approx(200.0, abs=0.1)

@@ -14,6 +14,7 @@ from mcu_harness import make
 
 from printer import Printer
 from reactor import Reactor
+from simulation.builds import make_build
 from simulation.simport import SimPort
 from simulation.simtime import SimTime
 from simulation.world import World
@@ -32,14 +33,22 @@ class LinkPrinter(Printer):
 
 
 class LinkSession:
-    """A world whose MCUs keep running while hosts come and go: `host` is one run of a host."""
+    """A world whose MCUs keep running while hosts come and go: `host` is one run of a host.
+
+    BUILD: which build of the firmware its MCUs run.
+    """
+
+    BUILD = "simulator"
 
     def __init__(self, tmp_path: Path, mcus: int = 1, seed: int = 1, **line: float) -> None:
         make("firmware-sim")
         self.tmp_path = tmp_path
         self.world = World(seed)
         # each MCU drifts differently
-        self.mcus = [self.world.add_mcu(clock_ppm=80.0 - 130.0 * n, **line) for n in range(mcus)]
+        build = make_build(self.BUILD)
+        self.mcus = [
+            self.world.add_mcu(clock_ppm=80.0 - 130.0 * n, build=build, **line) for n in range(mcus)
+        ]
         self.time = SimTime(self.world)
         self.reactor = Reactor(self.time)
         self.printer: Any = None

@@ -155,6 +155,11 @@ void chip_receive(const uint8_t *data, uint32_t length)
     usart_receive(data, length);
 }
 
+int chip_keeps_memory(void)
+{
+    return mutation.supply_dip != 0;
+}
+
 void chip_sync(void)
 {
     adc_sync();
@@ -172,6 +177,7 @@ int chip_mutate(const char *what, uint32_t value)
         { "brown_out", offsetof(struct mutations, brown_out) },
         { "clock_stuck", offsetof(struct mutations, clock_stuck) },
         { "dma_dead", offsetof(struct mutations, dma_dead) },
+        { "supply_dip", offsetof(struct mutations, supply_dip) },
         { "hrtim_dead", offsetof(struct mutations, hrtim_dead) },
     };
     for (size_t i = 0; i < sizeof NAMES / sizeof *NAMES; i++)

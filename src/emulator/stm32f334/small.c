@@ -239,8 +239,10 @@ void syscfg_write(unsigned unit, uint32_t offset, uint32_t value)
     (void)unit;
     switch (offset) {
     case 0x00:
-        if (value & 3u)
-            fault("SYSCFG MEM_MODE = %u: another memory at address 0 is not modelled", value & 3u);
+        if ((value & 3u) == 1)
+            core_halt("the boot loader in ROM has been entered");
+        else if (value & 3u)
+            fault("SYSCFG MEM_MODE = %u: SRAM at address 0 is not modelled", value & 3u);
         cfgr1 = value;
         return;
     case 0x04:

@@ -6,7 +6,8 @@
 enum {
     CR1 = 0x00, CR2 = 0x04, CR3 = 0x08, BRR = 0x0c, RTOR = 0x14, RQR = 0x18, ISR = 0x1c, ICR = 0x20, RDR = 0x24, TDR = 0x28,
     UE = 1u << 0, RE = 1u << 2, TE = 1u << 3, IDLEIE = 1u << 4, RXNEIE = 1u << 5, TCIE = 1u << 6, TXEIE = 1u << 7,
-    ORE = 1u << 3, IDLE = 1u << 4, RXNE = 1u << 5, TC = 1u << 6, TXE = 1u << 7, TEACK = 1u << 21, REACK = 1u << 22,
+    CMIE = 1u << 14,
+    ORE = 1u << 3, IDLE = 1u << 4, RXNE = 1u << 5, TC = 1u << 6, TXE = 1u << 7, CMF = 1u << 17, TEACK = 1u << 21, REACK = 1u << 22,
     EIE = 1u << 0, DMAR = 1u << 6, DMAT = 1u << 7, OVRDIS = 1u << 12,
     UNITS = 3, WIRE = 4096, BATCH = 64, BITS = 10,
 };
@@ -42,7 +43,7 @@ static void update_line(unsigned unit)
     struct usart *u = &usarts[unit];
     int line = (u->cr1 & TXEIE && u->isr & TXE) || (u->cr1 & TCIE && u->isr & TC)
                || (u->cr1 & RXNEIE && u->isr & (RXNE | ORE)) || (u->cr1 & IDLEIE && u->isr & IDLE)
-               || (u->cr3 & EIE && u->isr & ORE);
+               || (u->cr1 & CMIE && u->isr & CMF) || (u->cr3 & EIE && u->isr & ORE);
     nvic_line(FIXED[unit].irq, line);
 }
 
@@ -84,14 +85,15 @@ static void byte_out(void *arg)
 {
     struct usart *u = arg;
     unsigned unit = (unsigned)(u - usarts);
-    u->batch[u->batch_count++] = u->shifting;
+    uint8_t byte = u->shifting;
+    u->batch[u->batch_count++] = byte;
     counters.console_bytes_out++;
     u->shift_full = 0;
     if (!(u->isr & TXE))
         load_shifter(unit);
     else
         u->isr |= TC;
-    if (u->shifting == 0x7e || !u->shift_full || u->batch_count == BATCH)
+    if (byte == 0x7e || !u->shift_full || u->batch_count == BATCH)
         flush(u);
     update_line(unit);
 }
@@ -136,6 +138,8 @@ static void byte_in(void *arg)
         if (u->cr3 & DMAR && dma_enabled(FIXED[unit].dma_rx))
             dma_request(FIXED[unit].dma_rx);
     }
+    if (byte == u->cr2 >> 24)
+        u->isr |= CMF;
     if (u->last_idle)
         u->isr |= IDLE;
     update_line(unit);
@@ -190,7 +194,7 @@ uint32_t usart_read(unsigned unit, uint32_t offset)
 static void cr1_write(unsigned unit, uint32_t value)
 {
     struct usart *u = &usarts[unit];
-    must_be(FIXED[unit].name, "CR1", value, UE | RE | TE | IDLEIE | RXNEIE | TCIE | TXEIE | 1u << 15 | 1u << 8);
+    must_be(FIXED[unit].name, "CR1", value, UE | RE | TE | IDLEIE | RXNEIE | TCIE | TXEIE | CMIE | 1u << 15 | 1u << 8);
     if (value & UE && !(u->cr1 & UE)) {
         if (u->brr < 16)
             fault("%s is switched on with BRR = %u; it must be at least 16 (RM0364, 27.5.4)", FIXED[unit].name, u->brr);
@@ -223,7 +227,9 @@ void usart_write(unsigned unit, uint32_t offset, uint32_t value)
         cr1_write(unit, value);
         return;
     case CR2:
-        must_be(name, "CR2", value, 0x3000u);
+        must_be(name, "CR2", value, 0xff003000u);
+        if (u->cr1 & UE && (value ^ u->cr2) & 0x3000u)
+            fault("%s_CR2 is written while the USART is on (RM0364, 27.8.2)", name);
         u->cr2 = value;
         return;
     case CR3:
@@ -243,7 +249,7 @@ void usart_write(unsigned unit, uint32_t offset, uint32_t value)
         update_line(unit);
         return;
     case ICR:
-        u->isr &= ~(value & 0x121bdfu & ~(uint32_t)(TXE | RXNE));
+        u->isr &= ~(value & 0x121b5fu);
         update_line(unit);
         return;
     case TDR:
