@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-thermometer bench-motion fuzz clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-api bench-thermometer bench-motion fuzz clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -21,6 +21,7 @@ help:
 	@echo "make bench   print the 5 MB benchy in closed loop and report speed and memory (QUICK=1: the short file)"
 	@echo "make bench-thermometer  accuracy and latency of the estimate, beside the published chain"
 	@echo "make bench-motion       moves a second in batch mode (PEER=\"CMD\": a peer beside it; QUICK=1)"
+	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
 	@echo "make fuzz    fuzz the firmware's message parser (FUZZ_SECONDS=600)"
 	@echo "make sim     build the simulated MCU and the world it lives in"
 	@echo "make clean   remove $(OUT); make distclean also removes .venv"
@@ -60,6 +61,9 @@ bench: setup sim chelper
 
 bench-thermometer: setup-test sim chelper
 	@$(PYTHON) scripts/bench_thermometer.py --json $(OUT)/bench/thermometer.json
+
+bench-api: setup sim chelper
+	@$(PYTHON) scripts/bench_api.py --json $(OUT)/bench/api.json $(if $(QUICK),--seconds 60)
 
 bench-motion: setup chelper
 	@$(PYTHON) scripts/bench_motion.py $(if $(QUICK),--quick) $(if $(PEER),--peer "$(PEER)")

@@ -15,6 +15,7 @@ from tempplan import Piece
 HEIGHT_LEAST_MM, HEIGHT_MOST_MM = 0.05, 1.0
 HEIGHT_FIRST_MM = 0.2  # before a second layer tells
 SAME_Z_MM = 1e-3
+TINY_S = 1e-6
 PHASE_LEAST_S = 0.015  # a shorter move is one piece: the filament's compliance (20 ms) blurs its phases
 
 
@@ -54,7 +55,7 @@ class PathPieces:
         """Pieces of moves whose times are fixed. Moves of the extruder alone lay nothing."""
         for move in moves:
             duration_s = move.accel_t + move.cruise_t + move.decel_t
-            if duration_s <= 0.0:
+            if duration_s <= TINY_S:
                 continue
             flow = 0.0
             if move.is_kinematic_move and move.axes_d[3] > 0.0 and (move.axes_d[0] or move.axes_d[1]):
@@ -91,7 +92,7 @@ class PathPieces:
             (move.cruise_t, move.cruise_v),
             (move.decel_t, 0.5 * (move.cruise_v + move.end_v)),
         ):
-            if duration_s > 0.0:
+            if duration_s > TINY_S:
                 phases.append((duration_s, speed * duration_s / move.move_d))
         if sum(duration_s for duration_s, _ in phases) < PHASE_LEAST_S:
             phases = [(sum(p[0] for p in phases), sum(p[1] for p in phases))]

@@ -66,10 +66,11 @@ take_number(char type, va_list *args)
 
 /* Encode the content at `out`; NULL if it passes `limit`. */
 static uint8_t *
-encode_content(uint8_t *out, const uint8_t *limit, const struct response *r, va_list *args)
+encode_content(uint8_t *out, const uint8_t *limit, const FLASH_DATA struct response *r,
+               va_list *args)
 {
     out = wire_put_vlq(out, r->id);
-    for (const char *type = r->types; *type; type++) {
+    for (const FLASH_DATA char *type = r->types; *type; type++) {
         if (*type != 'b') {
             if (limit - out < VLQ_SIZE_MAX)
                 return NULL;
@@ -88,7 +89,7 @@ encode_content(uint8_t *out, const uint8_t *limit, const struct response *r, va_
 }
 
 void
-respond(const struct response *r, ...)
+respond(const FLASH_DATA struct response *r, ...)
 {
     /* Room for a last number of full length beyond the limit is not needed: encode_content checks first.  The check is
      * pessimistic by up to four bytes, so the scratch is longer than a block and the true length is judged after. */
@@ -109,7 +110,7 @@ respond(const struct response *r, ...)
 
 /* Decode one command's parameters from [at, end); returns one past the last, NULL if they are malformed. */
 static const uint8_t *
-decode_parameters(const struct command *c, const uint8_t *at, const uint8_t *end, struct command_args *args)
+decode_parameters(const FLASH_DATA struct command *c, const uint8_t *at, const uint8_t *end, struct command_args *args)
 {
     uint8_t number = 0;
     args->data = NULL;
@@ -143,7 +144,7 @@ dispatch(const uint8_t *at, const uint8_t *end)
             shutdown(SHUTDOWN_COMMAND_PARSER);
         if (id < 1 || id > (int32_t)command_count)
             shutdown(SHUTDOWN_INVALID_COMMAND);
-        const struct command *c = &command_table[id - 1];
+        const FLASH_DATA struct command *c = &command_table[id - 1];
         at = decode_parameters(c, at, end, &args);
         if (!at)
             shutdown(SHUTDOWN_COMMAND_PARSER);

@@ -71,6 +71,7 @@
     X(SHUTDOWN_SAMPLES_STOPPED, "Bridge stopped: the ADC's samples do not arrive") \
     /* ports */ \
     X(SHUTDOWN_PWM_CYCLE, "PWM already programmed at different speed") \
+    X(SHUTDOWN_ADC_START, "ADC does not start or cannot be calibrated") \
     X(SHUTDOWN_FLASH_DAMAGED, "Firmware image in flash is damaged")
 
 enum shutdown_reason {

@@ -373,8 +373,8 @@ def _material(config: Any) -> Material:
     )
 
 
-def load_config(config: Any) -> TemperaturePlanner:
-    printer = config.get_printer()
+def read_settings(config: Any) -> Settings:
+    """The section's options. Raises the config's error."""
     name = config.get("heater", "extruder")
     material = _material(config)
     margin_c = config.getfloat("bonding_margin", 15.0, minval=0.0, maxval=150.0)
@@ -382,7 +382,7 @@ def load_config(config: Any) -> TemperaturePlanner:
     filament_mm = 1.75
     if config.has_section(name):
         filament_mm = config.getsection(name).getfloat("filament_diameter", 1.75, above=0.0)
-    settings = Settings(
+    return Settings(
         name,
         material,
         Surroundings(
@@ -412,6 +412,9 @@ def load_config(config: Any) -> TemperaturePlanner:
         config.getboolean("enable", True),
         config.get("record", None),
     )
-    planner = TemperaturePlanner(printer, settings)
+
+
+def load_config(config: Any) -> TemperaturePlanner:
+    planner = TemperaturePlanner(config.get_printer(), read_settings(config))
     planner.register()
     return planner

@@ -32,6 +32,7 @@ from .timeline import NOT_COMMANDED, TIME_SLACK_S, Timeline, Timing
 __all__ = ["NOT_COMMANDED", "Approach", "Control", "InductionLoop", "LoopParameters", "LoopState", "Timing"]
 
 BALANCE_S = 0.1
+STEP_FRACTION = 0.1  # of p = (phase/45000)^2: a step of the drive that may move the reading
 RESAY_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
 
 
@@ -230,7 +231,7 @@ class InductionLoop:
             state.samples.append(control_api.Sample(centre_s, end_s, math.nan, 0.0, heat_w))
             return
         fraction = features.power_fraction(block.phase_ticks, phase_max)
-        jump = abs(fraction - state.sampled_fraction) > self.parameters.approach.rebase_fraction
+        jump = abs(fraction - state.sampled_fraction) > STEP_FRACTION
         state.sampled_fraction = fraction
         # With the law's residual, not the noise alone: it moves with the phase, and a law that is off by a degree
         # must not be taken for heat.

@@ -8,8 +8,11 @@ disturbance d (W), drive gain g. Bore and flow follow the controlled node withou
     update      the samples of one call (a message of blocks) enter as one: their mean innovation, weighted
 
 d walks at random, g nearly stands: heat that follows the power (another mass, another coupling) is learned as g
-during a climb, heat that does not (melt, draught, other losses) as d. A sample marked `rebased` came over a
-jump of the sensing law: it moves the temperature and teaches nothing.
+during a climb, heat that does not (melt, draught, other losses) as d.
+
+A step of the drive cannot step the temperature. Where the reading steps with it (a sensing law that has drifted
+is off by another amount at each power), that offset is taken out as long as the drive stays up: else full power,
+read as too cold, would call for more full power. Steps without one move the temperature and teach nothing.
 """
 
 from __future__ import annotations
@@ -27,8 +30,15 @@ from .model_plant import ModelParameters, Nodes, advance, at_rest, capacity_j_k,
 GAIN_LEAST, GAIN_MOST = 0.25, 4.0
 SURPRISE = 14.0  # innovation squared over its variance beyond which the disturbance is taken to have changed
 SURPRISED_W = 3.0  # by about this much at once
-LOST_C, LOST_SIGMA = 20.0, 8.0  # farther off than this: begin anew at what is measured
-REBASED_C = 10.0  # 1 sigma of a jump of the sensing law
+JUMP_C, JUMP_SIGMA = 3.0, 6.0  # farther off than this within a message no heat goes: the thermometer jumped
+JUMPED_C = 10.0  # 1 sigma of such a jump
+REBASED_SIGMA = 10.0  # a step of the drive may move the sensing law by this many of a sample's sigma
+OFFSET_C, OFFSET_SIGMA = (
+    1.0,
+    4.0,
+)  # beyond this it has, and the reading is put right as long as the drive stays
+OFFSET_SHARE = 0.5  # below this share of the drive it was seen at it is forgotten: little drive is the truth
+SECOND_MARGIN_C = 20.0  # the second mass lies between air and the hottest node, give or take this
 
 Matrix = tuple[tuple[float, ...], ...]
 
@@ -48,6 +58,9 @@ class ModelState:
     innovation_c: float = 0.0  # newest: measured minus expected
     heard_s: float = -math.inf  # newest measurement
     output: float = 0.0  # newest output decided
+    driven: float = 0.0  # output in force at the newest measurement
+    offset_c: float = 0.0  # taken off the readings ...
+    offset_output: float = 0.0  # ... since the output stepped to this
     sent: tuple[Planned, ...] = ()  # own outputs, where the caller does not tell what is pending
 
     @property
@@ -113,7 +126,7 @@ def begin(p: ModelParameters, temp_c: float, time_s: float, before: ModelState |
     rows = [tuple(v if i == j else 0.0 for j in range(places.size)) for i, v in enumerate(variances)]
     output = before.output if before is not None else 0.0
     sent = before.sent if before is not None else ()
-    return ModelState(time_s, nodes, 0.0, gain, tuple(rows), 0.0, time_s, output, sent)
+    return ModelState(time_s, nodes, 0.0, gain, tuple(rows), 0.0, time_s, output, sent=sent)
 
 
 def _slopes(
@@ -185,7 +198,10 @@ class _Run(NamedTuple):
     innovation_c: float  # weighted mean
     heard_s: float
     output: float  # mean over the time walked
-    rebased: bool
+    rebased_c: float  # 1 sigma of what a step of the drive may have moved the reading, 0: there was none
+    driven: float
+    offset_c: float
+    offset_output: float
 
 
 def _walk(
@@ -193,7 +209,8 @@ def _walk(
 ) -> _Run:
     nodes, now_s, heard_s = state.nodes, state.time_s, state.heard_s
     weight = pulled = passed = 0.0
-    rebased = False
+    rebased_c, driven = 0.0, state.driven
+    offset_c, offset_output = state.offset_c, state.offset_output
     for sample in samples:
         surroundings = flow.at(now_s), fan.at(now_s)
         drive = sample.output, state.gain, state.disturbance_w
@@ -202,16 +219,24 @@ def _walk(
         if sample.temp_c == sample.temp_c:
             sigma_c = sample.sigma_c if sample.sigma_c > 0.0 else p.sigma_c
             share = 1.0 / (sigma_c * sigma_c)
+            if offset_c and sample.output < OFFSET_SHARE * offset_output:
+                offset_c = 0.0
+            off_c = sample.temp_c - offset_c - nodes.sensor_c
+            if sample.rebased:
+                rebased_c = REBASED_SIGMA * sigma_c
+                if sample.output > driven and abs(off_c) > OFFSET_C + OFFSET_SIGMA * sigma_c:
+                    offset_c, offset_output = offset_c + off_c, sample.output
+                    off_c = 0.0
             weight += share
-            pulled += share * (sample.temp_c - nodes.sensor_c)
-            heard_s = sample.time_s
-            rebased = rebased or sample.rebased
+            pulled += share * off_c
+            heard_s, driven = sample.time_s, sample.output
         nodes = advance(p, nodes, drive, surroundings, sample.end_s - middle_s)
         passed += sample.output * max(0.0, sample.end_s - now_s)
         now_s = max(now_s, sample.end_s)
     elapsed_s = now_s - state.time_s
     output = passed / elapsed_s if elapsed_s > 0.0 else state.output
-    return _Run(nodes, now_s, weight, pulled / weight if weight else 0.0, heard_s, output, rebased)
+    mean_c = pulled / weight if weight else 0.0
+    return _Run(nodes, now_s, weight, mean_c, heard_s, output, rebased_c, driven, offset_c, offset_output)
 
 
 def _moved(p: ModelParameters, places: Layout, nodes: Nodes, gains: list[float], by_c: float) -> Nodes:
@@ -220,6 +245,8 @@ def _moved(p: ModelParameters, places: Layout, nodes: Nodes, gains: list[float],
     element_c = nodes.element_c + (gains[places.element] * by_c if places.element >= 0 else step_c)
     second_c = nodes.second_c + (gains[places.second] * by_c if places.second >= 0 else 0.0)
     temp_c = nodes.temp_c + step_c
+    hottest_c = max(temp_c, nodes.temp_c, p.ambient_c) + SECOND_MARGIN_C
+    second_c = min(hottest_c, max(p.ambient_c - SECOND_MARGIN_C, second_c))
     sensor_c = nodes.sensor_c + (gains[places.sensor] * by_c if places.sensor >= 0 else step_c)
     return Nodes(element_c, temp_c, second_c, sensor_c, nodes.bore_c + step_c, nodes.flow)
 
@@ -247,16 +274,15 @@ def observe(
         covariance = tuple(map(tuple, rows))
         return replace(state, time_s=run.time_s, nodes=run.nodes, covariance=covariance)
     m = places.measured
-    if run.rebased:
+    jumped = abs(run.innovation_c) > JUMP_C + JUMP_SIGMA * math.sqrt(rows[m][m] + 1.0 / run.weight)
+    loose_c = max(run.rebased_c, JUMPED_C if jumped else 0.0)
+    if loose_c:
         for i in range(places.size):
-            rows[m][i] = rows[i][m] = 0.0 if i != m else rows[m][m] + REBASED_C * REBASED_C
+            rows[m][i] = rows[i][m] = 0.0 if i != m else rows[m][m] + loose_c * loose_c
     noise = 1.0 / run.weight
     spread = rows[m][m] + noise
     surprise = run.innovation_c * run.innovation_c / spread
-    if abs(run.innovation_c) > LOST_C + LOST_SIGMA * math.sqrt(spread):
-        newest = next(s for s in reversed(samples) if s.temp_c == s.temp_c)
-        return begin(p, newest.temp_c, run.time_s, state)
-    if surprise > SURPRISE and not run.rebased:
+    if surprise > SURPRISE and not loose_c:
         rows[places.disturbance][places.disturbance] += SURPRISED_W * SURPRISED_W
     column = [row[m] for row in rows]
     gains = [value / spread for value in column]
@@ -269,5 +295,16 @@ def observe(
     disturbance_w = min(most_w, max(-most_w, state.disturbance_w + gains[places.disturbance] * by_c))
     nodes = _moved(p, places, run.nodes, gains, by_c)
     return ModelState(
-        run.time_s, nodes, disturbance_w, gain, covariance, by_c, run.heard_s, state.output, state.sent
+        run.time_s,
+        nodes,
+        disturbance_w,
+        gain,
+        covariance,
+        by_c,
+        run.heard_s,
+        state.output,
+        run.driven,
+        run.offset_c,
+        run.offset_output,
+        state.sent,
     )

@@ -19,7 +19,8 @@ FLOW_LAG_S = 0.020  # compliance between motor and nozzle
 AHEAD_S = 0.060
 # Random walk of heat nobody told of, W within a second. Measured on the reference nozzle: 0.7, 1.5, 2 W give 0.11,
 # 0.14, 0.17 degC of ripple peak to peak and 0.55, 0.52, 0.48 degC at an unplanned flow of 25 mm3/s.
-DISTURBANCE_W = 1.5
+DISTURBANCE_W = 2.0
+DISTURBANCE_MAX_W = 20.0  # melt at any flow, a draught, losses wrong by half: 15 W
 
 
 def nozzle_model(
@@ -55,4 +56,5 @@ def nozzle_model(
         delay_s=timing.lead_s,
         ahead=round(AHEAD_S / stride_s),
         disturbance_w=DISTURBANCE_W,
+        disturbance_max_w=DISTURBANCE_MAX_W,
     )

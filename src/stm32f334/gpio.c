@@ -67,6 +67,12 @@ pin_set_function(uint32_t pin, uint8_t function)
     pin_set_mode(pin, PIN_ALTERNATE);
 }
 
+void
+pin_set_open_drain(uint32_t pin)
+{
+    change(&GPIO_OTYPER(gpio_of(pin)), 0, BIT(pin % 16));
+}
+
 uint8_t
 pin_level(uint32_t pin)
 {
@@ -85,6 +91,7 @@ gpio_out_setup(uint32_t pin, uint8_t value)
     struct gpio_out g = { &GPIO_BSRR(gpio_of(pin)), BIT(pin % 16) };
     gpio_out_write(g, value); /* the level first, then the driver */
     pin_set_pull(pin, 0);
+    change(&GPIO_OTYPER(gpio_of(pin)), BIT(pin % 16), 0);
     pin_set_mode(pin, PIN_OUTPUT);
     return g;
 }

@@ -30,7 +30,20 @@ uint8_t pin_is_free(uint32_t pin);
 void pin_set_mode(uint32_t pin, enum pin_mode mode);
 void pin_set_pull(uint32_t pin, int8_t pull);
 void pin_set_function(uint32_t pin, uint8_t function); /* alternate function, fast edges */
+void pin_set_open_drain(uint32_t pin);
 uint8_t pin_level(uint32_t pin);
+
+/* bridge.c */
+uint32_t bridge_period_ticks(void);
+uint32_t bridge_ticks_to_edge(void);
+void bridge_stop(void);
+/* sync_adc.c: SHUTDOWN_NONE, or why the bridge must not run on its samples. */
+enum shutdown_reason sync_adc_objection(void);
+
+/* adc.c: bring a converter up (ADC1_BASE, ADC2_BASE); 0 if it cannot be calibrated or does not get ready. */
+uint8_t adc_bring_up(uint32_t adc);
+uint8_t adc_is_up(uint32_t adc);
+void adc_set_channel(uint32_t adc, uint8_t channel, uint8_t sampling);
 
 /* Interrupts all keep the priority they have after reset: they never preempt each other. */
 static inline void

@@ -4,11 +4,12 @@ PORT_CC := $(PORT_CROSS)gcc
 PORT_OBJCOPY := $(PORT_CROSS)objcopy
 PORT_SIZE := $(PORT_CROSS)size
 
-PORT_FIRMWARE := $(FIRMWARE_CORE) src/timed_output.c src/gpiocmds.c src/trsync.c src/stepper.c src/endstop.c
+PORT_FIRMWARE := $(FIRMWARE_SOURCES) $(FIRMWARE_EXTRAS)
 F334 := src/stm32f334
 # boot.c last: its DECL_INIT may shut down, when everything else is ready to tell of it.
 PORT_SOURCES := $(F334)/startup.c $(F334)/clock.c $(F334)/timer.c $(F334)/gpio.c $(F334)/console.c $(F334)/seal.c \
-	$(F334)/watchdog.c $(F334)/bridge.c $(F334)/boot.c
+	$(F334)/watchdog.c $(F334)/bridge.c $(F334)/sync_adc.c \
+	$(F334)/adc.c $(F334)/pwm.c $(F334)/spi.c $(F334)/i2c.c $(F334)/boot.c
 
 # Options with their defaults (src/stm32f334/Kconfig).
 F334_HSE_BYPASS := $(if $(filter y,$(CONFIG_F334_CRYSTAL)),0,1)

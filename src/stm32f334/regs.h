@@ -216,6 +216,164 @@
 #define USART_TDR(usart) R(usart, 0x28)
 
 /****************************************************************
+ * HRTIM: timers A and B at HRTIM_TIMER(0), HRTIM_TIMER(1)
+ ****************************************************************/
+
+#define HRTIM_MASTER_BASE 0x40017400u
+#define HRTIM_MASTER_MCR R(HRTIM_MASTER_BASE, 0x00)
+#define HRTIM_MASTER_MCR_TACEN BIT(17)
+#define HRTIM_MASTER_MCR_TBCEN BIT(18)
+#define HRTIM_TIMA_BASE 0x40017480u
+#define HRTIM_STRIDE 0x80u
+#define HRTIM_TIMER(n) (HRTIM_TIMA_BASE + HRTIM_STRIDE * (n))
+#define HRTIM_TIM_CR(tim) R(tim, 0x00)
+#define HRTIM_TIM_CR_CK_PSC(v) FIELD(v, 0, 3)
+#define HRTIM_TIM_CR_CONT BIT(3)
+#define HRTIM_TIM_CR_TxREPU BIT(17)
+#define HRTIM_TIM_CR_PREEN BIT(27)
+#define HRTIM_TIM_CNT(tim) R(tim, 0x10)
+#define HRTIM_TIM_PER(tim) R(tim, 0x14)
+#define HRTIM_TIM_REP(tim) R(tim, 0x18)
+#define HRTIM_TIM_CMP1(tim) R(tim, 0x1c)
+#define HRTIM_TIM_CMP2(tim) R(tim, 0x24)
+#define HRTIM_TIM_CMP4(tim) R(tim, 0x2c)
+#define HRTIM_TIM_DT(tim) R(tim, 0x38)
+#define HRTIM_TIM_DT_DTR(v) FIELD(v, 0, 9)
+#define HRTIM_TIM_DT_DTPRSC(v) FIELD(v, 10, 3)
+#define HRTIM_TIM_DT_DTRSLK BIT(14)
+#define HRTIM_TIM_DT_DTRLK BIT(15)
+#define HRTIM_TIM_DT_DTF(v) FIELD(v, 16, 9)
+#define HRTIM_TIM_DT_DTFSLK BIT(30)
+#define HRTIM_TIM_DT_DTFLK BIT(31)
+#define HRTIM_TIM_SET1(tim) R(tim, 0x3c)
+#define HRTIM_TIM_SET1_PER BIT(2)
+#define HRTIM_TIM_SET1_CMP1 BIT(3)
+#define HRTIM_TIM_RST1(tim) R(tim, 0x40)
+#define HRTIM_TIM_RST1_PER BIT(2)
+#define HRTIM_TIM_RST1_CMP1 BIT(3)
+#define HRTIM_TIM_RST1_CMP2 BIT(4)
+#define HRTIM_TIM_OUT(tim) R(tim, 0x64)
+#define HRTIM_TIM_OUT_FAULT1(v) FIELD(v, 4, 2)
+#define HRTIM_TIM_OUT_DTEN BIT(8)
+#define HRTIM_TIM_OUT_FAULT2(v) FIELD(v, 20, 2)
+#define HRTIM_TIM_FLT(tim) R(tim, 0x68)
+#define HRTIM_TIM_FLT_FLT1EN BIT(0)
+#define HRTIM_TIM_FLT_FLTLCK BIT(31)
+#define HRTIM_COMMON_BASE 0x40017780u
+#define HRTIM_CR1 R(HRTIM_COMMON_BASE, 0x00)
+#define HRTIM_CR1_TAUDIS BIT(1)
+#define HRTIM_CR1_TBUDIS BIT(2)
+#define HRTIM_ISR R(HRTIM_COMMON_BASE, 0x08)
+#define HRTIM_ISR_FLT1 BIT(0)
+#define HRTIM_ISR_SYSFLT BIT(5)
+#define HRTIM_ISR_DLLRDY BIT(16)
+#define HRTIM_ICR R(HRTIM_COMMON_BASE, 0x0c)
+#define HRTIM_ICR_FLT1C BIT(0)
+#define HRTIM_ICR_SYSFLTC BIT(5)
+#define HRTIM_IER R(HRTIM_COMMON_BASE, 0x10)
+#define HRTIM_IER_FLT1IE BIT(0)
+#define HRTIM_IER_SYSFLTIE BIT(5)
+#define HRTIM_OENR R(HRTIM_COMMON_BASE, 0x14)
+#define HRTIM_OENR_TA1OEN BIT(0)
+#define HRTIM_OENR_TA2OEN BIT(1)
+#define HRTIM_OENR_TB1OEN BIT(2)
+#define HRTIM_OENR_TB2OEN BIT(3)
+#define HRTIM_ODISR R(HRTIM_COMMON_BASE, 0x18)
+#define HRTIM_ADC1R R(HRTIM_COMMON_BASE, 0x3c)
+#define HRTIM_ADC1R_AD1TAC4 BIT(12)
+#define HRTIM_DLLCR R(HRTIM_COMMON_BASE, 0x4c)
+#define HRTIM_DLLCR_CAL BIT(0)
+#define HRTIM_DLLCR_CALEN BIT(1)
+#define HRTIM_DLLCR_CALRTE(v) FIELD(v, 2, 2)
+#define HRTIM_FLTINR1 R(HRTIM_COMMON_BASE, 0x50)
+#define HRTIM_FLTINR1_FLT1E BIT(0)
+#define HRTIM_FLTINR1_FLT1P BIT(1)
+#define HRTIM_FLTINR1_FLT1F(v) FIELD(v, 3, 4)
+#define HRTIM_FLTINR1_FLT1LCK BIT(7)
+
+/****************************************************************
+ * ADC
+ ****************************************************************/
+
+#define ADC1_BASE 0x50000000u
+#define ADC2_BASE 0x50000100u
+#define ADC_ISR(adc) R(adc, 0x00)
+#define ADC_ISR_ADRDY BIT(0)
+#define ADC_ISR_EOC BIT(2)
+#define ADC_ISR_OVR BIT(4)
+#define ADC_IER(adc) R(adc, 0x04)
+#define ADC_IER_OVRIE BIT(4)
+#define ADC_CR(adc) R(adc, 0x08)
+#define ADC_CR_ADEN BIT(0)
+#define ADC_CR_ADSTART BIT(2)
+#define ADC_CR_ADSTP BIT(4)
+#define ADC_CR_ADVREGEN(v) FIELD(v, 28, 2)
+#define ADC_CR_ADCAL BIT(31)
+#define ADC_CFGR(adc) R(adc, 0x0c)
+#define ADC_CFGR_DMAEN BIT(0)
+#define ADC_CFGR_DMACFG BIT(1)
+#define ADC_CFGR_EXTSEL(v) FIELD(v, 6, 4)
+#define ADC_CFGR_EXTEN(v) FIELD(v, 10, 2)
+#define ADC_SMPR1(adc) R(adc, 0x14)
+#define ADC_SMPR2(adc) R(adc, 0x18)
+#define ADC_SQR1(adc) R(adc, 0x30)
+#define ADC_SQR1_SQ1(v) FIELD(v, 6, 5)
+#define ADC_DR(adc) R(adc, 0x40)
+#define ADC12_COMMON_BASE 0x50000300u
+#define ADC12_CCR R(ADC12_COMMON_BASE, 0x08)
+#define ADC12_CCR_CKMODE(v) FIELD(v, 16, 2)
+
+/****************************************************************
+ * SPI, I2C
+ ****************************************************************/
+
+#define SPI1_BASE 0x40013000u
+#define SPI_CR1(spi) R(spi, 0x00)
+#define SPI_CR1_CPHA BIT(0)
+#define SPI_CR1_CPOL BIT(1)
+#define SPI_CR1_MSTR BIT(2)
+#define SPI_CR1_BR(v) FIELD(v, 3, 3)
+#define SPI_CR1_SPE BIT(6)
+#define SPI_CR1_SSI BIT(8)
+#define SPI_CR1_SSM BIT(9)
+#define SPI_CR2(spi) R(spi, 0x04)
+#define SPI_CR2_DS(v) FIELD(v, 8, 4)
+#define SPI_CR2_FRXTH BIT(12)
+#define SPI_SR(spi) R(spi, 0x08)
+#define SPI_SR_RXNE BIT(0)
+#define SPI_SR_TXE BIT(1)
+#define SPI_SR_BSY BIT(7)
+#define SPI_DR8(spi) R8(spi, 0x0c)
+
+#define I2C1_BASE 0x40005400u
+#define I2C_CR1(i2c) R(i2c, 0x00)
+#define I2C_CR1_PE BIT(0)
+#define I2C_CR2(i2c) R(i2c, 0x04)
+#define I2C_CR2_SADD1(v) FIELD(v, 1, 7)
+#define I2C_CR2_RD_WRN BIT(10)
+#define I2C_CR2_START BIT(13)
+#define I2C_CR2_STOP BIT(14)
+#define I2C_CR2_NBYTES(v) FIELD(v, 16, 8)
+#define I2C_TIMINGR(i2c) R(i2c, 0x10)
+#define I2C_TIMINGR_SCLL(v) FIELD(v, 0, 8)
+#define I2C_TIMINGR_SCLH(v) FIELD(v, 8, 8)
+#define I2C_TIMINGR_SDADEL(v) FIELD(v, 16, 4)
+#define I2C_TIMINGR_SCLDEL(v) FIELD(v, 20, 4)
+#define I2C_TIMINGR_PRESC(v) FIELD(v, 28, 4)
+#define I2C_ISR(i2c) R(i2c, 0x18)
+#define I2C_ISR_TXIS BIT(1)
+#define I2C_ISR_RXNE BIT(2)
+#define I2C_ISR_NACKF BIT(4)
+#define I2C_ISR_STOPF BIT(5)
+#define I2C_ISR_TC BIT(6)
+#define I2C_ISR_BUSY BIT(15)
+#define I2C_ICR(i2c) R(i2c, 0x1c)
+#define I2C_ICR_NACKCF BIT(4)
+#define I2C_ICR_STOPCF BIT(5)
+#define I2C_RXDR(i2c) R(i2c, 0x24)
+#define I2C_TXDR(i2c) R(i2c, 0x28)
+
+/****************************************************************
  * Cortex-M4 (PM0214)
  ****************************************************************/
 
@@ -230,12 +388,10 @@
 /* Positions in the vector table (RM0364, table 29). */
 enum {
     IRQ_DMA1_CHANNEL1 = 11,
-    IRQ_DMA1_CHANNEL6 = 16,
     IRQ_DMA1_CHANNEL7 = 17,
     IRQ_ADC1_2 = 18,
     IRQ_TIM2 = 28,
     IRQ_USART2 = 38,
-    IRQ_HRTIM1_TIMA = 68,
     IRQ_HRTIM1_FLT = 73,
     IRQ_COUNT = 82,
 };

@@ -1,0 +1,227 @@
+"""A G-code file as timed path, without a printer: the project's own look-ahead on the limits of a printer.cfg.
+
+    lines ─► modal state ─► Move ─► look-ahead ─► moves with print times, and the line each came from
+
+For planning offline. Homing, probing and macros take no time here; what a slicer writes between moves is understood as
+far as it changes the path or its temperatures. Arcs are taken as straight lines to their end.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from lookahead import LookAheadQueue, Move
+from thermal.wishes import Wishes, read_comment
+
+_WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
+_PARAMETER = re.compile(r"([A-Z_]+)=(\S+)")
+RIGHT_ANGLE_FACTOR = math.sqrt(2.0) - 1.0
+BATCH_MOVES = 2000
+
+
+@dataclass(slots=True)
+class Limits:
+    """What the look-ahead asks of a toolhead. mm, s."""
+
+    max_velocity: float
+    max_accel: float
+    square_corner_velocity: float = 5.0
+    minimum_cruise_ratio: float = 0.5
+    instant_corner_v: float = 1.0
+
+    @property
+    def junction_deviation(self) -> float:
+        return self.square_corner_velocity**2 * RIGHT_ANGLE_FACTOR / self.max_accel
+
+    @property
+    def max_accel_to_decel(self) -> float:
+        return self.max_accel * (1.0 - self.minimum_cruise_ratio)
+
+    def calc_junction(self, before: Move, move: Move) -> float:
+        """Highest squared speed at which the filament's own speed jumps by no more than instant_corner_v."""
+        change = move.axes_r[3] - before.axes_r[3]
+        return move.max_cruise_v2 if abs(change) < 1e-9 else (self.instant_corner_v / change) ** 2
+
+
+@dataclass(frozen=True, slots=True)
+class TimedMove:
+    """A move whose `print_time` is known, what was asked for there, and its line in the file (from 0)."""
+
+    move: Move
+    wishes: Wishes
+    nozzle_c: float  # newest M104/M109
+    fan: float
+    line: int
+
+
+@dataclass(slots=True)
+class _Modes:
+    absolute: bool = True
+    absolute_e: bool = True
+    speed_mm_s: float = 25.0
+    nozzle_c: float = 0.0
+    fan: float = 0.0
+    wishes: Wishes = field(default_factory=Wishes)
+
+
+class GcodePath:
+    """Reads one file. `bed_c`: newest bed target met; `lines`: read so far."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self.bed_c = math.nan
+        self.lines = 0
+        self._modes = _Modes()
+        self._position = [0.0, 0.0, 0.0, 0.0]
+        self._origin_e = 0.0
+        self._time_s = 0.0
+        self._queue = LookAheadQueue(limits)
+        self._facts: list[tuple[Wishes, float, float, int]] = []  # of the moves in the queue
+        self._ready: list[TimedMove] = []
+
+    def moves(self, path: Path) -> Iterator[list[TimedMove]]:
+        """Batches of moves in order of time."""
+        with path.open(encoding="utf-8", errors="replace") as stream:
+            for number, line in enumerate(stream):
+                self.lines = number + 1
+                self._take(line, number)
+                if len(self._ready) >= BATCH_MOVES:
+                    yield self._hand_out()
+        self._flush(lazy=False)
+        yield self._hand_out()
+
+    def _hand_out(self) -> list[TimedMove]:
+        ready, self._ready = self._ready, []
+        return ready
+
+    def _take(self, line: str, number: int) -> None:
+        text = line.strip()
+        if text.startswith(";"):
+            found = read_comment(text)
+            if found is not None:
+                self._modes.wishes = self._since(self._modes.wishes.comment(found))
+            return
+        text = text.partition(";")[0].strip().upper()
+        if not text:
+            return
+        command, _, rest = text.partition(" ")
+        if command in ("G0", "G1", "G2", "G3"):
+            self._move(dict(_WORD.findall(rest)), number)
+            return
+        handler = getattr(self, "_on_" + command.replace(".", "_").lower(), None)
+        if handler is not None:
+            handler({**dict(_WORD.findall(rest)), **dict(_PARAMETER.findall(rest))})
+
+    def _since(self, wishes: Wishes) -> Wishes:
+        """Wishes by duration count from the end of what is queued."""
+        if math.isinf(wishes.duration_s) or wishes is self._modes.wishes:
+            return wishes
+        if wishes.explicit_c == self._modes.wishes.explicit_c:
+            return wishes
+        self._flush(lazy=False)
+        return replace(wishes, since_s=self._time_s)
+
+    def _move(self, words: dict[str, str], number: int) -> None:
+        modes = self._modes
+        if "F" in words and float(words["F"]) > 0.0:
+            modes.speed_mm_s = float(words["F"]) / 60.0
+        end = list(self._position)
+        for i, letter in enumerate("XYZE"):
+            if letter in words:
+                value = float(words[letter])
+                absolute = modes.absolute_e if letter == "E" else modes.absolute
+                end[i] = value + (self._origin_e if letter == "E" else 0.0) if absolute else end[i] + value
+        move = Move(self.limits, self._position, end, modes.speed_mm_s)  # type: ignore[arg-type]  # its four limits
+        self._position = end
+        if not move.move_d:
+            return
+        self._facts.append((modes.wishes, modes.nozzle_c, modes.fan, number))
+        if self._queue.add_move(move, self.limits):
+            self._flush(lazy=True)
+
+    def _flush(self, lazy: bool) -> None:
+        moves = self._queue.flush(lazy)
+        for move, facts in zip(moves, self._facts, strict=False):
+            move.print_time = self._time_s
+            self._time_s += move.accel_t + move.cruise_t + move.decel_t
+            self._ready.append(TimedMove(move, *facts))
+        del self._facts[: len(moves)]
+
+    # Commands that change the path or its temperatures
+
+    def _on_g90(self, words: dict[str, str]) -> None:
+        self._modes.absolute = True
+
+    def _on_g91(self, words: dict[str, str]) -> None:
+        self._modes.absolute = False
+
+    def _on_m82(self, words: dict[str, str]) -> None:
+        self._modes.absolute_e = True
+
+    def _on_m83(self, words: dict[str, str]) -> None:
+        self._modes.absolute_e = False
+
+    def _on_g92(self, words: dict[str, str]) -> None:
+        if "E" in words:
+            self._origin_e = self._position[3] - float(words["E"])
+
+    def _on_g4(self, words: dict[str, str]) -> None:
+        self._flush(lazy=False)
+        self._time_s += 1e-3 * float(words.get("P", 0.0)) + float(words.get("S", 0.0))
+
+    def _on_m104(self, words: dict[str, str]) -> None:
+        if float(words.get("S", 0.0)) > 0.0:  # off at the end of a file: nothing is laid any more
+            self._modes.nozzle_c = float(words["S"])
+
+    _on_m109 = _on_m104
+
+    def _on_m140(self, words: dict[str, str]) -> None:
+        if float(words.get("S", 0.0)) > 0.0:
+            self.bed_c = float(words["S"])
+
+    _on_m190 = _on_m140
+
+    def _on_m106(self, words: dict[str, str]) -> None:
+        self._modes.fan = min(1.0, float(words.get("S", 255.0)) / 255.0)
+
+    def _on_m107(self, words: dict[str, str]) -> None:
+        self._modes.fan = 0.0
+
+    def _on_m204(self, words: dict[str, str]) -> None:
+        accel = float(words.get("S", words.get("P", 0.0)))
+        if accel > 0.0:
+            self.limits.max_accel = accel
+
+    def _on_set_velocity_limit(self, words: dict[str, str]) -> None:
+        if float(words.get("ACCEL", 0.0)) > 0.0:
+            self.limits.max_accel = float(words["ACCEL"])
+
+    def _on_m104_1(self, words: dict[str, str]) -> None:
+        self._modes.wishes = self._modes.wishes.explicitly(float(words.get("S", 0.0)) or math.nan)
+
+    def _on_set_segment_temperature(self, words: dict[str, str]) -> None:
+        temp_c = float(words.get("TEMP", 0.0)) or math.nan
+        until, duration_s = words.get("UNTIL", "").lower(), float(words.get("DURATION", math.inf))
+        self._modes.wishes = self._since(self._modes.wishes.explicitly(temp_c, until, duration_s))
+
+    def _on_exclude_object_start(self, words: dict[str, str]) -> None:
+        self._modes.wishes = self._modes.wishes.inside(words.get("NAME", ""))
+
+    def _on_exclude_object_end(self, words: dict[str, str]) -> None:
+        self._modes.wishes = self._modes.wishes.inside("")
+
+
+def read_limits(section: Any, extruder: Any) -> Limits:
+    """From [printer] and [extruder] (ConfigWrapper each). Raises ConfigError."""
+    return Limits(
+        section.getfloat("max_velocity", 200.0, above=0.0),
+        section.getfloat("max_accel", 2000.0, above=0.0),
+        section.getfloat("square_corner_velocity", 5.0, minval=0.0),
+        section.getfloat("minimum_cruise_ratio", 0.5, minval=0.0, below=1.0),
+        extruder.getfloat("instantaneous_corner_velocity", 1.0, minval=0.0),
+    )

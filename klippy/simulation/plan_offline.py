@@ -1,0 +1,159 @@
+"""The temperature plan of a whole file, offline: the same planning as in the printer, on a timed path.
+
+GcodePath ─► PathPieces ─► TemperaturePlan ─► rows: what each move was planned to be, and its place on the part
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from extras.temperature_plan import Settings
+from pathpieces import PathPieces
+from tempplan import Laid, Piece, Summary, TemperaturePlan
+from thermal.nozzle_melt import NozzleLimits
+
+from .gcode_path import GcodePath, Limits, TimedMove
+
+AHEAD_S = 2.0  # motion that the printer knows ahead (toolhead.BUFFER_FULL_S)
+WINDOW_S = 2.0  # so much new motion, then another plan
+BOOK_ROWS = 65536
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedMove:
+    """One extruding move: where, when, and its temperatures (degC, mean over the move)."""
+
+    line: int
+    layer: int
+    start_mm: tuple[float, float, float]
+    end_mm: tuple[float, float, float]
+    start_s: float
+    wall_c: float
+    melt_c: float
+    substrate_c: float
+    interface_c: float
+    interface_fixed_c: float
+
+
+@dataclass(frozen=True, slots=True)
+class OfflinePlan:
+    """The result for a file."""
+
+    moves: list[PlannedMove]
+    corners: np.ndarray  # (n, 2): print time s, nozzle degC
+    summary: Summary
+    duration_s: float
+    base_c: float
+
+
+class Planning:
+    """Plans one file; `progress(lines)` is called now and then."""
+
+    def __init__(self, settings: Settings, nozzle: NozzleLimits, limits: Limits) -> None:
+        self._settings = settings
+        self._nozzle = nozzle
+        self._path = GcodePath(limits)
+        self._pieces = PathPieces(math.pi / 4.0 * settings.craft.filament_mm**2)
+        self._plan: TemperaturePlan | None = None
+        self._owners: list[tuple[TimedMove, int, int]] = []  # (move, its layer, pieces that are laid)
+        self._rows: list[Laid] = []  # of moves not yet whole
+        self._moves: list[PlannedMove] = []
+        self._corners: list[tuple[float, float]] = []
+        self._base_c = 0.0
+        self._end_s = self._planned_s = -math.inf
+
+    def run(self, path: Path, base_c: float, progress: Callable[[int], None]) -> OfflinePlan:
+        """`base_c`: nozzle temperature where the file names none. Raises OSError."""
+        self._base_c = base_c
+        for batch in self._path.moves(path):
+            for pieces in self._batches(batch):
+                self._take(pieces)
+            progress(self._path.lines)
+        self._make(math.inf)
+        plan = self._planner()
+        self._book(math.inf)
+        corners = np.array(self._corners or [(0.0, base_c)])
+        return OfflinePlan(self._moves, corners, plan.summary(), max(0.0, self._end_s), self._base_c)
+
+    def _planner(self) -> TemperaturePlan:
+        """Made when the first path comes: by then the file has told its bed."""
+        if self._plan is None:
+            settings, around = self._settings, self._settings.surroundings
+            if not math.isnan(self._path.bed_c):
+                around = replace(around, bed_c=self._path.bed_c)
+            self._plan = TemperaturePlan(self._nozzle, settings.material, around, settings.craft)
+        return self._plan
+
+    def _batches(self, moves: Sequence[TimedMove]) -> Iterator[list[Piece]]:
+        pieces: list[Piece] = []
+        for timed in moves:
+            if timed.nozzle_c > 0.0:
+                self._base_c = timed.nozzle_c
+
+            def ask(
+                time_s: float, layer: int, z_mm: float, at: TimedMove = timed
+            ) -> tuple[float, float, float]:
+                wish_c = at.wishes.wish_c(self._settings.table, time_s, layer, z_mm)
+                return wish_c, self._base_c, at.wishes.height_mm
+
+            own = list(self._pieces.pieces([timed.move], ask, timed.fan))
+            laid = sum(piece.flow_mm3_s > 0.0 for piece in own)
+            if laid:
+                self._owners.append((timed, self._pieces.layers.number, laid))
+            pieces += own
+            if pieces and pieces[-1].end_s - pieces[0].start_s >= WINDOW_S:
+                yield pieces
+                pieces = []
+        if pieces:
+            yield pieces
+
+    def _take(self, pieces: list[Piece]) -> None:
+        self._planner().add(pieces)
+        self._end_s = pieces[-1].end_s
+        if self._planned_s == -math.inf:
+            self._planned_s = pieces[0].start_s
+        if self._end_s - self._planned_s >= AHEAD_S + WINDOW_S:
+            self._make(self._end_s - AHEAD_S)
+
+    def _make(self, until_s: float) -> None:
+        """Plan from where the last plan is settled; it is settled up to `until_s` then."""
+        plan = self._planner()
+        from_s = self._planned_s
+        if not from_s < self._end_s:
+            return
+        start_c = plan.at(from_s, self._base_c)
+        corners = plan.make(from_s, start_c)
+        self._corners += [corner for corner in corners if from_s <= corner[0] < until_s]
+        self._planned_s = min(until_s, self._end_s)
+        self._book(self._planned_s - 0.5)
+
+    def _book(self, until_s: float) -> None:
+        while rows := self._planner().finish(until_s, BOOK_ROWS):
+            self._note(rows)
+
+    def _note(self, rows: Sequence[Laid]) -> None:
+        """Moves whose pieces are all booked."""
+        self._rows += rows
+        at = done = 0
+        for timed, layer, count in self._owners:
+            if at + count > len(self._rows):
+                break
+            self._moves.append(_planned(timed, layer, self._rows[at : at + count]))
+            at += count
+            done += 1
+        del self._rows[:at], self._owners[:done]
+
+
+def _planned(timed: TimedMove, layer: int, part: Sequence[Laid]) -> PlannedMove:
+    def mean(name: str) -> float:
+        return sum(getattr(row, name) for row in part) / len(part)
+
+    move = timed.move
+    names = ("wall_c", "melt_c", "substrate_c", "interface_c", "interface_fixed_c")
+    place = (move.start_pos[:3], move.end_pos[:3], move.print_time)
+    return PlannedMove(timed.line, layer, *place, *map(mean, names))

@@ -1,0 +1,72 @@
+"""One HTML page of an offline temperature plan: every layer, coloured by nozzle, substrate or interface temperature."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from thermal.materials import Material
+
+from .plan_offline import OfflinePlan
+
+PAGE = Path(__file__).with_name("report_page") / "plan.html"
+HUNDREDTH_MM = 100.0
+MOST_MOVES = 300_000  # above, neighbours are left out: the page stays under 5 MB
+
+
+def figures(plan: OfflinePlan, material: Material) -> dict[str, Any]:
+    """The table of the page, for programs."""
+    books = plan.summary
+    planned, fixed = books.interface_5_50_95_c
+    return {
+        "material": material.name,
+        "bonding_c": material.bonding_c,
+        "length_mm": round(books.length_mm, 1),
+        "moves": len(plan.moves),
+        "duration_s": round(plan.duration_s, 1),
+        "bonded_share": round(books.bonded_share[0], 5),
+        "bonded_share_fixed": round(books.bonded_share[1], 5),
+        "interface_5_50_95_c": [round(v, 1) for v in planned],
+        "interface_5_50_95_fixed_c": [round(v, 1) for v in fixed],
+        "spread_c": round(books.spread_c[0], 1),
+        "spread_fixed_c": round(books.spread_c[1], 1),
+        "melt_against_wanted_rms_c": round(books.melt_rms_c, 2),
+        "cold_share": round(books.cold_share, 4),
+        "hot_share": round(books.hot_share, 4),
+    }
+
+
+def _packed(values: np.ndarray, kind: str) -> str:
+    return base64.b64encode(values.astype(kind).tobytes()).decode("ascii")
+
+
+def write(path: Path, name: str, plan: OfflinePlan, material: Material) -> None:
+    """Raises OSError."""
+    moves = plan.moves[:: 1 + len(plan.moves) // MOST_MOVES]
+    ways = np.array([(*m.start_mm[:2], *m.end_mm[:2]) for m in moves])
+    low = ways.reshape(-1, 2).min(axis=0)
+    ways = (ways - np.tile(low, 2)) * HUNDREDTH_MM
+    temps = np.array([(m.wall_c, m.substrate_c, m.interface_c, m.interface_fixed_c) for m in moves])
+    layers = np.array([m.layer for m in moves])
+    starts = np.flatnonzero(np.diff(layers, prepend=layers[0] - 1))
+    data = {
+        "ways": _packed(ways.round(), "<u2"),
+        "temps": _packed((temps * 2.0).round().clip(0, 65535), "<u2"),  # half degrees
+        "starts": [int(v) for v in starts],
+        "heights": [round(moves[int(i)].end_mm[2], 3) for i in starts],
+        "bonding": material.bonding_c,
+        "corners": _packed(plan.corners[:: 1 + len(plan.corners) // 4000].astype("<f4"), "<f4"),
+    }
+    rows = "".join(
+        f"<tr><th>{html.escape(key.replace('_', ' '))}</th><td>{html.escape(str(value))}</td></tr>"
+        for key, value in figures(plan, material).items()
+    )
+    page = PAGE.read_text(encoding="utf-8")
+    page = page.replace("@TITLE@", html.escape(name)).replace("@ROWS@", rows)
+    page = page.replace("@DATA@", json.dumps(data).replace("<", "\\u003c"))
+    path.write_text(page, encoding="utf-8")

@@ -1,0 +1,144 @@
+#!/usr/bin/env python3
+"""Plans nozzle temperatures along the path of a G-code file, offline, for any printer.
+
+    scripts/plan_temperature.py part.gcode --config printer.cfg --report plan.html
+    scripts/plan_temperature.py part.gcode --config printer.cfg --heater slow --emit part-planned.gcode
+
+The plan is that of the section [temperature_plan] (docs/Temperature_Plan.md); what the config leaves out takes the
+section's defaults, and options here go before the config. --emit writes the file again with M104 commands for firmware
+that has nothing else. Exit status: 0 done, 2 bad input.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import Progress
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "klippy"))
+
+import configtext
+from configfile import ConfigWrapper
+from extras import temperature_plan
+from simulation import gcode_path, plan_emit, plan_offline, plan_report
+from thermal.materials import MATERIALS
+from thermal.model import HeatCapacity, LossLaw
+from thermal.nozzle_melt import NozzleLimits
+
+# What heats: watts that planning may use, J/K, W/K to the air. induction: the reference plant (thermal/model.py);
+# slow: a 40 W cartridge in an aluminium block of about 20 g.
+HEATERS = {
+    "induction": NozzleLimits(),
+    "slow": NozzleLimits(
+        power_w=32.0,
+        capacity=HeatCapacity(20.0, 0.0),
+        loss=LossLaw(conductance_w_k=0.075, radiation_m2=5e-4),
+    ),
+}
+
+
+class BadInput(Exception):
+    """The text is for people."""
+
+
+def parse(argv: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("gcode", type=Path, help="sliced file")
+    parser.add_argument("--config", type=Path, required=True, help="printer.cfg")
+    parser.add_argument(
+        "--report", type=Path, metavar="OUT.html", help="one page: path coloured by temperature"
+    )
+    parser.add_argument("--emit", type=Path, metavar="OUT.gcode", help="the file again with M104 commands")
+    parser.add_argument("--json", type=Path, metavar="OUT", help="the figures")
+    parser.add_argument(
+        "--heater", choices=sorted(HEATERS), help="default: induction if the config has one, else slow"
+    )
+    parser.add_argument("--material", choices=sorted(MATERIALS), help="instead of the config's")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="OPTION=VALUE", help="of [temperature_plan]"
+    )
+    parser.add_argument("--step", type=float, default=2.0, help="--emit: least change written, degC (2)")
+    return parser.parse_args(argv)
+
+
+def read_config(options: argparse.Namespace) -> tuple[ConfigWrapper, bool]:
+    """(the config, has it an induction heater). Raises ConfigError, BadInput."""
+    data = configtext.ConfigData()
+    user, _ = configtext.split_autosave(configtext.read_text(str(options.config)))
+    configtext.ConfigParser(data).parse_text(user, str(options.config))
+    changes = [("material", options.material)] if options.material else []
+    for text in options.set:
+        name, equals, value = text.partition("=")
+        if not equals:
+            raise BadInput(f"--set {text}: it has to be OPTION=VALUE")
+        changes.append((name, value))
+    for name, value in changes:
+        data.set("temperature_plan", name, value, configtext.Origin("command line", 0))
+    wrapper = ConfigWrapper(None, data, {}, "temperature_plan")
+    return wrapper, any(name.startswith("induction_heater") for name in data.sections)
+
+
+def limits_of(heater: str, config: ConfigWrapper) -> NozzleLimits:
+    """The nozzle: what heats it, within the config's temperatures."""
+    section = config.getsection("extruder")
+    base = HEATERS[heater]
+    low_c = section.getfloat("min_extrude_temp", 170.0)
+    high_c = section.getfloat("max_temp", 300.0)
+    return NozzleLimits(
+        0.0, high_c, low_c, base.power_w, base.cooling_share, base.loss, base.capacity, base.exchange
+    )
+
+
+def plan(options: argparse.Namespace) -> dict[str, Any]:
+    """Everything asked for; the figures."""
+    config, induction = read_config(options)
+    heater = options.heater or ("induction" if induction else "slow")
+    settings = temperature_plan.read_settings(config)
+    limits = gcode_path.read_limits(config.getsection("printer"), config.getsection("extruder"))
+    base_c = 0.5 * (settings.material.low_c + settings.material.high_c)
+    planning = plan_offline.Planning(settings, limits_of(heater, config), limits)
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        total = sum(1 for _ in options.gcode.open("rb"))
+        task = progress.add_task("planning", total=total)
+        found = planning.run(options.gcode, base_c, lambda lines: progress.update(task, completed=lines))
+    if not found.moves:
+        raise BadInput(f"{options.gcode}: no line of it extrudes while it moves")
+    print(temperature_plan.report_line(found.summary, settings.material))
+    if found.summary.cold_share > 0.01:
+        print(
+            f"{100 * found.summary.cold_share:.0f} % of the path would need a hotter melt than the material bears"
+        )
+    if found.summary.hot_share > 0.01:
+        print(
+            f"{100 * found.summary.hot_share:.0f} % is too hot even for the coolest melt: print it slower, or pause"
+        )
+    if options.report:
+        plan_report.write(options.report, options.gcode.name, found, settings.material)
+    if options.emit:
+        count = plan_emit.write(options.gcode, options.emit, found, options.step)
+        print(f"{options.emit}: {count} M104 commands")
+    return plan_report.figures(found, settings.material)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    options = parse(argv)
+    try:
+        figures = plan(options)
+        if options.json:
+            options.json.write_text(json.dumps(figures, indent=2) + "\n", encoding="utf-8")
+    except (BadInput, configtext.ConfigError, OSError, ValueError) as error:
+        print(f"plan_temperature: {error}", file=sys.stderr)
+        return 2
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
