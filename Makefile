@@ -38,6 +38,7 @@ fuzz: setup-test
 
 # The firmware's rules (any port, simulator included) and the simulated world's.
 -include src/build.mk
+-include src/ports.mk
 -include src/simulator/world.mk
 -include src/emulator/emulator.mk
 

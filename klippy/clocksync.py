@@ -6,12 +6,9 @@ Three time lines:
 - *MCU clock* c: ticks of one MCU, 64 bits here, the low 32 on the wire
 - *print time* p: seconds of the first MCU's clock at its nominal frequency; motion is planned in it
 
-One `get_clock` gives a clock value that was taken between sending and receiving, so its system time is the middle
-give or take half the round trip. With x the age of a sample and y = c/f_nominal - t (s), the model is a straight line
-y = a + e*x: offset a and frequency error e. `ClockEstimator` fits it by weighted least squares. A sample's standard
-deviation grows with the excess of its round trip over the shortest seen, so samples that met no queue decide; e has a
-prior at the tolerance of crystals, which bridges the first seconds. The line through the last minute is accurate to
-microseconds where single samples are good to a millisecond only.
+How the line between t and c is found from the answers to `get_clock`: clockfit.py. With one MCU it is only needed to
+pace the host, and one question a second does. With several, their steps must fall on the same instant: all of them are
+asked more often, so that the luckiest answers of the last minute fix the line to a few microseconds.
 
 `SecondarySync` lets another MCU follow print time: its line from print time to clock is bent at each calibration
 so that it stays continuous and meets the true relation a few seconds later.
@@ -19,101 +16,26 @@ so that it stays continuous and meets the true relation a few seconds later.
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Iterable
-from dataclasses import dataclass
+import math
 from typing import Any
 
+from clockfit import ClockEstimator, ClockLine, ClockSample, fit_clock_line
 from reactor import Reactor
 from serialhdl import SerialReader
+
+__all__ = ["ClockEstimator", "ClockLine", "ClockSample", "ClockSync", "SecondarySync", "fit_clock_line"]
 
 FIRST_SAMPLES = 8
 FIRST_SAMPLE_PERIOD_S = 0.050
 SAMPLE_PERIOD_S = 0.97  # not 1.0: must not lock to things that happen once a second
-UNANSWERED_MAX = 4  # this many requests without an answer: communication is lost
-
-WINDOW_SAMPLES = 48
-CRYSTAL_SIGMA = (
-    100e-6  # frequency error of an MCU's clock source (ceramic resonators: 0.5 %, learnt in a second)
-)
-SAMPLE_SIGMA_S = 4e-6  # a sample with the shortest round trip: jitter of interrupts on both sides
-DRIFT_SIGMA_PER_S = 2e-7  # how far temperature drift makes a sample of age 1 s wrong (s per s)
+# With several MCUs: (until this age in s, ask that often); at the end some 200 byte/s in each direction
+SHARED_PERIODS = ((4.0, 0.0193), (30.0, 0.0487), (math.inf, 0.0973))
+LEARN_S = 15.0  # so long the lines still change a lot
+SILENCE_MAX_S = 4.0  # this long without an answer: communication is lost
 
 MEET_TIME_S = 4.0  # a secondary MCU meets its true clock this long after a calibration
-
-
-@dataclass(frozen=True, slots=True)
-class ClockSample:
-    """One answered get_clock, times in system seconds."""
-
-    sent_s: float
-    received_s: float
-    clock: int
-
-    @property
-    def round_trip_s(self) -> float:
-        return max(0.0, self.received_s - self.sent_s)
-
-    @property
-    def middle_s(self) -> float:
-        return 0.5 * (self.sent_s + self.received_s)
-
-
-@dataclass(frozen=True, slots=True)
-class ClockLine:
-    """clock = clock_0 + (system time - time_s) * freq."""
-
-    time_s: float
-    clock: float
-    freq: float
-
-    def clock_at(self, time_s: float) -> float:
-        return self.clock + (time_s - self.time_s) * self.freq
-
-    def time_of(self, clock: float) -> float:
-        return self.time_s + (clock - self.clock) / self.freq
-
-
-def fit_clock_line(samples: Iterable[ClockSample], nominal_freq: float) -> ClockLine:
-    """Weighted least squares over samples (oldest first, at least one) with a prior on the frequency error."""
-    points = list(samples)
-    last = points[-1]
-    shortest_s = min(p.round_trip_s for p in points)
-    # y relative to the last sample keeps the figures small (64-bit clocks do not fit a double's ns)
-    sum_w = sum_x = sum_y = sum_xx = sum_xy = 0.0
-    for p in points:
-        x = p.middle_s - last.middle_s
-        y = (p.clock - last.clock) / nominal_freq - x
-        sigma_s = SAMPLE_SIGMA_S + 0.5 * (p.round_trip_s - shortest_s) + DRIFT_SIGMA_PER_S * -x
-        w = 1.0 / (sigma_s * sigma_s)
-        sum_w += w
-        sum_x += w * x
-        sum_y += w * y
-        sum_xx += w * x * x
-        sum_xy += w * x * y
-    sum_xx += 1.0 / CRYSTAL_SIGMA**2  # the prior: e = 0 +- CRYSTAL_SIGMA
-    determinant = sum_w * sum_xx - sum_x * sum_x
-    offset_s = (sum_y * sum_xx - sum_xy * sum_x) / determinant
-    freq_error = (sum_w * sum_xy - sum_x * sum_y) / determinant
-    return ClockLine(last.middle_s, last.clock + offset_s * nominal_freq, nominal_freq * (1.0 + freq_error))
-
-
-class ClockEstimator:
-    """The samples of the last minute and the line through them. Pure: told times and clocks, asks nobody."""
-
-    def __init__(self, nominal_freq: float) -> None:
-        self.nominal_freq = nominal_freq
-        self.line = ClockLine(0.0, 0.0, nominal_freq)
-        self._samples: deque[ClockSample] = deque(maxlen=WINDOW_SAMPLES)
-
-    def add(self, sample: ClockSample) -> ClockLine:
-        self._samples.append(sample)
-        self.line = fit_clock_line(self._samples, self.nominal_freq)
-        return self.line
-
-    @property
-    def shortest_round_trip_s(self) -> float:
-        return min((s.round_trip_s for s in self._samples), default=0.0)
+LEARN_MEET_TIME_S = 1.0  # ... while its line still changes a lot
+IDLE_BEND_S = 0.25  # while nothing moves, this long after the last calibration the next one is made
 
 
 class ClockSync:
@@ -127,7 +49,11 @@ class ClockSync:
         self._timer = reactor.register_timer(self._ask_clock)
         self._cmd_queue: Any = None
         self._get_clock = b""
-        self._unanswered = 0
+        self._asked_s = 0.0  # time of the first question since the last answer; 0: none is open
+        self._silence_s = 0.0  # since then
+        self._is_shared = False  # several MCUs must agree
+        self._shared_from_s = 0.0
+        self._next_try_s = 0.0
         self._last_clock = 0
         self._is_file = False
 
@@ -147,7 +73,7 @@ class ClockSync:
             self._take_sample(serial.query(self._get_clock, "clock", cmd_queue=self._cmd_queue))
             self.reactor.pause(self.reactor.monotonic() + FIRST_SAMPLE_PERIOD_S)
         serial.register_response(self._on_clock, "clock")
-        self._unanswered = 0
+        self._asked_s = self._silence_s = 0.0
         self.reactor.update_timer(self._timer, self.reactor.NOW)
 
     def connect_file(self, serial: SerialReader, pace: bool = False) -> None:
@@ -163,14 +89,33 @@ class ClockSync:
 
     # --- sampling ---
 
+    def share(self) -> None:
+        """From now on another MCU must agree with this one: ask often."""
+        self._is_shared = True
+        self._shared_from_s = self.reactor.monotonic()
+        if not self._is_file:
+            self.reactor.update_timer(self._timer, self.reactor.NOW)
+
+    def _period_s(self, eventtime: float) -> float:
+        if not self._is_shared:
+            return SAMPLE_PERIOD_S
+        age_s = eventtime - self._shared_from_s
+        return next(period_s for until_s, period_s in SHARED_PERIODS if age_s < until_s)
+
     def _ask_clock(self, eventtime: float) -> float:
-        assert self._serial is not None
-        self._unanswered += 1
-        self._serial.raw_send(self._get_clock, 0, 0, self._cmd_queue)
-        return eventtime + SAMPLE_PERIOD_S
+        if self._serial is None:
+            return self.reactor.NEVER
+        if self._asked_s:
+            self._silence_s = eventtime - self._asked_s
+        if self._silence_s < SAMPLE_PERIOD_S or eventtime >= self._next_try_s:
+            # a line that is busy with retransmissions is not asked twenty times a second
+            self._next_try_s = eventtime + SAMPLE_PERIOD_S
+            self._asked_s = self._asked_s or eventtime
+            self._serial.raw_send(self._get_clock, 0, 0, self._cmd_queue)
+        return eventtime + self._period_s(eventtime)
 
     def _on_clock(self, params: dict[str, Any]) -> None:
-        self._unanswered = 0
+        self._asked_s = self._silence_s = 0.0
         self._take_sample(params)
 
     def _take_sample(self, params: dict[str, Any]) -> None:
@@ -215,7 +160,7 @@ class ClockSync:
 
     def is_active(self) -> bool:
         """False when the MCU has stopped answering."""
-        return self._is_file or self._unanswered <= UNANSWERED_MAX
+        return self._is_file or self._silence_s <= SILENCE_MAX_S
 
     def calibrate_clock(self, print_time: float, eventtime: float) -> tuple[float, float]:
         """(offset_s, freq) with clock = (print time - offset_s) * freq. Print time is this MCU's own: never bent."""
@@ -231,7 +176,7 @@ class ClockSync:
         return (
             f"clocksync: time={line.time_s:.6f} clock={line.clock:.0f} freq={line.freq:.3f}"
             f" nominal={self.mcu_freq:.0f} shortest_round_trip={self._estimator.shortest_round_trip_s:.6f}"
-            f" unanswered={self._unanswered} last_clock={self._last_clock}"
+            f" silence={self._silence_s:.3f} last_clock={self._last_clock}"
         )
 
 
@@ -242,9 +187,12 @@ class SecondarySync(ClockSync):
         super().__init__(reactor)
         self._main_sync = main_sync
         self._offset_s, self._adjusted_freq = 0.0, 1.0
+        self._bend_time = 0.0  # print time of the last calibration
 
     def connect(self, serial: SerialReader) -> None:
+        self._main_sync.share()
         super().connect(serial)
+        self.share()
         # start on the true relation: now, and with the slope of both fitted lines
         now = self.reactor.monotonic()
         print_time = self._main_sync.clock_to_print_time(self._main_sync.line.clock_at(now))
@@ -267,18 +215,28 @@ class SecondarySync(ClockSync):
         return self.line.clock_at(system_s)
 
     def calibrate_clock(self, print_time: float, eventtime: float) -> tuple[float, float]:
-        """Bend the line at `print_time` (all before it is already on its way) to meet the true clock 4 s later.
+        """Bend the line at `print_time` (all before it is already on its way) to meet the true clock some seconds later.
 
         Returns (offset_s, freq) with clock = (print time - offset_s) * freq from then on.
         """
         if self._is_file:
             return self._offset_s, self._adjusted_freq
         bend_time = max(print_time, self._main_sync.estimated_print_time(eventtime))
+        self._bend_time = bend_time
         bend_clock = (bend_time - self._offset_s) * self._adjusted_freq
-        meet_time = bend_time + MEET_TIME_S
-        self._adjusted_freq = (self._true_clock(meet_time) - bend_clock) / MEET_TIME_S
+        is_learning = eventtime - self._shared_from_s < LEARN_S
+        meet_s = LEARN_MEET_TIME_S if is_learning else MEET_TIME_S
+        self._adjusted_freq = (self._true_clock(bend_time + meet_s) - bend_clock) / meet_s
         self._offset_s = bend_time - bend_clock / self._adjusted_freq
         return self._offset_s, self._adjusted_freq
+
+    def _on_clock(self, params: dict[str, Any]) -> None:
+        super()._on_clock(params)
+        # nobody moves: without calibrations both clocks would have drifted apart by the next motion
+        eventtime = self.reactor.monotonic()
+        print_time = self._main_sync.estimated_print_time(eventtime)
+        if print_time > self._bend_time + IDLE_BEND_S:
+            self.calibrate_clock(print_time, eventtime)
 
     def stats(self, eventtime: float) -> str:
         return f"{super().stats(eventtime)} adj={self._adjusted_freq:.0f}"

@@ -61,9 +61,13 @@ class Craft:
     """What besides names decides: the weld and the core of the filament."""
 
     interface_c: float | None = None  # temperature wanted at the weld; None: the weld has no say
+    follow_mm: float = (
+        0.0  # > 0: at least interface_c, and as warm as the user's own target welds over so much path
+    )
     core: bool = False  # the filament's core must reach the material's flow temperature
     zone_mm: float = 20.0  # heated length of the nozzle
     filament_mm: float = 1.75
+    preview: bool = True  # False: turn at the border of each piece, as M104 would
     smooth_s: float = 0.0  # wanted walls are averaged over so much time to both sides
 
 
@@ -161,9 +165,11 @@ class TemperaturePlan:
             "bed_reach_mm": surroundings.bed_reach_mm,
             "cell_mm": self._cell_mm,
             "interface_c": math.nan if craft.interface_c is None else craft.interface_c,
+            "follow_mm": craft.follow_mm,
             "core_c": material.flow_c if craft.core else math.nan,
             "core_step_mm3_s": CORE_STEP_MM3_S,
             "smooth_s": craft.smooth_s,
+            "preview": float(craft.preview),
         }
         return self._ffi.new("struct tempplan_params *", values)
 

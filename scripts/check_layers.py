@@ -26,7 +26,7 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
             "base",
             "util mathutil queuelogger reactor configtext configfile gcode gcode_io pins msgproto chelper",
         ),
-        ("link", "serialport serialhdl clocksync mcu mcu_io mcu_homing mcu_session"),
+        ("link", "serialport serialhdl clockfit clocksync mcu mcu_io mcu_homing mcu_session"),
         ("motion", "stepper stepstream kinematics lookahead g1path toolhead tempplan pathpieces"),
         ("extras", "extras"),
         ("app", "webhooks printer klippy parsedump"),

@@ -70,6 +70,7 @@ fi
 mkdir -p "$data"/{config,gcodes,logs,comms} "$units"
 if [ ! -e "$data/config/printer.cfg" ]; then
   sed "s|^path: .*gcodes.*|path: $data/gcodes|" config/example-induction-f334.cfg >"$data/config/printer.cfg"
+  [ -e "$data/config/macros-induction.cfg" ] || cp config/macros-induction.cfg "$data/config/"
   say "wrote $data/config/printer.cfg from config/example-induction-f334.cfg: edit it for your machine"
 fi
 

@@ -15,6 +15,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -104,11 +105,23 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
     settings = temperature_plan.read_settings(config)
     limits = gcode_path.read_limits(config.getsection("printer"), config.getsection("extruder"))
     base_c = 0.5 * (settings.material.low_c + settings.material.high_c)
-    planning = plan_offline.Planning(settings, limits_of(heater, config), limits)
     with Progress(console=Console(stderr=True), transient=True) as progress:
         total = sum(1 for _ in options.gcode.open("rb"))
         task = progress.add_task("planning", total=total)
-        found = planning.run(options.gcode, base_c, lambda lines: progress.update(task, completed=lines))
+
+        def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
+            planning = plan_offline.Planning(settings, limits_of(heater, config), replace(limits))
+            return planning.run(options.gcode, base_c, lambda lines: progress.update(task, completed=lines))
+
+        found = run(settings)
+        if (
+            settings.craft.follow_mm and found.moves
+        ):  # the whole file is known: hold the weld at its usual temperature
+            usual_c = round(max(found.summary.interface_5_50_95_c[1][1], settings.craft.interface_c or 0.0))
+            found = run(replace(settings, craft=replace(settings.craft, interface_c=usual_c, follow_mm=0.0)))
+            print(
+                f"interface_temp: {usual_c} is what one fixed temperature gives half of this path; planned with it"
+            )
     if not found.moves:
         raise BadInput(f"{options.gcode}: no line of it extrudes while it moves")
     print(temperature_plan.report_line(found.summary, settings.material))

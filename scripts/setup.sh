@@ -34,6 +34,8 @@ test_packages=(
   "libnewlib-arm-none-eabi  /usr/include/newlib/stdio.h"
   "gcc-avr                  avr-gcc"
   "avr-libc                 /usr/lib/avr/include/avr/io.h"
+  "libsimavr-dev            /usr/include/simavr/sim_avr.h"
+  "chromium                 chromium"
 )
 
 present() { # probe: true if the command is on PATH or the glob matches a file

@@ -9,7 +9,7 @@
  *   task    command handlers; induction_task (sends reports)
  *   timer   phase_timer: applies pending phases, watches max_duration.  Two of its clocks can coincide; late by up to
  *           a bridge period is unseen (the bridge changes at period edges), later only delays the heat.
- *   irq     samples_ready: every HALF_LEN bridge periods (267 us at 120 kHz).  Must end before the next one is due.
+ *   irq     samples_ready: every HALF_LEN bridge periods (32: 267 us at 120 kHz).  Must end before the next one is due.
  *           On a Cortex-M4 at 72 MHz: about 14 cycles a sample in portable C (4 with a port's own kernel,
  *           oversample_kernel.h) and some 300 around them, 4 % of the time.  Counted from the compiler's output, not
  *           measured on a board.
@@ -34,8 +34,13 @@
 #include "phase.h"
 #include "sched.h"
 
+#ifdef PORT_SYNC_HALF_LEN
+enum { HALF_LEN = PORT_SYNC_HALF_LEN };
+#else
+enum { HALF_LEN = 32 };
+#endif
+
 enum {
-    HALF_LEN = 32,           /* power of two; 2 * HALF_LEN <= PHASE_RING_LEN */
     SYNC_ADC_MAX = 4095,     /* the synchronous ADC has 12 bits on every port */
     BLOCKS_WAITING_MAX = 32, /* power of two; 51 ms of blocks of 192 samples for a host link that stalls */
     RECORD_SIZE_MAX = 16,
@@ -218,7 +223,7 @@ samples_ready(const uint16_t *samples, uint16_t count)
     struct induction *u = unit;
     if (!u)
         return;
-    uint32_t position = sync_adc_position(u->adc), newest_end = position & ~(uint32_t)(HALF_LEN - 1);
+    uint32_t position = sync_adc_position(u->adc), newest_end = position - position % HALF_LEN;
     if (u->resync) {
         u->resync = 0;
         u->next_index = newest_end - count;

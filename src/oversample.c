@@ -107,8 +107,7 @@ oversample_feed(struct oversample *o, const uint16_t *samples, uint16_t count, u
         return 0;
     if (!o->count)
         o->first = first + settling;
-    o->sum += oversample_sum(samples + settling, use);
-    oversample_range(samples + settling, use, &o->min, &o->max);
+    o->sum += oversample_reduce(samples + settling, use, &o->min, &o->max);
     o->count += use;
     if (o->count < o->block_len)
         return 0;

@@ -18,7 +18,7 @@
  * down, u23.  discarded and lost saturate at 65535.  Sample indices run modulo 2^32.
  *
  * Contexts: oversample_feed is called from the ADC's interrupt, once per run of one phase (1 to a few per half buffer).
- * Cost: oversample_sum and oversample_range over the run plus about 60 cycles per run; no division.
+ * Cost: oversample_reduce over the run plus about 60 cycles per run; no division.
  */
 #ifndef OVERSAMPLE_H
 #define OVERSAMPLE_H

@@ -7,8 +7,10 @@
  * Pending: a list of nodes the caller owns (the firmware's move queue), in order of clock, spanning less than 2^31 ticks.
  * One that comes late is applied at once rather than refused: for a heater the newest word is worth having, and it
  * is the guard that ends a silence.
- * Applied: a ring of steps, a step a bridge period at most (a later one for the same sample takes its place), as
- * long as the ADC's double buffer: a step that falls out of the ring is older than any sample that can still be read.
+ * Applied: a ring of steps, a step a bridge period at most (a later one for the same sample takes its place).  With an ADC
+ * buffer of up to 64 samples a step that falls out of the ring is older than any sample that can still be read.  With a
+ * longer one that needs more than 64 steps within it, none as long as the settling after a step: such samples are
+ * mostly discarded, the rest is counted to a later step's phase.
  *
  * Contexts: push and cut in tasks with interrupts disabled; pop, applied in the timer interrupt; run in the ADC's interrupt.
  * The two interrupts must not preempt each other.  All O(1) but phase_run, which walks past steps that have passed, and
@@ -19,7 +21,7 @@
 
 #include <stdint.h>
 
-enum { PHASE_RING_LEN = 64 /* power of two; >= samples in the ADC's two half buffers */ };
+enum { PHASE_RING_LEN = 64 /* power of two */ };
 
 struct phase_node {
     struct phase_node *next;

@@ -5,6 +5,7 @@
 #   PORT_CC PORT_OBJCOPY PORT_SIZE    its tools (PORT_CC is also what preprocesses for the dictionary)
 #   PORT_FIRMWARE                     the portable files it takes: some of build.mk's FIRMWARE_ lists
 #   PORT_SOURCES                      its own files
+#   PORT_PREFIX_MAP                   how the compiler is told to forget a folder's name (older ones: -fdebug-prefix-map)
 #   PORT_CFLAGS PORT_LDFLAGS          what the compiler and the linker need to know beyond what is here
 #   PORT_LINK_INPUTS                  files the link depends on (linker script)
 #   PORT_IMAGES                       what is made of OUT/PORT/ferrite.elf (ferrite.bin, ferrite.hex), with rules
@@ -22,19 +23,26 @@ firmware-simulator: $(SIM_MCU_LIB)
 $(PORTS:%=firmware-%): firmware-%:
 	@$(MAKE) --no-print-directory PORT=$* OUT=$(OUT) firmware
 
+# Another port's image by its file name, for whoever runs it in an emulator.
+OTHER_PORTS := $(filter-out $(PORT),$(PORTS))
+.PHONY: port-image
+$(OTHER_PORTS:%=$(OUT)/%/ferrite.elf): $(OUT)/%/ferrite.elf: port-image
+	@$(MAKE) --no-print-directory PORT=$* OUT=$(OUT) firmware
+
 ifeq ($(PORT),simulator)
 firmware: firmware-simulator
 else ifneq ($(PORT),)
 include src/$(PORT)/port.mk
 
 PORT_OUT := $(OUT)/$(PORT)
+PORT_PREFIX_MAP ?= -ffile-prefix-map
 PORT_ELF := $(PORT_OUT)/ferrite.elf
 PORT_ALL_SOURCES := $(PORT_FIRMWARE) $(PORT_SOURCES)
 PORT_OBJECTS := $(PORT_ALL_SOURCES:src/%.c=$(PORT_OUT)/obj/%.o) $(PORT_OUT)/obj/compile_time.o
 PORT_INCLUDES := -Isrc -Isrc/$(PORT)
 # Nothing of the place or the time of the build may get into the image: two builds, one hash.
 PORT_ALL_CFLAGS := $(C_WARNINGS) $(PORT_CFLAGS) $(PORT_INCLUDES) -g -ffunction-sections -fdata-sections \
-	-ffile-prefix-map=$(CURDIR)=. -ffile-prefix-map=$(PORT_OUT)=out -fno-common
+	$(PORT_PREFIX_MAP)=$(CURDIR)=. $(PORT_PREFIX_MAP)=$(PORT_OUT)=out -fno-common
 # Other options, other objects: the stamp's name changes with them.
 PORT_FLAGS_STAMP := $(PORT_OUT)/obj/flags-$(firstword $(shell echo '$(PORT_CC) $(PORT_ALL_CFLAGS) $(PORT_LDFLAGS)' | cksum))
 
@@ -64,12 +72,10 @@ $(PORT_OUT)/obj/%.o: src/%.c $(PORT_FLAGS_STAMP)
 	$(PORT_CC) $(PORT_ALL_CFLAGS) -MMD -MP -c -o $@ $<
 -include $(PORT_OBJECTS:.o=.d)
 
-# Put in place whole: an emulator may have the old one open.
+# Put in place whole: an emulator may have the old one open, another make may be at the same.
 $(PORT_ELF): $(PORT_OBJECTS) $(PORT_LINK_INPUTS)
 	$(PORT_CC) $(PORT_CFLAGS) $(PORT_LDFLAGS) -Wl,--gc-sections -Wl,--build-id=none -Wl,-Map=$(PORT_OUT)/ferrite.map \
-		-o $@.new $(PORT_OBJECTS)
-	$(if $(PORT_SEAL),$(PORT_SEAL) $@.new)
-	@mv $@.new $@
+		-o $@.$$$$ $(PORT_OBJECTS) && $(or $(PORT_SEAL),true) $@.$$$$ && mv $@.$$$$ $@
 
 $(PORT_OUT)/ferrite.bin: $(PORT_ELF)
 	$(PORT_OBJCOPY) -O binary $< $@

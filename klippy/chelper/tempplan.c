@@ -18,6 +18,7 @@ struct tempplan {
     double *loss_w, *capacity_j_k, *core_share;
     int degrees, cores;
     struct deposit_map map;
+    double usual_c, usual_mm;               /* interface by the user's own temperature, averaged over so much path */
     struct tempplan_piece *pieces;          /* those of the future and of the part planned but not yet laid */
     double *starts, *melts_w_k, *walls_c;
     int count, room;
@@ -140,8 +141,10 @@ static double wanted_melt_c(struct tempplan *tp, const struct tempplan_piece *q,
     double melt_c = q->wish_c;
     if (isnan(melt_c)) {
         melt_c = p->inlet_c + (q->base_c - p->inlet_c) * melt_share(p, q->flow_mm3_s);
-        if (!isnan(p->interface_c))
-            melt_c = 2.0 * p->interface_c - q->substrate_c[0];  /* like media meet at the mean */
+        if (!isnan(p->interface_c)) {
+            double interface_c = p->follow_mm > 0.0 ? fmax(p->interface_c, tp->usual_c) : p->interface_c;
+            melt_c = 2.0 * interface_c - q->substrate_c[0];     /* like media meet at the mean */
+        }
         tp->report.cold_mm += melt_c > p->high_c ? length_mm : 0.0;
         tp->report.hot_mm += melt_c < p->low_c ? length_mm : 0.0;
     }
@@ -177,6 +180,9 @@ static void settle(struct tempplan *tp, struct tempplan_piece *q)
         }
         if (!turn) {
             memcpy(q->substrate_c, met, sizeof(met));
+            tp->usual_mm = fmin(p->follow_mm, tp->usual_mm + length_mm);
+            if (tp->usual_mm > 0.0)
+                tp->usual_c += (0.5 * (fixed_c + met[1]) - tp->usual_c) * fmin(1.0, length_mm / tp->usual_mm);
             q->melt_c = wanted_melt_c(tp, q, length_mm);
         }
     }
@@ -277,7 +283,7 @@ static void find_starts(struct tempplan *tp, int first, double from_s, double st
             direction = sign;
         }
         later_s = at_s;
-        tp->starts[i] = at_s - 0.5 * demand_s;
+        tp->starts[i] = tp->p.preview != 0.0 ? at_s - 0.5 * demand_s : q->start_s;
     }
     double latest_s = from_s;
     for (int i = first; i < tp->count; i++) {

@@ -29,6 +29,7 @@ COMMIT_S = 0.20  # the plan nearer than this stays: commands for it may be on th
 WORK_S = 0.10  # how often it is looked
 BOOK_BEHIND_S = 0.5  # pieces are booked when they are surely laid
 RETURN_S = 0.5  # after the last piece the nozzle goes back to the user's target
+FOLLOW_MM = 60000.0  # a fair part of a print: the weld is held where the user's own target has it on average
 ROWS_AT_ONCE = 4096
 
 
@@ -299,7 +300,7 @@ class TemperaturePlanner:
                 raise gcmd.error(f"Material '{material}' is not known; known are {', '.join(MATERIALS)}")
             self.material = MATERIALS[material]
         if interface_c is not None:
-            self.craft = replace(self.craft, interface_c=interface_c or None)
+            self.craft = replace(self.craft, interface_c=interface_c or None, follow_mm=0.0)
         if material is not None or interface_c is not None:
             self.plan.change(self.material, self.settings.surroundings, self.craft)
         if enable is not None:
@@ -378,7 +379,8 @@ def read_settings(config: Any) -> Settings:
     name = config.get("heater", "extruder")
     material = _material(config)
     margin_c = config.getfloat("bonding_margin", 15.0, minval=0.0, maxval=150.0)
-    wanted_c = config.getfloat("interface_temp", material.bonding_c + margin_c, above=0.0, maxval=500.0)
+    wanted_c = config.getfloat("interface_temp", None, above=0.0, maxval=500.0)
+    least_c = material.bonding_c + margin_c
     filament_mm = 1.75
     if config.has_section(name):
         filament_mm = config.getsection(name).getfloat("filament_diameter", 1.75, above=0.0)
@@ -392,10 +394,12 @@ def read_settings(config: Any) -> Settings:
             fan_w_m2k=config.getfloat("fan_air", 60.0, minval=0.0),
         ),
         Craft(
-            interface_c=wanted_c if config.getboolean("bonding", True) else None,
+            interface_c=(wanted_c or least_c) if config.getboolean("bonding", True) else None,
+            follow_mm=FOLLOW_MM if wanted_c is None else 0.0,
             core=config.getboolean("flow", False),
             zone_mm=config.getfloat("melt_zone_length", 20.0, above=0.0),
             filament_mm=filament_mm,
+            preview=config.getboolean("preview", True),
             smooth_s=config.getfloat("smooth_time", 0.3, minval=0.0, maxval=5.0),
         ),
         wishes.WishTable(

@@ -119,10 +119,6 @@ class _Reader:
                 raise section.error(
                     f"Section '{section.get_name()}': '{primary.name}' already is one of a pair of carriages"
                 )
-            if AXIS_NAMES[primary.axis] == "z":
-                raise section.error(
-                    f"Section '{section.get_name()}': only axes x and y may have two carriages, not z"
-                )
             rail = CarriageRail(section)
             dual = Carriage(self._name(section), primary.axis, rail, rail.get_endstops()[0][0])
             self._add(section, dual)

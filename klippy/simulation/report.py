@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import base64
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +21,7 @@ import numpy as np
 
 from simulation.report_data import (
     SETTLED_BAND_C,
+    Floats,
     Layer,
     Path2D,
     ReportError,
@@ -36,7 +38,7 @@ __all__ = ["ReportError", "render_page", "write_report"]
 PAGE_FOLDER = Path(__file__).parent / "report_page"
 
 # Sizes for a page under 5 MB, in base64 (4/3): a bucket takes 8 bytes for each of 10 series: 2.2 MB;
-# a point of the path takes 6 bytes: 1.2 MB.
+# a point of the path takes 8 bytes: 1.6 MB.
 MAX_BUCKETS = 20_000
 MAX_PATH_POINTS = 150_000
 PATH_ERROR_SPAN_C = 5.0  # path colours hold errors to ±this in 127 steps
@@ -77,7 +79,7 @@ CHARTS = (
         (
             Series("estimate_c", "estimate", "estimate"),
             Series("true_c", "true (nozzle skin)", "true"),
-            Series("target_c", "target", "target", dashed=True),
+            Series("target_c", "target (the plan)", "target", dashed=True),
             Series("bore_c", "bore", "bore", shown=False),
             Series("melt_c", "melt at the outlet", "melt", shown=False),
         ),
@@ -224,12 +226,14 @@ def _layer(layer: Layer) -> dict[str, object]:
 
 
 def _path(path: Path2D) -> dict[str, object]:
-    """The path with x, y as 1/65535 of the part's larger side and the error as 1/127 of its span."""
+    """The path with x, y as 1/65535 of the part's larger side, the error as 1/127 of its span, others as 1/255."""
     if not len(path.x_mm):
         return {"points": 0, "starts": []}
     left, front = float(path.x_mm.min()), float(path.y_mm.min())
     side = max(float(path.x_mm.max()) - left, float(path.y_mm.max()) - front, 1.0)
     error = np.clip(path.error_c / PATH_ERROR_SPAN_C, -1.0, 1.0)
+    temp_low_c, temp_high_c = _span(path.true_c)
+    flow_high_mm3_s = max(_span(path.flow_mm3_s)[1], 0.1)
     return {
         "points": len(path.x_mm),
         "starts": path.layer_start,
@@ -240,8 +244,26 @@ def _path(path: Path2D) -> dict[str, object]:
         "x": _base64(np.round((path.x_mm - left) / side * 65535.0).astype("<u2")),
         "y": _base64(np.round((path.y_mm - front) / side * 65535.0).astype("<u2")),
         "error": _base64(np.round(error * 127.0).astype("i1")),
+        "tempLow": temp_low_c,
+        "tempHigh": temp_high_c,
+        "temp": _base64(_bytes(path.true_c, temp_low_c, temp_high_c)),
+        "flowHigh": flow_high_mm3_s,
+        "flow": _base64(_bytes(path.flow_mm3_s, 0.0, flow_high_mm3_s)),
         "pen": _base64(path.pen),
     }
+
+
+def _span(values: Floats) -> tuple[float, float]:
+    """Between which values nearly all are, rounded outwards: an odd point may saturate."""
+    low, high = (float(part) for part in np.percentile(values, (0.5, 99.5)))
+    step = 10.0 ** math.floor(math.log10(max(high - low, 1.0)) - 0.5)
+    low, high = math.floor(low / step) * step, math.ceil(high / step) * step
+    return round(low, 3), round(max(high, low + step), 3)
+
+
+def _bytes(values: Floats, low: float, high: float) -> np.ndarray:
+    """Values as 0..255 between two of them."""
+    return np.round(np.clip((values - low) / (high - low), 0.0, 1.0) * 255.0).astype("u1")
 
 
 def _float32(values: np.ndarray) -> str:

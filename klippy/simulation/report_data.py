@@ -103,6 +103,8 @@ class Path2D:
     x_mm: Floats
     y_mm: Floats
     error_c: Floats
+    true_c: Floats
+    flow_mm3_s: Floats
     pen: npt.NDArray[np.uint8]
     layer_start: list[int]
 
@@ -249,7 +251,16 @@ def thin_path(trace: Trace, layers: Sequence[Layer], extrudes: Mask, max_points:
         total += len(rows)
     rows = np.concatenate(chosen) if chosen else np.zeros(0, dtype=np.intp)
     pen = np.concatenate(pens).astype(np.uint8) if pens else np.zeros(0, dtype=np.uint8)
-    return Path2D(trace.x_mm[rows], trace.y_mm[rows], trace.true_c[rows] - trace.target_c[rows], pen, starts)
+    true_c = trace.true_c[rows]
+    return Path2D(
+        trace.x_mm[rows],
+        trace.y_mm[rows],
+        true_c - trace.target_c[rows],
+        true_c,
+        trace.flow_mm3_s[rows],
+        pen,
+        starts,
+    )
 
 
 def _kept_rows(trace: Trace, extrudes: Mask, turn_deg: float, stride: int) -> Mask:

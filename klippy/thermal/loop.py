@@ -33,6 +33,8 @@ __all__ = ["NOT_COMMANDED", "Approach", "Control", "InductionLoop", "LoopParamet
 
 BALANCE_S = 0.1
 STEP_FRACTION = 0.1  # of p = (phase/45000)^2: a step of the drive that may move the reading
+USUAL_S = 0.1  # memory of the usual p
+DOUBT_C = 20.0  # 1 sigma of the law's error per unit of p away from it; C1 +0.1 % makes it 17 to 29 degC
 RESAY_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
 
 
@@ -96,7 +98,7 @@ class LoopState:
     estimate: TempEstimate = NOT_MEASURED  # newest valid one
     request: PowerRequest = NO_REQUEST
     line: Timeline = field(default_factory=Timeline)  # commands sent
-    sampled_fraction: float = 0.0  # p of the newest block with a temperature
+    sampled_fraction: float = 0.0  # p as usual, of blocks with a temperature
     horizon: tuple[control_api.Planned, ...] = ()  # what the law means to do after its request
     samples: list[control_api.Sample] = field(default_factory=list)  # since the newest control step
     decided_s: float = -math.inf  # last control step
@@ -231,11 +233,13 @@ class InductionLoop:
             state.samples.append(control_api.Sample(centre_s, end_s, math.nan, 0.0, heat_w))
             return
         fraction = features.power_fraction(block.phase_ticks, phase_max)
-        jump = abs(fraction - state.sampled_fraction) > STEP_FRACTION
-        state.sampled_fraction = fraction
-        # With the law's residual, not the noise alone: it moves with the phase, and a law that is off by a degree
-        # must not be taken for heat.
-        state.samples.append(control_api.Sample(centre_s, end_s, seen.temp_c, seen.sigma_c, heat_w, jump))
+        away = fraction - state.sampled_fraction
+        jump = abs(away) > STEP_FRACTION
+        state.sampled_fraction += away if jump else away * block.duration_s / (block.duration_s + USUAL_S)
+        sigma_c = math.hypot(seen.sigma_c, DOUBT_C * away) if not jump else seen.sigma_c
+        # With the law's residual, not the noise alone, and more at another drive than usual: a law that has drifted
+        # reads lower with more power, and believed blindly would ask for still more.
+        state.samples.append(control_api.Sample(centre_s, end_s, seen.temp_c, sigma_c, heat_w, jump))
 
     def on_timer(self, now_s: float) -> list[PhaseCommand]:
         """Nothing came for a while; also the regular watch."""

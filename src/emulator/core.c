@@ -364,6 +364,7 @@ static void close_nested(void)
     uint32_t ticks = (uint32_t)(now() - last->since);
     int e = last->exception;
     counters.count[e]++;
+    counters.spent[e] += last->instructions;
     if (last->instructions > counters.longest_instructions[e])
         counters.longest_instructions[e] = last->instructions;
     if (ticks > counters.longest_ticks[e])

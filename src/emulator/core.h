@@ -54,6 +54,7 @@ uint32_t core_where(void);                 /* about where the processor is */
 enum { EXC_RESET = 1, EXC_NMI, EXC_HARD_FAULT, EXC_SVC = 11, EXC_PENDSV = 14, EXC_SYSTICK = 15, EXC_IRQ0 = 16 };
 void nvic_reset(void);
 void nvic_line(unsigned irq, int level);   /* a peripheral's request line */
+void nvic_pend(int exception);
 int nvic_wake(void);                       /* something pending that ends WFI */
 /* The exception to take now, 0 if none; primask and basepri are the processor's. */
 int nvic_next(uint32_t primask, uint32_t basepri, uint32_t faultmask);

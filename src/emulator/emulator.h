@@ -33,9 +33,9 @@ struct emulator_counters {
     uint32_t resets;                /* asked for by the firmware or its watchdog */
     uint32_t phase_writes;          /* times that the bridge's phase in force changed */
     uint32_t worst_latency_ticks;   /* from an interrupt's request to its first instruction */
-    /* Per exception number: how often, instructions of its longest run (its own only), ticks from its first
+    /* Per exception number: how often, instructions in all and of its longest run (its own only), ticks from its first
      * instruction to its return (with what preempted it). */
-    uint64_t count[EMULATOR_VECTORS];
+    uint64_t count[EMULATOR_VECTORS], spent[EMULATOR_VECTORS];
     uint32_t longest_instructions[EMULATOR_VECTORS];
     uint32_t longest_ticks[EMULATOR_VECTORS];
 };

@@ -53,7 +53,7 @@ void nvic_reset(void)
 
 /* ---- priorities ----------------------------------------------------------------------------- */
 
-static void pend(int exception)
+void nvic_pend(int exception)
 {
     if (!bit(n.pending, exception))
         n.pended_at[exception] = now();
@@ -64,7 +64,7 @@ void nvic_line(unsigned irq, int level)
 {
     int exception = EXC_IRQ0 + (int)irq;
     if (level && !n.line[exception])
-        pend(exception);
+        nvic_pend(exception);
     n.line[exception] = level != 0;
 }
 
@@ -143,7 +143,7 @@ void nvic_leave(int exception)
     n.depth--;
     set(n.active, exception, 0);
     if (n.line[exception])
-        pend(exception);
+        nvic_pend(exception);
 }
 
 int nvic_active_count(void)
@@ -178,7 +178,7 @@ static void systick_wrap(void *arg)
     (void)arg;
     n.systick_flag = 1;
     if (n.systick_ctrl & 2u)
-        pend(EXC_SYSTICK);
+        nvic_pend(EXC_SYSTICK);
     n.systick_zero_at += systick_period();
     event_at(&systick_event, n.systick_zero_at);
 }
@@ -250,12 +250,12 @@ static void irq_word_write(uint32_t *map, int word, uint32_t value, int to, cons
             continue;
         }
         if (map == n.pending && to)
-            pend(e);
+            nvic_pend(e);
         if (map == n.enabled && to && !bit(map, e))
             n.pended_at[e] = now(); /* waiting counts from here */
         set(map, e, to);
         if (map == n.pending && !to && n.line[e])
-            pend(e); /* the peripheral still asks */
+            nvic_pend(e); /* the peripheral still asks */
     }
 }
 
@@ -322,13 +322,13 @@ static uint32_t icsr_read(void)
 static void icsr_write(uint32_t value)
 {
     if (value & 1u << 31)
-        pend(EXC_NMI);
+        nvic_pend(EXC_NMI);
     if (value & 1u << 28)
-        pend(EXC_PENDSV);
+        nvic_pend(EXC_PENDSV);
     if (value & 1u << 27)
         set(n.pending, EXC_PENDSV, 0);
     if (value & 1u << 26)
-        pend(EXC_SYSTICK);
+        nvic_pend(EXC_SYSTICK);
     if (value & 1u << 25)
         set(n.pending, EXC_SYSTICK, 0);
 }
@@ -521,7 +521,7 @@ void ppb_write(uint32_t address, uint32_t value)
     } else if (offset >= 0x100 && offset < 0x500) {
         nvic_write(offset - 0x100, value);
     } else if (offset == 0xf00) {
-        pend(EXC_IRQ0 + (int)(value & 0x1ffu));
+        nvic_pend(EXC_IRQ0 + (int)(value & 0x1ffu));
     } else {
         scb_write(offset, value);
     }

@@ -19,7 +19,7 @@ F334_FAULT_ACTIVE_HIGH := $(if $(filter y,$(CONFIG_F334_FAULT_ACTIVE_HIGH)),1,0)
 F334_STACK := 2048
 F334_RAM_BUDGET := 11264
 
-PORT_CFLAGS := -mcpu=cortex-m4 -mthumb -mfloat-abi=soft -O2 -ffreestanding \
+PORT_CFLAGS := -mcpu=cortex-m4 -mthumb -mfloat-abi=soft -O2 -flto -flto-partition=none -ffreestanding -DPORT_OVERSAMPLE_KERNEL \
 	-DCONFIG_HSE_BYPASS=$(F334_HSE_BYPASS) -DCONFIG_SERIAL_BAUD=$(F334_BAUD) \
 	-DCONFIG_DEAD_TIME_NS=$(F334_DEAD_TIME_NS) -DCONFIG_FAULT_ACTIVE_HIGH=$(F334_FAULT_ACTIVE_HIGH)
 PORT_LINK_INPUTS := $(F334)/link.ld

@@ -9,10 +9,9 @@
 #define PORT_MOVE_COUNT_MAX 1024
 #define PORT_PWM_MAX 255
 
-/* Samples in a half of the bridge ADC's buffer: what an interrupt costs is shared by so many.  Two halves make a block of
- * 192 samples. */
-#define PORT_SYNC_HALF_LEN 96
-#define PORT_OVERSAMPLE_KERNEL
+/* Samples in a half of the bridge ADC's buffer: what an interrupt costs is shared by so many.  As many as the usual block has
+ * (docs/Induction.md). */
+#define PORT_SYNC_HALF_LEN 192
 
 struct gpio_out {
     volatile uint32_t *set_reset;  /* GPIOx_BSRR */

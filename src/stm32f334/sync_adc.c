@@ -173,45 +173,44 @@ sync_adc_objection(void)
  ****************************************************************/
 
 static void
-give_halves(void *flags)
+give_half(void *samples)
 {
-    const uint32_t half = DMA1_ISR_HTIF(CHANNEL), whole = DMA1_ISR_TCIF(CHANNEL);
-    uint32_t arrived = *(uint32_t *)flags;
-    uint16_t *first = sync.buffer, *second = sync.buffer + sync.half_len;
-    if (arrived & DMA1_ISR_TEIF(CHANNEL))
-        shutdown(SHUTDOWN_SAMPLES_STOPPED);
-    /* Both, when an interrupt came late: the older one first. */
-    if (arrived & half && arrived & whole && DMA_CNDTR(DMA) <= sync.half_len) {
-        sync.ready(second, sync.half_len);
-        arrived = half;
-    }
-    if (arrived & half)
-        sync.ready(first, sync.half_len);
-    if (arrived & whole)
-        sync.ready(second, sync.half_len);
+    sync.ready(samples, sync.half_len);
+}
+
+static void
+tell_stopped(void *unused)
+{
+    (void)unused;
+    try_shutdown(SHUTDOWN_SAMPLES_STOPPED);
 }
 
 void
 samples_irq(void)
 {
-    uint32_t flags = DMA1_ISR & (DMA1_ISR_HTIF(CHANNEL) | DMA1_ISR_TCIF(CHANNEL) | DMA1_ISR_TEIF(CHANNEL));
-    DMA1_IFCR = flags;
+    const uint32_t half = DMA1_ISR_HTIF(CHANNEL), whole = DMA1_ISR_TCIF(CHANNEL), error = DMA1_ISR_TEIF(CHANNEL);
+    uint32_t arrived = DMA1_ISR & (half | whole | error);
+    DMA1_IFCR = arrived;
     if (!sync.running)
         return;
     /* The newest complete half's last sample has been taken. */
     uint32_t now = timer_read_time() + sync.period_ticks;
-    while ((int32_t)(now - sync.base_clock) >= (int32_t)sync.half_ticks) {
+    do {
         sync.base_clock += sync.half_ticks;
         sync.base_index += sync.half_len;
+    } while ((int32_t)(now - sync.base_clock) >= (int32_t)sync.half_ticks);
+    uint16_t *first = sync.buffer, *second = sync.buffer + sync.half_len;
+    if (arrived == half) {
+        sched_guarded(give_half, first);
+    } else if (arrived == whole) {
+        sched_guarded(give_half, second);
+    } else if (arrived & error) {
+        sched_guarded(tell_stopped, 0);
+    } else { /* both: this interrupt comes late; the older one first */
+        uint8_t filling_first = DMA_CNDTR(DMA) > sync.half_len;
+        sched_guarded(give_half, filling_first ? first : second);
+        sched_guarded(give_half, filling_first ? second : first);
     }
-    sched_guarded(give_halves, &flags);
-}
-
-static void
-tell_overrun(void *unused)
-{
-    (void)unused;
-    try_shutdown(SHUTDOWN_SAMPLES_STOPPED);
 }
 
 /* The DMA has not fetched a sample before the next one: its requests stop, and samples would no longer be where they belong. */
@@ -221,5 +220,5 @@ adc_irq(void)
     ADC_ISR(ADC1_BASE) = ADC_ISR_OVR;
     stop();
     bridge_stop();
-    sched_guarded(tell_overrun, 0);
+    sched_guarded(tell_stopped, 0);
 }

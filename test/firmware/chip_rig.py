@@ -95,22 +95,24 @@ class Firmware(Chip):
     def __init__(self, name: str = "stm32f334", settle_s: float = 0.05, **options: Any) -> None:
         build = make_build(name)
         assert build.image is not None
+        self._whole = 0  # of `sent`: blocks that are complete
         super().__init__(build, build.image, **options)
         self.dictionary = Dictionary(json.loads(build.dictionary.read_text()))
         self.run(settle_s)
 
     def _blocks(self) -> None:
         """The line brings pieces; the harness wants whole blocks, each at the clock of its last byte."""
-        whole: list[tuple[int, bytes]] = []
+        pieces = self.sent[self._whole :]
+        del self.sent[self._whole :]
         rest = b""
-        for clock, piece in self.sent:
+        for clock, piece in pieces:
             rest += piece
             while rest and len(rest) >= rest[0]:
-                whole.append((clock, rest[: rest[0]]))
+                self.sent.append((clock, rest[: rest[0]]))
                 rest = rest[rest[0] :]
+        self._whole = len(self.sent)
         if rest:
-            whole.append((self.now, rest))  # the beginning of a block, finished by the next piece
-        self.sent[:] = whole
+            self.sent.append((self.now, rest))  # the beginning of a block, finished by the next piece
 
     def raw(self, data: bytes) -> bytes:
         before = len(self.sent)
@@ -122,14 +124,24 @@ class Firmware(Chip):
             quiet = quiet + 1 if pieces == len(self.sent) > before else 0
         return b"".join(block for _, block in self.sent[before:])
 
+    def replies(self, name: str | None = None) -> list[Reply]:
+        decoded = [self.decode(clock, block) for clock, block in self.sent[: self._whole]]
+        return [reply for reply in decoded if name is None or reply.name == name]
+
+    def post(self, name: str, **values: int | bytes) -> None:
+        """A message whose answer nobody waits for; no time passes. At most 192 bytes between two runs."""
+        block = make_block(self.sequence, self.encode(name, **values))
+        self.lib.sim_mcu_receive(block, len(block))
+        self.sequence = (self.sequence + 1) & 15
+
     def run(self, seconds: float) -> None:
         super().run(seconds)
         self._blocks()
         assert not self.fault(), self.fault()
 
     def send_content(self, content: bytes) -> list[Reply]:
-        before = len(self.sent)
+        before = self._whole
         self.raw(make_block(self.sequence, content))
         self.sequence = (self.sequence + 1) & 15
-        decoded = [self.decode(clock, block) for clock, block in self.sent[before:]]
+        decoded = [self.decode(clock, block) for clock, block in self.sent[before : self._whole]]
         return [reply for reply in decoded if reply.name]

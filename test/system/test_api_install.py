@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -37,6 +38,7 @@ def test_install_makes_a_user_service_and_keeps_what_is_there(tmp_path: Path) ->
     assert {folder.name for folder in data.iterdir()} == {"config", "gcodes", "logs", "comms"}
     config = data / "config" / "printer.cfg"
     assert f"path: {data}/gcodes" in config.read_text()
+    assert (data / "config" / "macros-induction.cfg").exists(), "what it includes is there, too"
     config.write_text("mine")
     assert install(tmp_path).returncode == 0
     assert config.read_text() == "mine"
@@ -60,16 +62,46 @@ def test_install_refuses_what_would_not_work(tmp_path: Path, options: list[str],
     assert not (tmp_path / ".config").exists()
 
 
+# Every macro of the examples, in the order of a day.
+DAY = """
+G28
+G1 X10 Y10 F3000
+LOAD_FILAMENT TEMP=200 LENGTH=50
+START_PRINT BED=50 NOZZLE=200
+G1 X50 E1
+NOZZLE_STATE
+PAUSE
+RESUME
+M600
+RESUME
+PAUSE
+CANCEL_PRINT
+UNLOAD_FILAMENT TEMP=200 LENGTH=50
+END_PRINT
+"""
+
+
+def dictionary_of(port: str) -> Path:
+    """Data dictionary of a port's firmware, built from src/."""
+    with (ROOT / "out" / "test-build.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        subprocess.run(["make", "-s", f"firmware-{port}"], cwd=ROOT, check=True, capture_output=True)
+    return ROOT / "out" / port / "ferrite.dict"
+
+
 @pytest.mark.parametrize("config", EXAMPLES, ids=lambda path: path.stem)
-def test_an_example_for_a_real_build_loads_and_homes(tmp_path: Path, config: Path) -> None:
-    """In batch mode, with the simulated firmware's dictionary: it has the pins of a large STM32."""
+def test_an_example_for_a_real_build_loads_and_prints(tmp_path: Path, config: Path) -> None:
+    """In batch mode with the boards' own dictionaries: they know the pins.
+
+    For the STM32F103 of one of them there is no port; the simulator's has the pins of a large STM32.
+    """
     world_module.build()
+    main = dictionary_of("atmega2560") if "ramps" in config.stem else world_module.MCU_DICTIONARY
     script = tmp_path / "in.gcode"
-    script.write_text("G28\nG1 X10 Y10 F3000\nSTART_PRINT BED=50 NOZZLE=200\nG1 X50 E1\nEND_PRINT\n")
-    dictionary = world_module.MCU_DICTIONARY
+    script.write_text(DAY)
     done = subprocess.run(
         [sys.executable, ROOT / "klippy" / "klippy.py", config, "-i", script, "-o", tmp_path / "out",
-         "-d", dictionary, "-d", f"heater={dictionary}"],
+         "-d", main, "-d", f"heater={dictionary_of('stm32f334')}"],
         capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr

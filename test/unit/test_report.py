@@ -10,6 +10,7 @@ import shutil
 import subprocess
 from pathlib import Path
 
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
@@ -281,18 +282,68 @@ def test_missing_files_are_told_by_name(trace: Trace, tmp_path: Path) -> None:
         write_report(path, {}, "part.gcode", html=tmp_path / "absent" / "r.html")
 
 
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs chromium to run the page's script")
-def test_the_page_comes_alive_in_a_browser(run: PrintRun, tmp_path: Path) -> None:
-    page = tmp_path / "r.html"
-    page.write_text(render_page("part.gcode", run), encoding="utf-8")
-    command = [
-        "chromium",
-        "--headless",
-        "--no-sandbox",
-        "--disable-gpu",
-        f"--user-data-dir={tmp_path / 'profile'}",
-    ]
-    command += ["--virtual-time-budget=2000", "--dump-dom", page.as_uri()]
-    dom = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+# ---- in a browser ----------------------------------------------------------------------------------------------
+
+
+def browse(page: str, tmp_path: Path, *options: str, link: str = "") -> str:
+    """What headless Chromium prints for a page; `options` say what."""
+    chromium = shutil.which("chromium")
+    assert chromium, "Chromium is not installed; run: scripts/setup.sh test"
+    path = tmp_path / "r.html"
+    path.write_text(page, encoding="utf-8")
+    command = [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=2000", *options]
+    done = subprocess.run(
+        [*command, path.as_uri() + link], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert "Uncaught" not in done.stderr, done.stderr
+    return done.stdout
+
+
+@pytest.fixture
+def page(run: PrintRun) -> str:
+    return render_page("part.gcode", run)
+
+
+def test_the_page_comes_alive_in_a_browser(page: str, tmp_path: Path) -> None:
+    dom = browse(page, tmp_path, "--dump-dom")
     assert "3 of 4, z = 0.60 mm" in dom  # the script opens the page at the middle layer
     assert len(re.findall(r'<div class="chart"><div class="legend">', dom)) == 5
+    assert "true minus target" in dom
+
+
+@pytest.mark.parametrize(
+    ("colour", "words"),
+    [("temp", "true temperature:"), ("flow", "mm³/s</span>"), ("error", "true minus target")],
+)
+def test_a_link_opens_a_layer_in_its_colours(page: str, tmp_path: Path, colour: str, words: str) -> None:
+    dom = browse(page, tmp_path, "--dump-dom", link=f"#layer=2&colour={colour}")
+    assert "2 of 4, z = 0.40 mm" in dom
+    assert words in dom
+
+
+@pytest.mark.parametrize("link", ["#layer=99", "#layer=-1&colour=none", "#%%%", "#layer=x"])
+def test_a_wrong_link_opens_the_page_all_the_same(page: str, tmp_path: Path, link: str) -> None:
+    dom = browse(page, tmp_path, "--dump-dom", link=link)
+    assert re.search(r"[1-4] of 4, z = ", dom)
+    assert "true minus target" in dom
+
+
+def test_the_layers_path_is_drawn_in_the_colours_of_its_temperature(page: str, tmp_path: Path) -> None:
+    shots = {}
+    for colour in ("error", "temp"):
+        file = tmp_path / f"{colour}.png"
+        browse(
+            page,
+            tmp_path,
+            f"--screenshot={file}",
+            "--window-size=1200,2600",
+            link=f"#layer=2&colour={colour}",
+        )
+        shots[colour] = plt.imread(file)[..., :3]
+    changed = np.any(np.abs(shots["error"] - shots["temp"]) > 0.05, axis=2)
+    rows, columns = np.nonzero(changed)
+    # nothing above the layers depends on the choice; below, the path and its scale do
+    assert rows.min() > 1000
+    assert changed.sum() > 2000
+    assert len(np.unique(shots["temp"][rows, columns].round(2), axis=0)) > 10, "a ramp of colours"

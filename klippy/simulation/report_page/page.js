@@ -284,10 +284,30 @@
     path.py = decode(path.y, Uint16Array);
     path.perr = decode(path.error, Int8Array);
     path.ppen = decode(path.pen, Uint8Array);
+    path.ptemp = decode(path.temp, Uint8Array);
+    path.pflow = decode(path.flow, Uint8Array);
   }
   const colourSpan = layers.length ? niceSpan() : 1;
-  const palette = layers.length ? makePalette() : [];
+  const EVEN = [["--cold", 0], ["--even", 0.5], ["--hot", 1]];
+  const RISING = [["--low", 0], ["--middle", 0.5], ["--high", 1]];
+  const stored = (scaled, i) => (path[scaled][i] / 255) * 254; // index into a palette of 255
+  // what the path may be coloured by: palette, where a point is in it, and the texts at its ends
+  const COLOURS = {
+    error: {
+      palette: makePalette(EVEN), at: (i) => errorIndex(path.perr[i]),
+      from: "true minus target: −" + colourSpan + " °C", to: "+" + colourSpan + " °C",
+    },
+    temp: {
+      palette: makePalette(RISING), at: (i) => stored("ptemp", i),
+      from: "true temperature: " + path.tempLow + " °C", to: path.tempHigh + " °C",
+    },
+    flow: {
+      palette: makePalette(RISING), at: (i) => stored("pflow", i),
+      from: "flow: 0", to: path.flowHigh + " mm³/s",
+    },
+  };
   let current = Math.floor(layers.length / 2);
+  let colour = COLOURS.error;
 
   // Errors at which the colours end: most layers should show colour, an odd one may saturate.
   function niceSpan() {
@@ -296,20 +316,20 @@
     return Math.min([0.5, 1, 2, 3, 5].find((s) => s >= typical) || 5, path.errorSpan || 5);
   }
 
-  function makePalette() {
+  function makePalette(stops) {
     const strip = element("canvas", { width: 255, height: 1 });
     const g = strip.getContext("2d");
     const ramp = g.createLinearGradient(0, 0, 255, 0);
-    [["--cold", 0], ["--even", 0.5], ["--hot", 1]].forEach(([name, at]) => ramp.addColorStop(at, css(name)));
+    stops.forEach(([name, at]) => ramp.addColorStop(at, css(name)));
     g.fillStyle = ramp;
     g.fillRect(0, 0, 255, 1);
     const pixels = g.getImageData(0, 0, 255, 1).data;
     return Array.from({ length: 255 }, (_, i) => `rgb(${pixels[4 * i]},${pixels[4 * i + 1]},${pixels[4 * i + 2]})`);
   }
 
-  function colourOf(storedError) {
+  function errorIndex(storedError) {
     const error = (storedError / 127) * path.errorSpan;
-    return palette[Math.round(127 + 127 * Math.max(-1, Math.min(1, error / colourSpan)))];
+    return 127 + 127 * Math.max(-1, Math.min(1, error / colourSpan));
   }
 
   function drawBars() {
@@ -372,7 +392,7 @@
     g.lineCap = "round";
     for (let i = first + 1; i < end; i++) {
       if (!path.ppen[i]) continue;
-      g.strokeStyle = colourOf(path.perr[i]);
+      g.strokeStyle = colour.palette[Math.round(colour.at(i))];
       g.beginPath();
       g.moveTo(x(i - 1), y(i - 1));
       g.lineTo(x(i), y(i));
@@ -423,17 +443,49 @@
     describeLayer();
   }
 
-  function bindLayers() {
+  function showColour(name) {
+    colour = COLOURS[name] || COLOURS.error;
+    byId("layer-colour").value = COLOURS[name] ? name : "error";
     const scale = byId("layer-scale");
-    element("span", { textContent: "true minus target: −" + colourSpan + " °C" }, scale);
-    element("i", {}, scale);
-    element("span", { textContent: "+" + colourSpan + " °C" }, scale);
-    byId("layer-slider").addEventListener("input", (event) => showLayer(Number(event.target.value)));
+    scale.replaceChildren();
+    element("span", { textContent: colour.from }, scale);
+    const middle = colour.palette[127];
+    element("i", {}, scale).style.background =
+      `linear-gradient(to right, ${colour.palette[0]}, ${middle}, ${colour.palette[254]})`;
+    element("span", { textContent: colour.to }, scale);
+  }
+
+  // The layer and the colours of a link: report.html#layer=12&colour=temp
+  function readHash() {
+    const wanted = new URLSearchParams(location.hash.slice(1));
+    showColour(wanted.get("colour") || "error");
+    const number = Number(wanted.get("layer"));
+    showLayer(number >= 1 ? Math.round(number) - 1 : current);
+    if (number >= 1) byId("layers").scrollIntoView();
+  }
+
+  function writeHash() {
+    const text = "#layer=" + (current + 1) + "&colour=" + byId("layer-colour").value;
+    history.replaceState(null, "", text);
+  }
+
+  function bindLayers() {
+    byId("layer-slider").addEventListener("input", (event) => {
+      showLayer(Number(event.target.value));
+      writeHash();
+    });
+    byId("layer-colour").addEventListener("change", (event) => {
+      showColour(event.target.value);
+      drawLayer();
+      writeHash();
+    });
+    window.addEventListener("hashchange", readHash);
     byId("layer-bars").addEventListener("click", (event) => {
       const part = (event.offsetX - LEFT) / (event.target.clientWidth - LEFT - RIGHT);
       showLayer(Math.floor(part * layers.length));
+      writeHash();
     });
-    showLayer(current);
+    readHash();
   }
 
   if (layers.length) bindLayers();

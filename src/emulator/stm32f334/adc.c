@@ -224,7 +224,7 @@ static void refresh(struct adc *a)
     if (a->cr & ADCAL && now() >= a->calibrated_at && !mutation.adc_dead) {
         a->cr &= ~(uint32_t)ADCAL;
         a->calibrated = 1;
-        a->calfact = mutation.adc_uncalibrated ? 0 : 0x40u;
+        a->calfact = 0x40u;
     }
     if (a->cr & ADEN && now() >= a->ready_at && a->ready_at && !mutation.adc_dead) {
         a->isr |= ADRDY;
@@ -313,6 +313,8 @@ static void calibrate(unsigned unit, uint32_t value)
         return;
     if (a->cr & ADEN)
         fault("ADC%u is calibrated while it is on (RM0364, 13.3.8)", unit + 1);
+    if (mutation.adc_uncalibrated)
+        return; /* the bit does not stay set: nothing is calibrated */
     a->cr |= value & (ADCAL | 1u << 30);
     a->calibrated_at = now() + (uint64_t)ticks_of(CALIBRATION_CYCLES, clock_hz()) + 1;
 }

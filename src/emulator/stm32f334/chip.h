@@ -30,7 +30,7 @@ enum {
 /* Something outside or inside the chip that is broken on purpose (emulator_mutate). */
 struct mutations {
     uint32_t no_crystal, no_pll, adc_uncalibrated, adc_dead, no_dll, fault_line, brown_out, clock_stuck, dma_dead,
-        hrtim_dead, supply_dip;
+        hrtim_dead, supply_dip, crystal_stops;
 };
 extern struct mutations mutation;
 
@@ -41,6 +41,7 @@ void must_be(const char *name, const char *reg, uint32_t value, uint32_t allowed
 
 /* rcc.c */
 void rcc_power_on(uint32_t cause);
+void rcc_crystal_stops(void);
 int rcc_enabled(uint16_t clock);
 uint32_t rcc_read(unsigned unit, uint32_t offset);
 void rcc_write(unsigned unit, uint32_t offset, uint32_t value);
@@ -95,12 +96,15 @@ void hrtim_reset(unsigned unit);
 /* ADC trigger 1 or 3: 1 if it comes once a period, with that period and the clock of one of its instants. */
 int hrtim_adc_trigger(unsigned number, uint32_t *period_ticks, uint64_t *phase_clock);
 void hrtim_fault_line(void);           /* the level of a fault input may have changed */
+int hrtim_is_fault_input(unsigned pin); /* set up as one: the driver's line goes there */
+void hrtim_system_fault(void);         /* the clock security has found the crystal dead */
 int hrtim_peek(const char *what, uint32_t *value);
 
 /* timer.c */
 uint32_t timer_read(unsigned unit, uint32_t offset);
 void timer_write(unsigned unit, uint32_t offset, uint32_t value);
 void timer_reset(unsigned unit);
+void timer_before_clock_change(void);
 void timer_pin_changed(unsigned pin);  /* put into or out of alternate mode */
 
 /* bus.c: SPI and I2C */

@@ -63,6 +63,8 @@ void gpio_drive(unsigned pin, int level)
 
 int gpio_level(unsigned pin)
 {
+    if (hrtim_is_fault_input(pin))
+        return !mutation.fault_line;
     return board.pin_read(board.ctx, pin, now()) != 0;
 }
 

@@ -222,32 +222,29 @@ int hrtim_adc_trigger(unsigned number, uint32_t *period_ticks, uint64_t *at)
 
 /* ---- faults ------------------------------------------------------------------------------------------------ */
 
-/* The line of the driver's fault output: pulled up, low when it objects. FLT1 PA12, FLT2 PA15, FLT3 PB10, FLT4 PB11 in
- * alternate function 13, FLT5 PC7 in function 3 (DS9994). Only inputs whose pin is set up see it. */
+/* The line of the driver's fault output: pulled up, low when it objects. Only a pin that is set up as a fault input sees it
+ * (DS9994): FLT1 PA12, FLT2 PA15, FLT3 PB10, FLT4 PB11 in alternate function 13, FLT5 PC7 in function 3. */
+static const struct { uint8_t pin, function; } FAULT_PINS[FAULTS] = { { 12, 13 }, { 15, 13 }, { 26, 13 }, { 27, 13 }, { 39, 3 } };
+
+int hrtim_is_fault_input(unsigned pin)
+{
+    for (unsigned i = 0; i < FAULTS; i++)
+        if (FAULT_PINS[i].pin == pin && gpio_function(pin) == FAULT_PINS[i].function)
+            return 1;
+    return 0;
+}
+
 static int input_active(unsigned i)
 {
-    static const struct { uint8_t pin, function; } PINS[FAULTS] = { { 12, 13 }, { 15, 13 }, { 26, 13 }, { 27, 13 }, { 39, 3 } };
     uint32_t reg = i < 4 ? h.fltinr[0] >> 8 * i : h.fltinr[1];
-    if (!(reg & 1u))
+    if (!(reg & 1u) || reg & 4u || !hrtim_is_fault_input(FAULT_PINS[i].pin)) /* bit 2: from a comparator */
         return 0;
-    if (reg & 4u)
-        return 0; /* from a comparator */
-    int level = gpio_function(PINS[i].pin) == PINS[i].function ? !mutation.fault_line : 1;
-    if (gpio_function(PINS[i].pin) != PINS[i].function && !mutation.fault_line)
-        return 0;
-    if (gpio_function(PINS[i].pin) != PINS[i].function)
-        return 0; /* the line goes to a pin that nobody listens to */
+    int level = !mutation.fault_line;
     return reg & 2u ? level : !level;
 }
 
-void hrtim_fault_line(void)
+static void faults_off(uint32_t active, int system)
 {
-    uint32_t active = 0;
-    for (unsigned i = 0; i < FAULTS; i++)
-        active |= (uint32_t)input_active(i) << i;
-    int system = mutation.brown_out && pwr_system_fault();
-    h.isr |= active | (system ? SYSFLT : 0);
-    fault_irq();
     uint32_t off = 0;
     for (unsigned t = 1; t < HR_TIMERS; t++) {
         if (!system && !(hr[t].fltr & active & 0x1fu))
@@ -260,6 +257,24 @@ void hrtim_fault_line(void)
     h.enabled &= ~off;
     if (off)
         evaluate();
+}
+
+void hrtim_system_fault(void)
+{
+    h.isr |= SYSFLT;
+    fault_irq();
+    faults_off(0, 1);
+}
+
+void hrtim_fault_line(void)
+{
+    uint32_t active = 0;
+    for (unsigned i = 0; i < FAULTS; i++)
+        active |= (uint32_t)input_active(i) << i;
+    int system = mutation.brown_out && pwr_system_fault();
+    h.isr |= active | (system ? SYSFLT : 0);
+    fault_irq();
+    faults_off(active, system);
 }
 
 /* ---- outputs ------------------------------------------------------------------------------------------------- */

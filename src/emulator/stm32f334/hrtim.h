@@ -26,7 +26,8 @@ extern struct hr_timer hr[HR_TIMERS];
 /* Period of the timer and where its counter is zero against `reference`'s, both in steps. -1: it has none that is
  * constant (a fault has been raised). */
 int hr_phase_of(unsigned timer, uint32_t *period, uint64_t *zero);
-/* The pulse that SETx1 and RSTx1 of a timer give, dead time left out; zero as above. 0 or -1 (fault raised). */
+/* The pulse that SETx1 and RSTx1 of a timer give, dead time left out; length 0 or the period: it does not switch. 0 or -1
+ * (fault raised). */
 int hr_pulse_of(unsigned timer, struct hr_pulse *pulse, uint32_t *period, uint64_t *zero);
 /* How far the second leg lags the first, in steps, at most half a period; period in *period. -1: fault raised. */
 int64_t hr_lag(unsigned first, unsigned second, uint32_t *period);

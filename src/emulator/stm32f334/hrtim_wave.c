@@ -8,7 +8,12 @@
 
 enum { EDGES_MAX = 16, MIN_COMPARE = 0x60 };
 
-struct edge { uint32_t at; int set; };
+enum action { RESET, SET, TOGGLE };
+
+struct edge {
+    uint32_t at;
+    enum action action;
+};
 
 static const char *const NAMES[HR_TIMERS] = { "the master timer", "timer A", "timer B", "timer C", "timer D", "timer E" };
 
@@ -87,7 +92,8 @@ static uint32_t wrap(uint64_t from, uint64_t to, uint32_t period)
     return to >= from ? (uint32_t)((to - from) % period) : period - 1 - (uint32_t)((from - to - 1) % period);
 }
 
-static int add_compare(struct edge *edges, int n, unsigned source, unsigned number, uint64_t zero, uint32_t period, int set)
+static int add_compare(struct edge *edges, int n, unsigned source, unsigned number, uint64_t zero, uint32_t period,
+                       enum action action)
 {
     uint32_t source_period;
     uint64_t source_zero;
@@ -106,25 +112,26 @@ static int add_compare(struct edge *edges, int n, unsigned source, unsigned numb
     }
     if (value > period)
         return n; /* never reached */
-    edges[n] = (struct edge){ wrap(zero, source_zero + value, period), set };
+    edges[n] = (struct edge){ wrap(zero, source_zero + value, period), action };
     return n + 1;
 }
 
 /* All events of one crossbar register; returns the new count of edges or -1. */
-static int add_sources(struct edge *edges, int n, unsigned timer, uint32_t sources, uint64_t zero, uint32_t period, int set)
+static int add_sources(struct edge *edges, int n, unsigned timer, uint32_t sources, uint64_t zero, uint32_t period,
+                       enum action action)
 {
     for (uint32_t rest = sources & ~0x80000001u; rest && n >= 0 && n < EDGES_MAX; rest &= rest - 1) {
         unsigned bit = (unsigned)__builtin_ctz(rest);
         if (bit == 2)
-            n = add_compare(edges, n, timer, 0, zero, period, set);
+            n = add_compare(edges, n, timer, 0, zero, period, action);
         else if (bit >= 3 && bit <= 6)
-            n = add_compare(edges, n, timer, bit - 2, zero, period, set);
+            n = add_compare(edges, n, timer, bit - 2, zero, period, action);
         else if (bit >= 7 && bit <= 11)
-            n = add_compare(edges, n, HR_MASTER, bit - 7, zero, period, set);
+            n = add_compare(edges, n, HR_MASTER, bit - 7, zero, period, action);
         else if (timer == 2 && (bit == 12 || bit == 13)) /* table 82: timer B's events 1 and 2 are compare 1, 2 of A */
-            n = add_compare(edges, n, 1, bit - 11, zero, period, set);
+            n = add_compare(edges, n, 1, bit - 11, zero, period, action);
         else if (timer == 1 && (bit == 12 || bit == 13)) /* timer A's events 1 and 2 are compare 1 and 2 of B */
-            n = add_compare(edges, n, 2, bit - 11, zero, period, set);
+            n = add_compare(edges, n, 2, bit - 11, zero, period, action);
         else {
             fault("HRTIM: an output of %s follows event bit %u, which is not modelled", NAMES[timer], bit);
             return -1;
@@ -139,12 +146,36 @@ static void sort(struct edge *edges, int n)
         for (int j = i; j > 0; j--) {
             struct edge *a = &edges[j - 1], *b = &edges[j];
             /* at one instant the reset comes last: it has priority */
-            if (a->at < b->at || (a->at == b->at && a->set >= b->set))
+            if (a->at < b->at || (a->at == b->at && a->action >= b->action))
                 break;
             struct edge swap = *a;
             *a = *b;
             *b = swap;
         }
+}
+
+/* Where the output goes up and how long it stays there, once it repeats. */
+static int trace(unsigned timer, const struct edge *edges, int n, uint32_t period, struct hr_pulse *pulse)
+{
+    int level = 0, rises = 0;
+    uint32_t on = 0, length = 0;
+    for (int i = 0; i < 3 * n; i++) { /* the first rounds settle, the last is looked at */
+        const struct edge *e = &edges[i % n];
+        int before = level;
+        level = e->action == TOGGLE ? !level : e->action == SET;
+        if (level && !before) {
+            on = e->at;
+            rises += i >= 2 * n;
+        } else if (before && !level) {
+            length = e->at > on ? e->at - on : e->at + period - on;
+        }
+    }
+    if (rises > 1) {
+        fault("HRTIM: output 1 of %s rises %d times a period", NAMES[timer], rises);
+        return -1;
+    }
+    *pulse = rises ? (struct hr_pulse){ on, length } : (struct hr_pulse){ 0, level ? period : 0 };
+    return 0;
 }
 
 int hr_pulse_of(unsigned timer, struct hr_pulse *pulse, uint32_t *period, uint64_t *zero)
@@ -157,32 +188,16 @@ int hr_pulse_of(unsigned timer, struct hr_pulse *pulse, uint32_t *period, uint64
         return -1;
     }
     const struct hr_shadow *s = &hr[timer].active;
-    int n = add_sources(edges, 0, timer, s->set[0], *zero, *period, 1);
+    uint32_t both = s->set[0] & s->reset[0]; /* an event that sets and resets toggles */
+    int n = add_sources(edges, 0, timer, s->set[0] & ~both, *zero, *period, SET);
     if (n >= 0)
-        n = add_sources(edges, n, timer, s->reset[0], *zero, *period, 0);
+        n = add_sources(edges, n, timer, s->reset[0] & ~both, *zero, *period, RESET);
+    if (n >= 0)
+        n = add_sources(edges, n, timer, both, *zero, *period, TOGGLE);
     if (n < 0)
         return -1;
     sort(edges, n);
-    int rises = 0, state = n ? edges[n - 1].set : 0;
-    uint32_t on = 0, length = 0;
-    for (int i = 0; i < n; i++) {
-        if (edges[i].set && !state) {
-            on = edges[i].at;
-            rises++;
-        }
-        state = edges[i].set;
-    }
-    if (rises != 1) {
-        fault("HRTIM: output 1 of %s rises %d times a period", NAMES[timer], rises);
-        return -1;
-    }
-    for (int i = 0; i < n; i++)
-        if (!edges[i].set) {
-            uint32_t after = edges[i].at > on ? edges[i].at - on : edges[i].at + *period - on;
-            length = !length || after < length ? after : length;
-        }
-    *pulse = (struct hr_pulse){ on, length };
-    return 0;
+    return trace(timer, edges, n, *period, pulse);
 }
 
 int64_t hr_lag(unsigned first, unsigned second, uint32_t *period)
@@ -196,6 +211,8 @@ int64_t hr_lag(unsigned first, unsigned second, uint32_t *period)
         fault("HRTIM: the two legs have different periods, %u and %u steps", *period, period_b);
         return -1;
     }
+    if ((!a.length && !b.length) || (a.length == *period && b.length == *period))
+        return 0; /* both legs rest on one side: no voltage */
     int32_t uneven_a = (int32_t)(2 * a.length - *period), uneven_b = (int32_t)(2 * b.length - *period);
     if (uneven_a > 4 || uneven_a < -4 || uneven_b > 4 || uneven_b < -4) {
         fault("HRTIM: a leg is not high for half the period (%u and %u of %u steps): direct current through the coil", a.length,

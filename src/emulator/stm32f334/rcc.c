@@ -62,6 +62,8 @@ static void recalculate(void)
 {
     static const uint8_t HPRE[8] = { 1, 2, 3, 4, 6, 7, 8, 9 };
     static const uint16_t ADC_DIVIDER[16] = { 1, 2, 4, 6, 8, 10, 12, 16, 32, 64, 128, 256, 256, 256, 256, 256 };
+    if (clocks.hclk)
+        timer_before_clock_change();
     uint32_t source = r.cfgr & 3u, code = r.cfgr >> 4 & 15u;
     uint32_t system = source == 0 ? HSI_HZ : source == 1 ? HSE_HZ : pll_hz();
     clocks.hclk = code < 8 ? system : system >> HPRE[code - 8];
@@ -108,6 +110,25 @@ static uint32_t cr_read(void)
 static uint32_t csr_read(void)
 {
     return r.csr | (r.csr & 1u && now() >= r.lsi_at ? 2u : 0);
+}
+
+/* The crystal dies. With the clock security on (CSSON) the chip goes on from the HSI, raises the NMI and takes HRTIM's outputs
+ * off (8.2.7); without it, the chip would stand still. */
+void rcc_crystal_stops(void)
+{
+    mutation.no_crystal = 1;
+    if ((r.cfgr & 3u) == 0 || (!(r.cfgr & 1u << 16) && (r.cfgr & 3u) == 2))
+        return; /* runs from its own oscillator */
+    if (!(r.cr & 1u << 19)) {
+        core_halt("the crystal has stopped, and the clock security is off");
+        return;
+    }
+    r.cr &= ~(1u << 16 | 1u << 24);
+    r.cfgr &= ~3u;
+    r.cir |= 1u << 7;
+    recalculate();
+    hrtim_system_fault();
+    nvic_pend(EXC_NMI);
 }
 
 uint32_t rcc_read(unsigned unit, uint32_t offset)
@@ -200,7 +221,7 @@ void rcc_write(unsigned unit, uint32_t offset, uint32_t value)
         cfgr_write(value);
         return;
     case CIR:
-        r.cir = value;
+        r.cir = (value & 0x1f00u) | (value & 1u << 23 ? 0 : r.cir & 0x80u);
         if (value & 0x1f00u)
             fault("clock interrupts (RCC_CIR = 0x%x) are not modelled", value);
         return;

@@ -14,8 +14,8 @@ enum {
 
 static struct timer {
     uint32_t cr1, cr2, dier, sr, ccmr[2], ccer, psc, arr, ccr[CHANNELS], bdtr;
-    uint64_t counted;   /* counts since power-on, of which CNT is the rest modulo ARR + 1; at `at` */
-    uint64_t at;        /* clock of the beginning of that count */
+    uint64_t counted;   /* counts so far, of which CNT is the rest modulo ARR + 1 */
+    uint64_t base, at;  /* the count there was at clock `at`, when the rate was last changed */
     struct event due;
     uint8_t told[CHANNELS]; /* a PWM value has been told to the world */
     uint32_t told_value[CHANNELS], told_cycle[CHANNELS];
@@ -42,10 +42,29 @@ static const struct { uint8_t unit, channel, pin, function; } PINS[] = {
     { 6, 0, 6, 1 },   { 6, 0, 12, 1 }, { 6, 0, 20, 1 }, { 6, 0, 24, 1 },  { 7, 0, 7, 1 },   { 7, 0, 21, 10 }, { 7, 0, 25, 1 },
 };
 
-static uint64_t ticks_per_count(unsigned unit)
+static uint32_t clock_hz(unsigned unit)
 {
-    uint32_t clock = FIXED[unit].apb2 ? clocks.timer2 : clocks.timer1;
-    return (uint64_t)(timers[unit].psc + 1) * CORE_TICK_HZ / clock;
+    return FIXED[unit].apb2 ? clocks.timer2 : clocks.timer1;
+}
+
+static uint64_t count_at(unsigned unit, uint64_t clock)
+{
+    const struct timer *t = &timers[unit];
+    return t->base + (uint64_t)((unsigned __int128)(clock - t->at) * clock_hz(unit) / ((uint64_t)CORE_TICK_HZ * (t->psc + 1)));
+}
+
+/* The first clock at which the count is reached. */
+static uint64_t clock_of(unsigned unit, uint64_t count)
+{
+    const struct timer *t = &timers[unit];
+    uint64_t hz = clock_hz(unit);
+    return t->at + (uint64_t)(((unsigned __int128)(count - t->base) * CORE_TICK_HZ * (t->psc + 1) + hz - 1) / hz);
+}
+
+static void rebase(unsigned unit, uint64_t count)
+{
+    timers[unit].base = timers[unit].counted = count;
+    timers[unit].at = now();
 }
 
 static uint64_t length(unsigned unit)
@@ -82,16 +101,24 @@ static void sync(unsigned unit)
     struct timer *t = &timers[unit];
     if (!(t->cr1 & CEN))
         return;
-    uint64_t rate = ticks_per_count(unit), steps = (now() - t->at) / rate, before = t->counted;
-    if (!steps)
+    uint64_t before = t->counted;
+    t->counted = count_at(unit, now());
+    if (t->counted == before)
         return;
-    t->counted += steps;
-    t->at += steps * rate;
     if (next_match(unit, before, 0) <= t->counted)
         t->sr |= UIF;
     for (unsigned i = 0; i < FIXED[unit].channels; i++)
         if (t->ccr[i] <= t->arr && next_match(unit, before, t->ccr[i]) <= t->counted)
             t->sr |= 2u << i;
+}
+
+void timer_before_clock_change(void)
+{
+    for (unsigned unit = 0; unit < UNITS; unit++)
+        if (timers[unit].cr1 & CEN) {
+            sync(unit);
+            rebase(unit, timers[unit].counted);
+        }
 }
 
 static void plan(unsigned unit)
@@ -107,7 +134,7 @@ static void plan(unsigned unit)
                 count = match < count ? match : count;
             }
     }
-    event_at(&t->due, count == UINT64_MAX ? NEVER : t->at + (count - t->counted) * ticks_per_count(unit));
+    event_at(&t->due, count == UINT64_MAX ? NEVER : clock_of(unit, count));
 }
 
 static void match_due(void *arg)
@@ -142,7 +169,7 @@ static void tell_pwm(unsigned unit)
         if (on && !sense)
             fault("%s channel %u drives pin P%c%u in a mode that is not PWM", FIXED[unit].name, c + 1, 'A' + PINS[i].pin / 16,
                   PINS[i].pin % 16u);
-        uint32_t cycle = (uint32_t)(length(unit) * ticks_per_count(unit));
+        uint32_t cycle = (uint32_t)ticks_of((uint32_t)(length(unit) * (t->psc + 1)), clock_hz(unit));
         if (t->told[c] && t->told_value[c] == value && t->told_cycle[c] == cycle)
             continue;
         t->told[c] = 1;
@@ -204,15 +231,13 @@ static void cr1_write(unsigned unit, uint32_t value)
 {
     struct timer *t = &timers[unit];
     must_be(FIXED[unit].name, "CR1", value, 0x87u);
-    if (value & CEN && !(t->cr1 & CEN))
-        t->at = now();
+    rebase(unit, t->counted);
     t->cr1 = value;
 }
 
 static void set_count(unsigned unit, uint32_t value)
 {
-    timers[unit].counted = value % length(unit);
-    timers[unit].at = now();
+    rebase(unit, value % length(unit));
 }
 
 static void ccmr_write(unsigned unit, unsigned i, uint32_t value)
@@ -267,10 +292,11 @@ static void register_write(unsigned unit, uint32_t offset, uint32_t value)
         set_count(unit, value);
         return;
     case PSC:
+        rebase(unit, t->counted);
         t->psc = value & 0xffffu;
         return;
     case ARR:
-        t->counted %= length(unit);
+        rebase(unit, t->counted % length(unit));
         t->arr = FIXED[unit].bits == 32 ? value : value & 0xffffu;
         return;
     case BDTR:

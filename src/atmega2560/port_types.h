@@ -1,0 +1,58 @@
+/* What the ATmega2560 port puts into the board contract's types.  Register addresses are data-space addresses. */
+#ifndef PORT_TYPES_H
+#define PORT_TYPES_H
+
+#include <avr/interrupt.h>
+#include <avr/io.h>
+#include <stdint.h>
+
+#define PORT_CLOCK_HZ 16000000u
+#define PORT_MOVE_COUNT_MAX 1000  /* never reached: memory ends before */
+
+/* The three registers of a port follow one another: regs[0] is PINx, regs[1] DDRx, regs[2] PORTx. */
+struct gpio_out {
+    volatile uint8_t *regs;
+    uint8_t mask;
+};
+struct gpio_in {
+    volatile uint8_t *regs;
+    uint8_t mask;
+};
+struct adc_in {
+    uint8_t channel;
+};
+struct pwm_out {
+    volatile uint8_t *compare;  /* OCRnx; the low byte of a 16-bit one */
+    uint8_t wide;
+};
+struct spi_bus {
+    uint8_t control, status;    /* SPCR, SPSR */
+};
+
+typedef uint8_t irqstatus_t;
+#define PORT_INLINE_IRQ
+static inline void
+irq_disable(void)
+{
+    __asm__ volatile("cli" ::: "memory");
+}
+static inline void
+irq_enable(void)
+{
+    __asm__ volatile("sei" ::: "memory");
+}
+static inline irqstatus_t
+irq_save(void)
+{
+    irqstatus_t flag = SREG;
+    irq_disable();
+    return flag;
+}
+static inline void
+irq_restore(irqstatus_t flag)
+{
+    __asm__ volatile("" ::: "memory");
+    SREG = flag;
+}
+
+#endif

@@ -1,0 +1,119 @@
+/* The clock: Timer5, free running at the processor's 16 MHz, extended from 16 bits to 32 by its overflow.
+ *
+ *     overflows  |0     |1     |2     |3     |4        one every 4.096 ms
+ *     TCNT5      /|/|/|/|/|/|/|/|/|/|/|/|/|/|/|
+ *                                      ▲ OCR5A: enabled only while the next timer is less than HORIZON ahead;
+ *                                        farther ones are looked at again at each overflow
+ *
+ * The compare interrupt runs the timers with the other interrupts (bytes, overflow) allowed and itself masked: a received
+ * byte must be fetched within 80 us, and several steppers due at once can take longer.  Those interrupts touch nothing that
+ * timers do.
+ */
+#include "board/irq.h"
+#include "board/timer.h"
+#include "internal.h"
+#include "sched.h"
+
+enum {
+    HORIZON = 0x8000,
+    /* Closer than this the compare register may be passed while it is being written; Origin: the code between reading the
+     * clock and the end of the write is some 40 cycles. */
+    TOO_CLOSE = 96,
+    /* A timer nearer than this is waited for: leaving and entering the interrupt costs more. */
+    WORTH_WAITING = 160,
+    /* After so long in the interrupt without a pause the tasks get their turn, ... */
+    SPELL_TICKS = 8000,
+    /* ... so much of it. */
+    PAUSE_TICKS = 800,
+};
+
+static volatile uint16_t overflows;
+static uint8_t dispatching;
+
+void
+timer_start(void)
+{
+    TCCR5A = 0;
+    TCCR5B = 1 << CS50;
+    TIMSK5 = 1 << TOIE5;
+}
+
+/* Interrupts disabled, for less than 2 ms.  An overflow not yet counted shows in TOV5; it belongs to this reading if the
+ * counter is low. */
+static inline uint32_t
+read_clock(void)
+{
+    uint16_t low = TCNT5;
+    uint16_t high = overflows;
+    if (TIFR5 & 1 << TOV5 && low < 0x8000)
+        high++;
+    return (uint32_t)high << 16 | low;
+}
+
+uint32_t
+timer_read_time(void)
+{
+    irqstatus_t flag = irq_save();
+    uint32_t clock = read_clock();
+    irq_restore(flag);
+    return clock;
+}
+
+/* Interrupts disabled.  Let the compare interrupt come at `wake`, at once if that is past, or look again at the overflow. */
+static void
+set_alarm(uint32_t wake)
+{
+    int32_t ahead = (int32_t)(wake - read_clock());
+    if (ahead >= HORIZON) {
+        TIMSK5 = 1 << TOIE5;
+        return;
+    }
+    OCR5A = ahead < TOO_CLOSE ? TCNT5 + TOO_CLOSE : (uint16_t)wake;
+    TIFR5 = 1 << OCF5A;
+    TIMSK5 = 1 << TOIE5 | 1 << OCIE5A;
+}
+
+/* The list may change while its timers run: the loop in the interrupt looks at it again anyway. */
+void
+timer_kick(void)
+{
+    if (!dispatching)
+        set_alarm(sched_next_waketime());
+}
+
+/* Interrupts disabled, and again when this returns.  When to be called next. */
+static uint32_t
+run_timers(void)
+{
+    uint16_t start = TCNT5;
+    for (;;) {
+        irq_enable();
+        uint32_t next = sched_timer_dispatch();
+        irq_disable();
+        if ((uint16_t)(TCNT5 - start) > SPELL_TICKS) {
+            uint32_t pause_end = read_clock() + PAUSE_TICKS;
+            return timer_is_before(next, pause_end) ? pause_end : next;
+        }
+        if ((int32_t)(next - read_clock()) > WORTH_WAITING)
+            return next;
+        while ((int32_t)(next - read_clock()) > 0)
+            ;
+    }
+}
+
+ISR(TIMER5_COMPA_vect)
+{
+    TIMSK5 = 1 << TOIE5;
+    dispatching = 1;
+    uint32_t next = run_timers();
+    dispatching = 0;
+    set_alarm(next);
+}
+
+/* With the alarm set there is nothing to look at: it was less than a round away. */
+ISR(TIMER5_OVF_vect)
+{
+    overflows++;
+    if (!(TIMSK5 & 1 << OCIE5A))
+        timer_kick();
+}
