@@ -24,6 +24,8 @@ help:
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
 	@echo "make fuzz    fuzz the firmware's message parser (FUZZ_SECONDS=600)"
 	@echo "make sim     build the simulated MCU and the world it lives in"
+	@echo "make menuconfig     choose a chip and its options; then make, make flash, make size"
+	@echo "make PORT=stm32f334 the firmware for that chip (or atmega2560, simulator); PORT=... flash, PORT=... size"
 	@echo "make clean   remove $(OUT); make distclean also removes .venv"
 
 setup:
@@ -77,7 +79,7 @@ test: setup-test sim chelper
 	$(PYTHON) -m pytest -n $(JOBS) --dist worksteal $(TEST_ARGS) || status=1; \
 	exit $$status
 
-CHECKS := check-format check-lint check-types check-c check-layers check-paths check-formats check-cross
+CHECKS := check-format check-lint check-types check-c check-layers check-paths check-formats check-cross check-registers
 .PHONY: $(CHECKS)
 check: setup-test sim $(CHECKS)
 	@echo "check: all passed"
@@ -113,6 +115,10 @@ check-paths:
 
 check-formats: sim
 	$(PYTHON) scripts/check_formats.py $(OUT)/simulator/ferrite.dict
+
+# The chip's registers, written by hand, against the vendor's table.
+check-registers:
+	$(PYTHON) scripts/check_registers.py
 
 # The portable part of the firmware must compile for the chips it is meant for.
 check-cross: compile-check

@@ -33,8 +33,8 @@ CRYSTAL_SIGMA = 100e-6  # frequency error of a clock source before anything is k
 DRIFT_SIGMA_PER_S = 3e-8  # how fast it changes: about 2 ppm a minute (s/s per s)
 DRIFT_MAX_PER_S = 2e-7
 FLOOR_S = 0.1e-6  # no fit is better than this: ticks, and rounding of times
-REFIT_S = 0.45  # once the line is good, new answers are only collected for that long
-SETTLE_S = 10.0  # ... until then every answer counts at once
+REFIT_S = 0.3  # once the line is good, new answers are only collected for that long
+SETTLE_S = 3.0  # ... until then every answer counts at once
 SLOPE_PERIOD_S = 2.0  # between the slopes kept for the curvature
 SLOPES = 90
 

@@ -29,8 +29,8 @@ FIRST_SAMPLES = 8
 FIRST_SAMPLE_PERIOD_S = 0.050
 SAMPLE_PERIOD_S = 0.97  # not 1.0: must not lock to things that happen once a second
 # With several MCUs: (until this age in s, ask that often); at the end some 200 byte/s in each direction
-SHARED_PERIODS = ((4.0, 0.0193), (30.0, 0.0487), (math.inf, 0.0973))
-LEARN_S = 15.0  # so long the lines still change a lot
+SHARED_PERIODS = ((12.0, 0.0193), (30.0, 0.0487), (math.inf, 0.0973))
+LEARN_S = 8.0  # so long the lines still change a lot
 SILENCE_MAX_S = 4.0  # this long without an answer: communication is lost
 
 MEET_TIME_S = 4.0  # a secondary MCU meets its true clock this long after a calibration
@@ -215,7 +215,7 @@ class SecondarySync(ClockSync):
         return self.line.clock_at(system_s)
 
     def calibrate_clock(self, print_time: float, eventtime: float) -> tuple[float, float]:
-        """Bend the line at `print_time` (all before it is already on its way) to meet the true clock some seconds later.
+        """Bend the line at `print_time` (all before it is already on its way) to meet the truth seconds later.
 
         Returns (offset_s, freq) with clock = (print time - offset_s) * freq from then on.
         """

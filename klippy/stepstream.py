@@ -21,6 +21,9 @@ if TYPE_CHECKING:
 
 # Steps kept back while motion goes on; far above the 0.75 ms within which a step and its reversal cancel.
 HOLD_BACK_S = 0.050
+# Between motion whose commands have all gone out and the next: a step and its reversal can not be cancelled across
+# that border, so they must not meet there.
+BORDER_S = 0.001
 # Positions are kept this long for look-ups of the past (homing, reports).
 HISTORY_S = 30.0
 # Distance of the two points through which the print_time -> clock line of an MCU is laid.
@@ -136,9 +139,10 @@ class StepStreams:
         return trapq
 
     def look_ahead_s(self) -> float:
-        """Motion after a time that steppers need to know to step up to that time (smoothed pressure advance)."""
+        """Motion after a time that steppers need to know to step up to that time (smoothed pressure advance, shaping);
+        BORDER_S at least."""
         solvers = (s.get_stepper_kinematics() for stream in self.streams.values() for s in stream.steppers)
-        return max((self._lib.itersolve_look_ahead(sk) for sk in solvers if sk), default=0.0)
+        return max(BORDER_S, *(self._lib.itersolve_look_ahead(sk) for sk in solvers if sk), 0.0)
 
     @property
     def done_time(self) -> float:

@@ -82,6 +82,7 @@ class ToolHead:
         self._at_rest = True  # nothing planned runs on: print_time may have passed
         self._next_check_time = -math.inf
         self._forced_stop = False
+        self._drip_done = 0.0  # print_time before which steps are out already after a drip move
         self._others_end = 0.0  # print_time up to which others move beside the head
         self.print_stall = 0
         self._watch_timer = self.reactor.register_timer(self._watch)
@@ -159,10 +160,16 @@ class ToolHead:
                 "toolhead:sync_print_time", self.reactor.monotonic(), earliest, self.print_time
             )
 
-    def _commit(self, moves: Sequence[Move]) -> None:
-        """Moves with fixed speeds get their times and go to the motion queues."""
+    def _go_on(self) -> None:
+        """Motion comes: print_time is where it may begin."""
         if self._at_rest:
             self._start_motion()
+        elif self.print_time < self._drip_done:
+            self.print_time = self._drip_done
+
+    def _commit(self, moves: Sequence[Move]) -> None:
+        """Moves with fixed speeds get their times and go to the motion queues."""
+        self._go_on()
         append, trapq, extruder_move = self._trapq_append, self.trapq, self.extruder.process_move
         print_time = self.print_time
         for move in moves:
@@ -190,8 +197,7 @@ class ToolHead:
 
     def _commit_unseen(self, count: int) -> None:
         """As _commit, for the first `count` planned moves, without Python looking at each."""
-        if self._at_rest:
-            self._start_motion()
+        self._go_on()
         extruder, filament, row = self.extruder, self._filament_mm, self.lookahead.row
         extruder_trapq = getattr(extruder, "trapq", self._no_trapq)
         filament[0] = start = getattr(extruder, "last_position", 0.0)
@@ -242,7 +248,7 @@ class ToolHead:
             if self.lookahead or not self._at_rest:
                 if not self._at_rest and ahead > BUFFER_LOW_S:
                     return eventtime + (ahead - BUFFER_LOW_S)
-                self._forced_stop = True
+                self._forced_stop = bool(self.lookahead)
                 self._settle()
             if self._attend_others(eventtime):
                 return eventtime + OTHERS_PERIOD_S
@@ -381,8 +387,7 @@ class ToolHead:
 
     def _begin_drip(self, move: Move) -> float:
         """Plan the lone queued move into the head's motion queue without making steps of it; returns its start."""
-        if self._at_rest:
-            self._start_motion()
+        self._go_on()
         self.lookahead.flush()
         self._trapq_append(
             self.trapq, self.print_time, move.accel_t, move.cruise_t, move.decel_t,
@@ -393,24 +398,25 @@ class ToolHead:
         return start
 
     def _drip(self, start: float, completion: Any) -> None:
-        end = self.print_time
+        """Work out the steps of the queued drip move, DRIP_AHEAD_S ahead of the MCU."""
+        # shaping and smoothing spread the motion over this much after its end
+        end = self.print_time + self._streams.look_ahead_s()
         time = start if self.can_pause else end
         while time < end:
-            if self.can_pause:
-                eventtime = self.reactor.monotonic()
-                spare = time - self.mcu.estimated_print_time(eventtime) - DRIP_AHEAD_S
-                if spare > 0.0:
-                    completion.wait(eventtime + spare)
-                if completion.test():
-                    break
+            eventtime = self.reactor.monotonic()
+            spare = time - self.mcu.estimated_print_time(eventtime) - DRIP_AHEAD_S
+            if spare > 0.0:
+                completion.wait(eventtime + spare)
+            if completion.test():
+                break
             time = min(end, time + DRIP_STEP_S)
             self._streams.advance(time, hold_back=False)
         if time < end:  # stopped by the trigger: the rest of the plan is void
-            self.print_time = time
             x, y, z = self.commanded_pos[:3]
             self._trapq_set_position(self.trapq, time, x, y, z)
-        self._streams.advance(self.print_time, hold_back=False)
-        self._at_rest = True
+            self.print_time = time
+        self._streams.advance(time, hold_back=False)
+        self._drip_done = self._streams.done_time
         self._start_watch()  # the timer may have gone to sleep until the end of the whole, uninterrupted move
 
     # -- who else wants to know --

@@ -151,6 +151,19 @@ need_moonraker() { # its own environment: its pins are not ours
   echo "$pinned" >$own/.ferrite
 }
 
+need_registers() { # the vendor's register table, for scripts/check_registers.py: one file out of a package of 35 MB
+  local own=out/registers/STM32F334x.svd
+  local package=cmsis-svd==0.4
+  if [ -s $own ]; then return; fi
+  say "fetching the register table of the STM32F334 ($package)"
+  mkdir -p out/registers/fetched
+  quietly $venv/bin/python -m pip download --disable-pip-version-check --no-input --no-deps --no-binary :all: \
+    -d out/registers/fetched $package || fail "pip could not fetch $package (pip's own words are above)"
+  tar -xzf out/registers/fetched/cmsis-svd-*.tar.gz -O --wildcards '*/data/STMicro/STM32F334x.svd' >$own.new
+  mv $own.new $own
+  rm -r out/registers/fetched
+}
+
 case $level in
   demo|test|moonraker) ;;
   *) fail "say 'demo', 'test' or 'moonraker', not '$level'" ;;
@@ -172,3 +185,4 @@ elif ! installed test "${test_lists[@]}"; then
   need_python demo "${demo_lists[@]}"
 fi
 [ "$level" = demo ] || need_moonraker
+[ "$level" != test ] || need_registers

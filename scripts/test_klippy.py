@@ -20,7 +20,7 @@ and, beyond Klipper's format, because an exit status alone proves little:
     EXPECT response some text                some answer contains it (no_response: none does)
     EXPECT error some text                   the error that ended the run contains it
     EXPECT temperature extruder: 200 0       targets set, in this order (the end of a run sets 0)
-    EXPECT time stepper_x: 3.25              of its last step (s of its MCU's clock, to 25 us)
+    EXPECT duration stepper_x: 3.25          from its first step to its last (s, to 50 us)
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ from reactor import Reactor  # noqa: E402
 
 DEFAULT_DICTIONARIES = ROOT / "out" / "simulator"
 POSITION_TOLERANCE_MM = 1e-6
-TIME_TOLERANCE_S = 25e-6  # the error allowed to a step
+DURATION_TOLERANCE_S = 50e-6  # the error allowed to a step is 25 us
 REFUSED_COMMAND = "TEST_REFUSED"
 STEP_MESSAGES = ("queue_step", "set_next_step_dir", "reset_step_clock")
 
 _OPTION = re.compile(r"\[(?P<section>[^\]]+)\]\s*(?P<option>\w+)\s*[:=]\s*(?P<value>.*)")
 _STEPS = re.compile(r"(?P<name>[^:]+):\s*(?P<count>\d+)(?:\s+net\s+(?P<net>-?\d+))?")
-_TIME = re.compile(r"(?P<name>[^:]+):\s*(?P<seconds>[\d.]+)")
+_DURATION = re.compile(r"(?P<name>[^:]+):\s*(?P<seconds>[\d.]+)")
 
 
 class TestError(Exception):
@@ -167,6 +167,7 @@ class Motor:
     steps: int = 0
     position: int = 0
     clock: int = 0
+    first_clock: int | None = None
     direction: int = 0
 
     def feed(self, params: dict[str, Any]) -> None:
@@ -177,6 +178,8 @@ class Motor:
             self.clock += (params["clock"] - self.clock) & 0xFFFFFFFF
         else:
             count = params["count"]
+            if self.first_clock is None:
+                self.first_clock = self.clock + params["interval"]
             self.steps += count
             self.position += count * self.direction
             self.clock += params["interval"] * count + params["add"] * (count * (count - 1) // 2)
@@ -317,14 +320,15 @@ def check_steps(outcome: Outcome, what: str) -> str | None:
     return None
 
 
-def check_time(outcome: Outcome, what: str) -> str | None:
-    found = _TIME.fullmatch(what)
+def check_duration(outcome: Outcome, what: str) -> str | None:
+    found = _DURATION.fullmatch(what)
     if found is None:
-        raise TestError(f"EXPECT time {what}: expected 'stepper: seconds'")
+        raise TestError(f"EXPECT duration {what}: expected 'stepper: seconds'")
     name = found["name"].strip()
-    end_s = _motor(outcome, name).clock / outcome.motor_hz[name]
-    if abs(end_s - float(found["seconds"])) > TIME_TOLERANCE_S:
-        return f"the last step of {name} is at {end_s:.6f} s"
+    motor = _motor(outcome, name)
+    duration_s = (motor.clock - (motor.first_clock or 0)) / outcome.motor_hz[name]
+    if abs(duration_s - float(found["seconds"])) > DURATION_TOLERANCE_S:
+        return f"{name} steps for {duration_s:.6f} s"
     return None
 
 
@@ -361,7 +365,7 @@ def check_temperature(outcome: Outcome, what: str) -> str | None:
 
 CHECKS = {
     "steps": check_steps,
-    "time": check_time,
+    "duration": check_duration,
     "position": check_position,
     "response": check_response,
     "no_response": check_no_response,

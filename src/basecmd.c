@@ -246,7 +246,7 @@ command_identify(const struct command_args *args)
         count = IDENTIFY_MAX;
     uint8_t part[IDENTIFY_MAX];  /* the dictionary may lie where only this loop can read it */
     for (uint8_t i = 0; i < count; i++)
-        part[i] = identify_data[offset + i];
+        part[i] = flash_byte(identify_data + offset + i);
     respond(&response_identify, offset, (unsigned int)count, part);
 }
 DECL_COMMAND_FLAGS(command_identify, HF_IN_SHUTDOWN, "identify offset=%u count=%c");

@@ -66,15 +66,17 @@ take_number(char type, va_list *args)
 
 /* Encode the content at `out`; NULL if it passes `limit`. */
 static uint8_t *
-encode_content(uint8_t *out, const uint8_t *limit, const FLASH_DATA struct response *r,
-               va_list *args)
+encode_content(uint8_t *out, const uint8_t *limit, const struct response *in_flash, va_list *args)
 {
-    out = wire_put_vlq(out, r->id);
-    for (const FLASH_DATA char *type = r->types; *type; type++) {
-        if (*type != 'b') {
+    struct response r;
+    char type;
+    flash_copy(&r, in_flash, sizeof(r));
+    out = wire_put_vlq(out, r.id);
+    for (; (type = (char)flash_byte(r.types)); r.types++) {
+        if (type != 'b') {
             if (limit - out < VLQ_SIZE_MAX)
                 return NULL;
-            out = wire_put_vlq(out, take_number(*type, args));
+            out = wire_put_vlq(out, take_number(type, args));
             continue;
         }
         unsigned int len = va_arg(*args, unsigned int);
@@ -89,7 +91,7 @@ encode_content(uint8_t *out, const uint8_t *limit, const FLASH_DATA struct respo
 }
 
 void
-respond(const FLASH_DATA struct response *r, ...)
+respond(const struct response *r, ...)
 {
     /* Room for a last number of full length beyond the limit is not needed: encode_content checks first.  The check is
      * pessimistic by up to four bytes, so the scratch is longer than a block and the true length is judged after. */
@@ -110,7 +112,7 @@ respond(const FLASH_DATA struct response *r, ...)
 
 /* Decode one command's parameters from [at, end); returns one past the last, NULL if they are malformed. */
 static const uint8_t *
-decode_parameters(const FLASH_DATA struct command *c, const uint8_t *at, const uint8_t *end, struct command_args *args)
+decode_parameters(const struct command *c, const uint8_t *at, const uint8_t *end, struct command_args *args)
 {
     uint8_t number = 0;
     args->data = NULL;
@@ -144,14 +146,15 @@ dispatch(const uint8_t *at, const uint8_t *end)
             shutdown(SHUTDOWN_COMMAND_PARSER);
         if (id < 1 || id > (int32_t)command_count)
             shutdown(SHUTDOWN_INVALID_COMMAND);
-        const FLASH_DATA struct command *c = &command_table[id - 1];
-        at = decode_parameters(c, at, end, &args);
+        struct command c;
+        flash_copy(&c, &command_table[id - 1], sizeof(c));
+        at = decode_parameters(&c, at, end, &args);
         if (!at)
             shutdown(SHUTDOWN_COMMAND_PARSER);
-        if (sched_is_shutdown() && !(c->flags & HF_IN_SHUTDOWN))
+        if (sched_is_shutdown() && !(c.flags & HF_IN_SHUTDOWN))
             sched_respond_shutdown();
         else
-            c->handler(&args);
+            c.handler(&args);
     }
 }
 
@@ -242,7 +245,8 @@ command_task(void)
     while (console_read(&byte)) {
         if (!rx.hunting) {
             rx.block[rx.gathered++] = byte;
-            digest();
+            if (rx.gathered <= BLOCK_HEADER_SIZE || rx.gathered >= rx.block[0])  /* else it can only be incomplete */
+                digest();
         } else if (byte == BLOCK_SYNC) {
             rx.hunting = 0;
             send_ack();

@@ -21,13 +21,7 @@
 
 #include <stdint.h>
 
-/* Tables that stay in the flash memory of chips where that is another address space (AVR); elsewhere nothing.  What carries
- * this is read through pointers that carry it too: the compiler chooses the instruction, memcpy() must not be used. */
-#ifdef __AVR__
-#define FLASH_DATA __flash
-#else
-#define FLASH_DATA
-#endif
+#include "flash_data.h"
 
 enum { COMMAND_ARGS_MAX = 10, COMMAND_NO_BUFFER = 0xff };
 
@@ -48,16 +42,16 @@ struct command {
     uint8_t buffer_param;  /* which of them is the byte string, or COMMAND_NO_BUFFER */
 };
 
-/* types: one letter a parameter; u: %c %hu, s: %hi, w: %u %i, b: byte string */
+/* In flash, both the struct and the letters (flash_data.h).  types: one letter a parameter; u: %c %hu, s: %hi, w: %u %i, b: byte string */
 struct response {
     int16_t id;
-    const FLASH_DATA char *types;
+    const char *types;
 };
 
 #ifndef DICTIONARY_PASS
 #define DECL_COMMAND(handler, format) void handler(const struct command_args *args)
 #define DECL_COMMAND_FLAGS(handler, flags, format) void handler(const struct command_args *args)
-#define DECL_RESPONSE(name, format) extern const FLASH_DATA struct response name
+#define DECL_RESPONSE(name, format) extern const struct response name
 #define DECL_CONSTANT(name, value) struct dictionary_entry_unused
 #define DECL_CONSTANT_STR(name, text) struct dictionary_entry_unused
 #define DECL_ENUMERATION(enumeration, text, value) struct dictionary_entry_unused
@@ -89,15 +83,15 @@ struct response {
  * format says: %c %hu %hi anything that promotes to int, %u %i exactly 32 bits wide (cast on 8-bit machines!),
  * a byte string as two arguments: (unsigned) length, const uint8_t *data.  A message that does not fit the
  * console's transmit buffer is dropped whole: responses are never retransmitted, the host asks again. */
-void respond(const FLASH_DATA struct response *r, ...);
+void respond(const struct response *r, ...);
 
 /* Any context: console_read() has something, run the command task soon. */
 void command_wake(void);
 
-/* Generated in OUT/compile_time.c */
-extern const FLASH_DATA struct command command_table[];  /* entry i is message id i + 1 */
+/* Generated in OUT/compile_time.c; the tables lie in flash (flash_data.h). */
+extern const struct command command_table[];  /* entry i is message id i + 1 */
 extern const uint16_t command_count;
-extern const FLASH_DATA uint8_t identify_data[];
+extern const uint8_t identify_data[];
 extern const uint32_t identify_size;
 void compile_time_init(void);
 void compile_time_tasks(void);

@@ -79,6 +79,7 @@ struct induction {
     struct guard guard;
     /* finished blocks, irq to task: numbers run, places are modulo the length */
     struct oversample_block waiting[BLOCKS_WAITING_MAX];
+    struct oversample_block surplus;  /* one that finds no place */
     uint32_t newest_sum;
     uint16_t newest_count;
     uint16_t sequence;      /* of the oldest waiting block */
@@ -167,7 +168,16 @@ blocks_waiting(const struct induction *u)
     return (uint8_t)(u->block_head - u->block_tail);
 }
 
-/* A finished block: judged, then kept for the host. */
+/* Where the next finished block goes: its place in the ring, so that it need not be copied. */
+static struct oversample_block *
+next_block(struct induction *u)
+{
+    if (blocks_waiting(u) == BLOCKS_WAITING_MAX)
+        return &u->surplus;
+    return &u->waiting[u->block_head & (BLOCKS_WAITING_MAX - 1)];
+}
+
+/* A finished block in next_block(): judged, then kept for the host. */
 static void
 take_block(struct induction *u, const struct oversample_block *b)
 {
@@ -179,27 +189,30 @@ take_block(struct induction *u, const struct oversample_block *b)
         trip(u, tripped);
     if (!u->reporting)
         return;
-    if (blocks_waiting(u) == BLOCKS_WAITING_MAX) {
+    if (b == &u->surplus)
         oversample_drop(&u->oversample, b);
-        return;
-    }
-    u->waiting[u->block_head++ & (BLOCKS_WAITING_MAX - 1)] = *b;
+    else
+        u->block_head++;
 }
 
 static void
 take_samples(struct induction *u, const uint16_t *samples, uint16_t count)
 {
-    struct oversample_block b;
+    struct oversample_block *b = next_block(u);
     while (count) {
         uint16_t run, taken;
         uint16_t phase = phase_run(&u->track, u->next_index, count, &run);
-        if (oversample_step(&u->oversample, phase, &b))
-            take_block(u, &b);
+        if (oversample_step(&u->oversample, phase, b)) {
+            take_block(u, b);
+            b = next_block(u);
+        }
         for (; run; run -= taken, count -= taken, samples += taken) {
-            uint8_t finished = oversample_feed(&u->oversample, samples, run, u->next_index, &taken, &b);
+            uint8_t finished = oversample_feed(&u->oversample, samples, run, u->next_index, &taken, b);
             u->next_index += taken;
-            if (finished)
-                take_block(u, &b);
+            if (!finished)
+                continue;
+            take_block(u, b);
+            b = next_block(u);
         }
     }
 }
@@ -217,27 +230,34 @@ records_to_send(const struct induction *u)
     return u->next_index - (b->first + b->count) >= u->hold_samples;
 }
 
+/* Index after the newest complete half buffer. */
+static uint32_t
+newest_end(uint32_t position)
+{
+    return position - position % HALF_LEN;
+}
+
 static void
 samples_ready(const uint16_t *samples, uint16_t count)
 {
     struct induction *u = unit;
     if (!u)
         return;
-    uint32_t position = sync_adc_position(u->adc), newest_end = position - position % HALF_LEN;
+    uint32_t position = sync_adc_position(u->adc);
     if (u->resync) {
         u->resync = 0;
-        u->next_index = newest_end - count;
+        u->next_index = newest_end(position) - count;
         oversample_init(&u->oversample, u->oversample.config);
     }
     uint32_t ahead = position - u->next_index;
     if (ahead < count)
         return;  /* part of a gap already told */
     if (ahead > 2u * HALF_LEN) {
-        struct oversample_block b;
-        uint32_t lost = newest_end - u->next_index;
-        u->next_index = newest_end;
-        if (oversample_gap(&u->oversample, lost, &b))
-            take_block(u, &b);
+        struct oversample_block *b = next_block(u);
+        uint32_t lost = newest_end(position) - u->next_index;
+        u->next_index += lost;
+        if (oversample_gap(&u->oversample, lost, b))
+            take_block(u, b);
     } else {
         take_samples(u, samples, count);
     }

@@ -96,20 +96,23 @@ uint8_t
 oversample_feed(struct oversample *o, const uint16_t *samples, uint16_t count, uint32_t first, uint16_t *taken,
                 struct oversample_block *block)
 {
-    uint16_t settling = count < o->settle_left ? count : o->settle_left;
-    o->settle_left -= settling;
-    o->discarded = saturating_add(o->discarded, settling);
-    uint16_t use = count - settling, room = o->block_len - o->count;
+    uint32_t settling = 0, room = (uint32_t)(o->block_len - o->count);
+    if (o->settle_left) {
+        settling = count < o->settle_left ? count : o->settle_left;
+        o->settle_left -= (uint16_t)settling;
+        o->discarded = saturating_add(o->discarded, settling);
+    }
+    uint32_t use = count - settling;
     if (use > room)
         use = room;
-    *taken = settling + use;
+    *taken = (uint16_t)(settling + use);
     if (!use)
         return 0;
     if (!o->count)
         o->first = first + settling;
-    o->sum += oversample_reduce(samples + settling, use, &o->min, &o->max);
-    o->count += use;
-    if (o->count < o->block_len)
+    o->sum += oversample_reduce(samples + settling, (uint16_t)use, &o->min, &o->max);
+    o->count = (uint16_t)(o->count + use);
+    if (use < room)
         return 0;
     finish_block(o, block);
     return 1;

@@ -29,6 +29,10 @@ OTHER_PORTS := $(filter-out $(PORT),$(PORTS))
 $(OTHER_PORTS:%=$(OUT)/%/ferrite.elf): $(OUT)/%/ferrite.elf: port-image
 	@$(MAKE) --no-print-directory PORT=$* OUT=$(OUT) firmware
 
+ifneq ($(PORT),)
+.DEFAULT_GOAL := firmware
+endif
+
 ifeq ($(PORT),simulator)
 firmware: firmware-simulator
 else ifneq ($(PORT),)
@@ -86,5 +90,6 @@ firmware flash size:
 	@echo "Which port? make PORT=NAME $@ (simulator $(PORTS)), or choose one with make menuconfig"; exit 1
 endif
 
+# kconfiglib is one of the tests' packages; for this alone `pip install kconfiglib` will do.
 menuconfig:
-	@KCONFIG_CONFIG=$(KCONFIG_CONFIG) $(PYTHON) -m menuconfig src/Kconfig
+	@srctree=src KCONFIG_CONFIG=$(KCONFIG_CONFIG) $(PYTHON) -m menuconfig Kconfig

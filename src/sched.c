@@ -114,13 +114,13 @@ run_due_timers(void *unused)
     uint16_t budget = DISPATCH_LIMIT;
     for (;;) {
         struct timer *t = sched.timers;
-        if (!t || timer_is_before(timer_read_time(), t->waketime))
+        uint32_t now = timer_read_time();
+        if (!t || timer_is_before(now, t->waketime))
             return;
         sched.timers = t->next;
         if (t->func(t) == SF_DONE)
             continue;
-        uint32_t late_limit = timer_read_time() - timer_from_us(RESCHEDULE_LATE_US);
-        if (!--budget || timer_is_before(t->waketime, late_limit))
+        if (!--budget || timer_is_before(t->waketime, now - timer_from_us(RESCHEDULE_LATE_US)))
             shutdown(SHUTDOWN_RESCHEDULED_IN_PAST);
         timer_insert(t);
     }

@@ -90,9 +90,13 @@ timed_output_queue(struct timed_output *o, uint32_t clock, uint32_t value)
     if (was_empty) {
         if (o->guarded && timer_is_before(o->deadline, clock))
             shutdown((enum shutdown_reason)o->kind->exceed_reason);
-        sched_del_timer(&o->timer);
-        set_waketime(o);
-        sched_add_timer(&o->timer);
+        /* A toggle that comes before the update is in the timer list already, and may be due this very moment: taking it
+         * out and putting it back would find it in the past. */
+        if (!o->toggling || timer_is_before(clock, o->toggle_clock)) {
+            sched_del_timer(&o->timer);
+            set_waketime(o);
+            sched_add_timer(&o->timer);
+        }
     }
     irq_restore(flag);
 }

@@ -2,14 +2,22 @@
 
 #include "wire.h"
 
+#ifdef __AVR__
+#include <util/crc16.h>
+#endif
+
 uint16_t
 wire_crc16(const uint8_t *data, uint8_t len)
 {
     uint16_t crc = 0xffff;
     for (; len; len--, data++) {
+#ifdef __AVR__
+        crc = _crc_ccitt_update(crc, *data); /* the same polynomial, in assembler */
+#else
         crc ^= *data;
         for (uint8_t bit = 0; bit < 8; bit++)
             crc = (uint16_t)((crc >> 1) ^ ((crc & 1) ? 0x8408 : 0));
+#endif
     }
     return crc;
 }
@@ -44,9 +52,10 @@ wire_get_vlq(const uint8_t *at, const uint8_t *end, int32_t *value)
         if (at >= end)
             return NULL;
         uint8_t byte = *at++;
-        if (!group && (byte & 0x60) == 0x60)
-            sum = ~(uint32_t)0;
-        sum = (sum << 7) | (byte & 0x7f);
+        if (group)
+            sum = (sum << 7) | (byte & 0x7f);
+        else
+            sum = (byte & 0x60) == 0x60 ? ~(uint32_t)0x7f | byte : byte & 0x7f;
         if (!(byte & 0x80)) {
             *value = (int32_t)sum;
             return at;

@@ -401,7 +401,8 @@ fit_command(struct stepcompress *sc)
             break;
         add = next;
     }
-    double interval = floor(.5 * (ceil(best.low) + floor(best.high)));
+    /* the latest that fits: nearest to what is wanted, and the last step before a rest is just that */
+    double interval = floor(best.high);
     if (best.count == 1)
         best_add = 0;
     sc->last_count = best.count;

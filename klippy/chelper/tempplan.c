@@ -245,7 +245,7 @@ int tempplan_add(struct tempplan *tp, struct tempplan_piece *pieces, int count)
 /* Walls as they are gone after: wanted ones averaged by volume over smooth_s to both sides of each piece. */
 static void smooth_walls(struct tempplan *tp, int first)
 {
-    double sum = 0.0, volume = 0.0, half_s = tp->p.smooth_s;
+    double sum = 0.0, volume = 0.0, half_s = tp->p.preview != 0.0 ? tp->p.smooth_s : 0.0;
     int low = first, high = first;
     for (int i = first; i < tp->count; i++) {
         const struct tempplan_piece *q = &tp->pieces[i];

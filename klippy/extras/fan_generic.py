@@ -14,6 +14,7 @@ class PrinterFanGeneric:
         self.printer = config.get_printer()
         self.fan = fan.Fan(config, default_shutdown_speed=0.0)
         self.get_status = self.fan.get_status
+        self._templates = self.printer.load_object(config, "template_evaluator")
 
     def register(self, name: str) -> None:
         """Make the command known."""
@@ -22,7 +23,13 @@ class PrinterFanGeneric:
         )
 
     def cmd_SET_FAN_SPEED(self, gcmd: Any) -> None:
-        """SPEED 0..1, in step with the moves queued so far."""
+        """SPEED 0..1, in step with the moves queued so far; or TEMPLATE=name to follow."""
+        if gcmd.get("TEMPLATE", None) is not None:
+            self._templates.assign(
+                self, gcmd, lambda text: self.fan.set_speed(min(1.0, max(0.0, float(text))))
+            )
+            return
+        self._templates.forget(self)
         self.fan.set_speed_from_command(gcmd.get_float("SPEED", minval=0.0, maxval=1.0))
 
 

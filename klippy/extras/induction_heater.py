@@ -16,7 +16,7 @@ from thermal import features, laws, loop
 from thermal.records import PhaseCommand, SampleBlock
 
 from . import heaters as heater_registry
-from . import induction_calibrate, induction_dump, induction_supply
+from . import induction_calibrate, induction_dump, induction_flow, induction_supply
 from . import induction_settings as settings
 from .induction_mcu import InductionUnit
 
@@ -62,6 +62,7 @@ class InductionHeater:
         self._driver: Driver | None = None
         self._quiet_s = -math.inf
         self._warned = ""
+        self._ahead: induction_flow.FlowAhead | None = None
         self._running = False
         self._smoothed_c = 0.0
         self._smoothed_s = -math.inf
@@ -90,6 +91,8 @@ class InductionHeater:
     def _on_ready(self) -> None:
         if self.batch:
             return
+        if self.served_by:
+            self._ahead = induction_flow.FlowAhead(self.printer, self.served_by)
         self.loop.start(self._now_s())
         self._running = True
         self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
@@ -117,8 +120,14 @@ class InductionHeater:
                     listener(block, None, now_s)
             self._send(self._driver.on_blocks(blocks, now_s))
             return
+        self._look_ahead(now_s)
         self._send(self.loop.on_blocks(blocks, now_s))
         self._smooth()
+
+    def _look_ahead(self, now_s: float) -> None:
+        """Planned flow and fan, for laws that know what to do with them."""
+        if self._ahead is not None and self._ahead.look(now_s):
+            self.loop.flow, self.loop.fan = self._ahead.flow, self._ahead.fan
 
     def _on_timer(self, eventtime: float) -> float:
         """Watch, and a command if the newest one ages; control itself runs on the arrival of blocks."""

@@ -103,21 +103,12 @@ class InputShaper:
     def register(self) -> None:
         self.printer.register_event_handler("klippy:connect", self._handle_connect)
         self.printer.register_event_handler("dual_carriage:update_kinematics", self.enable_shaping)
-        self.printer.register_event_handler("homing:homing_move_begin", self._handle_homing_begin)
-        self.printer.register_event_handler("homing:homing_move_end", self._handle_homing_end)
         self.printer.lookup_object("gcode").register_command(
             "SET_INPUT_SHAPER", self.cmd_SET_INPUT_SHAPER, desc="Set cartesian parameters for input shaper"
         )
 
     def _handle_connect(self) -> None:
         self._set_pulses(self.axes)
-
-    def _handle_homing_begin(self, hmove: Any) -> None:
-        """A homing move stops in the middle: there must be no copy of it still under way."""
-        self.disable_shaping()
-
-    def _handle_homing_end(self, hmove: Any) -> None:
-        self.enable_shaping()
 
     def disable_shaping(self) -> None:
         self._apply([replace(a, frequency_hz=0.0) for a in self.axes])

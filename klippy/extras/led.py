@@ -2,12 +2,13 @@
 
 SET_LED LED=NAME [RED GREEN BLUE WHITE 0..1] [INDEX=n] [TRANSMIT=0] [SYNC=0]: without INDEX all LEDs of the chain; with
 TRANSMIT=0 only remembered until the next transmission; with SYNC=0 at once instead of in step with the moves.
-SET_LED_TEMPLATE lets it follow the printer's status (led_template.py).
+SET_LED_TEMPLATE lets it follow the printer's status (template_evaluator.py).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from .scheduled_pin import ScheduledPin
@@ -32,12 +33,12 @@ class LEDHelper:
         name = config.get_name().split(maxsplit=1)[-1]
         gcode = self.printer.lookup_object("gcode")
         gcode.register_mux_command("SET_LED", "LED", name, self.cmd_SET_LED, desc="Set the color of an LED")
-        templates = self.printer.load_object(config, "led_template")
+        self._templates = self.printer.load_object(config, "template_evaluator")
         gcode.register_mux_command(
             "SET_LED_TEMPLATE",
             "LED",
             name,
-            lambda gcmd: templates.assign(self, gcmd),
+            self.cmd_SET_LED_TEMPLATE,
             desc="Assign a display_template to an LED",
         )
 
@@ -80,6 +81,20 @@ class LEDHelper:
             self.printer.lookup_object("toolhead").register_lookahead_callback(bring_out)
         else:
             bring_out(None)
+
+    def cmd_SET_LED_TEMPLATE(self, gcmd: Any) -> None:
+        """Let one LED, or all, follow a template."""
+        index = gcmd.get_int("INDEX", None, minval=1, maxval=self.led_count)
+        for number in range(1, self.led_count + 1) if index is None else (index,):
+            self._templates.assign(
+                (self, number), gcmd, partial(self._show, number), partial(self.check_transmit, None)
+            )
+
+    def _show(self, number: int, text: str) -> None:
+        """The colour a template gives as `red, green, blue, white`; what is missing is dark."""
+        parts = [min(1.0, max(0.0, float(part))) for part in text.split(",")]
+        red, green, blue, white, *_ = [*parts, 0.0, 0.0, 0.0, 0.0]
+        self.set_color(number, (red, green, blue, white))
 
 
 class PrinterLED:

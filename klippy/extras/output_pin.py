@@ -25,6 +25,7 @@ class PrinterOutputPin:
         self.last_value = start
         self._output = ScheduledPin(self.printer, self.pin.get_mcu(), self._apply, start)
         self._output.keep_alive(max_duration_s, shutdown)
+        self._templates = self.printer.load_object(config, "template_evaluator")
 
     def _make_pin(self, config: Any) -> Any:
         pins = self.printer.lookup_object("pins")
@@ -53,11 +54,21 @@ class PrinterOutputPin:
 
     def cmd_SET_PIN(self, gcmd: Any) -> None:
         """Set the value in step with the moves queued so far."""
+        if gcmd.get("TEMPLATE", None) is not None:
+            self._templates.assign(self, gcmd, self._show)
+            return
+        self._templates.forget(self)
         value = gcmd.get_float("VALUE", minval=0.0, maxval=self.scale) / self.scale
         if not self.is_pwm and value not in (0.0, 1.0):
             raise gcmd.error("Invalid pin value: a digital pin is 0 or 1")
         self.last_value = value
         self._output.queue_from_command(value)
+
+    def _show(self, text: str) -> None:
+        """The value a template gives, now; a digital pin is on from a half."""
+        value = min(1.0, max(0.0, float(text) / self.scale))
+        self.last_value = value if self.is_pwm else float(value >= 0.5)
+        self._output.set_now(self.last_value)
 
 
 def load_config_prefix(config: Any) -> PrinterOutputPin:

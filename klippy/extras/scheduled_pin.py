@@ -48,6 +48,11 @@ class ScheduledPin:
         toolhead = self._printer.lookup_object("toolhead")
         toolhead.register_lookahead_callback(lambda print_time: self.request(print_time, value))
 
+    def set_now(self, value: float) -> None:
+        """Set the pin as soon as the MCU can, whatever moves are queued."""
+        now = self._mcu.estimated_print_time(self._reactor.monotonic())
+        self.request(now + LEAD_S, value)
+
     def _send(self, print_time: float, value: float) -> None:
         self._apply(print_time, value)
         self._last_time, self.last_value = print_time, value

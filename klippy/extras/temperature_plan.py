@@ -28,7 +28,8 @@ REPLAN_S = 0.25  # so much new motion is worth another plan
 COMMIT_S = 0.20  # the plan nearer than this stays: commands for it may be on their way
 WORK_S = 0.10  # how often it is looked
 BOOK_BEHIND_S = 0.5  # pieces are booked when they are surely laid
-RETURN_S = 0.5  # after the last piece the nozzle goes back to the user's target
+RETURN_S = 0.5  # so long after the last piece the nozzle goes back to the user's target ...
+RETURN_K_S = 10.0  # ... no faster than it can cool
 FOLLOW_MM = 60000.0  # a fair part of a print: the weld is held where the user's own target has it on average
 ROWS_AT_ONCE = 4096
 
@@ -225,9 +226,9 @@ class TemperaturePlanner:
         if not self.enabled:
             return
         from_s = now_s + COMMIT_S
-        start_c = self.plan.at(from_s, self.heater.loop.state.target_c)
-        if self._reference is None:
-            start_c = self.heater.loop.state.target_c
+        start_c = self.heater.loop.state.target_c
+        if self._reference is not None:
+            start_c = self._reference.at(from_s)
         self._set(self.plan.make(from_s, start_c), now_s)
 
     def _set(self, corners: list[tuple[float, float]], now_s: float) -> None:
@@ -238,13 +239,15 @@ class TemperaturePlanner:
     def _go_back(self, now_s: float) -> None:
         """Nothing more comes: back to the user's target."""
         loop = self.heater.loop
-        if loop.reference is self._reference:
-            loop.set_reference([(now_s, loop.state.target_c), (now_s + RETURN_S, self._base_c)], now_s)
-            self._reference = loop.reference
-            self._end_s = math.inf if self._waiting else now_s
-            if abs(loop.state.target_c - self._base_c) < 1e-6:
-                self._reference = None
-                loop.set_reference([], now_s)
+        target_c = loop.state.target_c
+        if loop.reference is not self._reference:
+            return
+        away_s = abs(target_c - self._base_c) / RETURN_K_S
+        self._set([(now_s, target_c), (now_s + away_s, self._base_c)] if away_s > 1e-3 else [], now_s)
+        self._end_s = now_s + away_s - RETURN_S
+        if away_s <= 1e-3:
+            loop.set_reference([], now_s)
+            self._reference = None
 
     def _book(self, until_s: float) -> None:
         rows = self.plan.finish(until_s, ROWS_AT_ONCE if self._rows is not None else 0)

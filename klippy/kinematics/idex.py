@@ -175,11 +175,16 @@ def load_dual(toolhead: Any, config: Any, machine: LinearMachine, axes: str) -> 
     primary = [carriage("0" if i == axis else AXIS_NAMES[i], i, rail) for i, rail in enumerate(rails)]
     dual = carriage("1", axis, dual_rail)
     drives = []
+    table = _coefficients(machine)
+    # the second tool's belt comes from the other side: where the first is driven against an axis, it is driven with it
+    dual_row = [factor if i == axis else -factor for i, factor in enumerate(table[axis])]
     with_dual = [dual if c.axis == axis else c for c in primary]
-    for number, row in enumerate(_coefficients(machine)):
-        for rail, moved in ((rails[number], primary), *([(dual_rail, with_dual)] if number == axis else [])):
-            mix = {c: row[c.axis] for c in moved if abs(row[c.axis]) > SMALLEST_PIVOT}
-            drives += [Drive(motor, mix) for motor in rail.get_steppers()]
+    for rail, row, moved in (
+        *((rail, row, primary) for rail, row in zip(rails, table, strict=True)),
+        (dual_rail, dual_row, with_dual),
+    ):
+        mix = {c: row[c.axis] for c in moved if abs(row[c.axis]) > SMALLEST_PIVOT}
+        drives += [Drive(motor, mix) for motor in rail.get_steppers()]
     for drive in drives:
         for mover in drive.coefficients:
             for endstop, _name in mover.rail.get_endstops():

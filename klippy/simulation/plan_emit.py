@@ -11,7 +11,7 @@ from pathlib import Path
 
 from .plan_offline import OfflinePlan
 
-_TARGET = re.compile(rb"^\s*M10[49]\b[^;]*S\s*([0-9.]+)", re.IGNORECASE)
+_TARGET = re.compile(rb"^\s*M10[49](?![.\d])[^;]*S\s*([0-9.]+)", re.IGNORECASE)
 
 
 def write(source: Path, target: Path, plan: OfflinePlan, step_c: float) -> int:

@@ -34,7 +34,7 @@ __all__ = ["NOT_COMMANDED", "Approach", "Control", "InductionLoop", "LoopParamet
 BALANCE_S = 0.1
 STEP_FRACTION = 0.1  # of p = (phase/45000)^2: a step of the drive that may move the reading
 USUAL_S = 0.1  # memory of the usual p
-DOUBT_C = 20.0  # 1 sigma of the law's error per unit of p away from it; C1 +0.1 % makes it 17 to 29 degC
+DOUBT_C = 40.0  # 1 sigma of the law's error per unit of p away from it; C1 +0.1 % makes it 17 to 29 degC
 RESAY_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
 
 

@@ -126,7 +126,8 @@ class Wishes:
 
     def wish_c(self, table: WishTable, time_s: float, layer: int, z_mm: float) -> float:
         """Melt temperature asked for at a piece of path, NaN if nothing is."""
-        if not math.isnan(self.explicit_c) and time_s < self.since_s + self.duration_s:
+        over = math.isfinite(self.duration_s) and time_s >= self.since_s + self.duration_s
+        if not math.isnan(self.explicit_c) and not over:
             return self.explicit_c
         for found in (table.objects.get(self.object_name.upper()), table.features.get(self.feature)):
             if found is not None:

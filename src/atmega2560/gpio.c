@@ -21,7 +21,7 @@ DECL_CONSTANT_STR("RESERVE_PINS_serial", "PE0,PE1");
 
 enum { DDR = 1, PORT = 2 };
 
-static const FLASH_DATA uint16_t port_registers[PORT_COUNT] = {
+static const uint16_t port_registers[PORT_COUNT] FLASH_DATA = {
     (uint16_t)&PINA, (uint16_t)&PINB, (uint16_t)&PINC, (uint16_t)&PIND, (uint16_t)&PINE, (uint16_t)&PINF,
     (uint16_t)&PING, (uint16_t)&PINH, (uint16_t)&PINJ, (uint16_t)&PINK, (uint16_t)&PINL,
 };
@@ -36,7 +36,7 @@ pin_is_free(uint32_t pin)
 static volatile uint8_t *
 registers_of(uint32_t pin)
 {
-    return (volatile uint8_t *)port_registers[(uint8_t)pin / 8];
+    return (volatile uint8_t *)pgm_read_word(&port_registers[(uint8_t)pin / 8]);
 }
 
 /* Interrupts disabled. */

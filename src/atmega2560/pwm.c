@@ -23,7 +23,7 @@ struct channel {
 
 enum { COM_A = 6, COM_B = 4, COM_C = 2 };
 
-static const struct channel FLASH_DATA channels[] = {
+static const struct channel channels[] FLASH_DATA = {
     { PIN(PORT_B, 7), COM_A, &TCCR0A, &OCR0A, 0 },
     { PIN(PORT_G, 5), COM_B, &TCCR0A, &OCR0B, 0 },
     { PIN(PORT_B, 5), COM_A, &TCCR1A, &OCR1AL, 1 },
@@ -39,34 +39,38 @@ static const struct channel FLASH_DATA channels[] = {
 };
 
 /* Clock select value i + 1 divides by 1 << shifts[i]; Timer2 has more of them. */
-static const FLASH_DATA uint8_t shifts[] = { 0, 3, 6, 8, 10 }, shifts_timer2[] = { 0, 3, 5, 6, 7, 8, 10 };
+static const uint8_t shifts[] FLASH_DATA = { 0, 3, 6, 8, 10 };
+static const uint8_t shifts_timer2[] FLASH_DATA = { 0, 3, 5, 6, 7, 8, 10 };
 
 static uint8_t
-nearest_clock(uint32_t cycle_ticks, const FLASH_DATA uint8_t *shift, uint8_t count)
+nearest_clock(uint32_t cycle_ticks, const uint8_t *shift, uint8_t count)
 {
     for (uint8_t i = 0; i + 1 < count; i++) {
-        uint32_t this = (uint32_t)COUNTS << shift[i], next = (uint32_t)COUNTS << shift[i + 1];
+        uint32_t this = (uint32_t)COUNTS << flash_byte(shift + i), next = (uint32_t)COUNTS << flash_byte(shift + i + 1);
         if (cycle_ticks < (this + next) / 2)
             return i + 1;
     }
     return count;
 }
 
-static const struct channel FLASH_DATA *
+static struct channel
 find_channel(uint32_t pin)
 {
-    for (uint8_t i = 0; i < sizeof(channels) / sizeof(channels[0]); i++)
-        if (channels[i].pin == pin)
-            return &channels[i];
+    struct channel c;
+    for (uint8_t i = 0; i < sizeof(channels) / sizeof(channels[0]); i++) {
+        flash_copy(&c, &channels[i], sizeof(c));
+        if (c.pin == pin)
+            return c;
+    }
     shutdown(SHUTDOWN_NOT_PWM_PIN);
 }
 
 struct pwm_out
 pwm_setup(uint32_t pin, uint32_t cycle_ticks, uint32_t value)
 {
-    const struct channel FLASH_DATA *c = find_channel(pin);
-    struct pwm_out p = { c->compare, c->wide };
-    volatile uint8_t *control = c->control;
+    const struct channel c = find_channel(pin);
+    struct pwm_out p = { c.compare, c.wide };
+    volatile uint8_t *control = c.control;
     uint8_t is_timer2 = control == &TCCR2A;
     uint8_t clock = nearest_clock(cycle_ticks, is_timer2 ? shifts_timer2 : shifts,
                                   is_timer2 ? sizeof(shifts_timer2) : sizeof(shifts));
@@ -74,7 +78,7 @@ pwm_setup(uint32_t pin, uint32_t cycle_ticks, uint32_t value)
         shutdown(SHUTDOWN_PWM_CYCLE);
     pwm_write(p, value);
     irqstatus_t flag = irq_save();
-    control[0] |= (uint8_t)(PHASE_CORRECT_8 | ENGAGED << c->com_shift);
+    control[0] |= (uint8_t)(PHASE_CORRECT_8 | ENGAGED << c.com_shift);
     control[1] = clock;
     irq_restore(flag);
     gpio_out_setup(pin, 0);

@@ -43,11 +43,13 @@ timer_start(void)
 static inline uint32_t
 read_clock(void)
 {
-    uint16_t low = TCNT5;
-    uint16_t high = overflows;
-    if (TIFR5 & 1 << TOV5 && low < 0x8000)
-        high++;
-    return (uint32_t)high << 16 | low;
+    union {  /* the compiler shifts where it need only put the halves side by side */
+        uint16_t half[2];
+        uint32_t clock;
+    } now = { .half = { TCNT5, overflows } };
+    if (TIFR5 & 1 << TOV5 && now.half[0] < 0x8000)
+        now.half[1]++;
+    return now.clock;
 }
 
 uint32_t

@@ -498,7 +498,7 @@ static const char *make_processor(void)
 {
     static const uint16_t nops[2048];
     uc_hook hook;
-    if (uc_open(UC_ARCH_ARM, UC_MODE_THUMB | UC_MODE_MCLASS, &core.uc)
+    if (uc_open(UC_ARCH_ARM, UC_MODE_THUMB, &core.uc)
         || uc_ctl_set_cpu_model(core.uc, UC_CPU_ARM_CORTEX_M4))
         return "unicorn does not start";
     const char *error = map_memory();

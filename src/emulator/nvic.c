@@ -73,7 +73,7 @@ static int group_priority(int exception)
     if (exception < 4)
         return exception - 4;
     uint32_t group = n.aircr >> 8 & 7u;
-    return n.priority[exception] & ~((2u << group) - 1u) & 0xff;
+    return n.priority[exception % EXC_COUNT] & ~((2u << group) - 1u) & 0xff;
 }
 
 static int active_priority(void)

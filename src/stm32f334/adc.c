@@ -48,7 +48,7 @@ adc_is_up(uint32_t adc)
            (ADC_CR(adc) & (ADC_CR_ADCAL | ADC_CR_ADVREGEN(3) | ADC_CR_ADEN)) == (ADC_CR_ADVREGEN(1) | ADC_CR_ADEN);
 }
 
-/* RM0364, 13.3.6 to 13.3.9: regulator, 10 us, calibration, four cycles, on. */
+/* RM0364: regulator, 10 us, calibration, four cycles, on. */
 uint8_t
 adc_bring_up(uint32_t adc)
 {
@@ -79,7 +79,7 @@ adc_set_channel(uint32_t adc, uint8_t channel, uint8_t sampling)
     ADC_SQR1(adc) = ADC_SQR1_SQ1(channel);
 }
 
-/* DS9994, table 13. */
+/* DS9994. */
 static uint8_t
 channel_of(uint32_t pin)
 {

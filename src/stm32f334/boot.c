@@ -31,7 +31,7 @@ boot_findings(void)
     return findings;
 }
 
-/* RM0364, 7.2.2: level 5 is 2.68 to 2.87 V, falling. */
+/* Level 5 is about 2.7 V (DS9994): the last before the ADC's reference suffers. */
 static void
 watch_supply(void)
 {
@@ -102,7 +102,7 @@ size_t
 board_arena(void **start)
 {
     *start = arena_start;
-    return (size_t)((char *)arena_end - (char *)arena_start);
+    return (uintptr_t)arena_end - (uintptr_t)arena_start;
 }
 
 uint32_t

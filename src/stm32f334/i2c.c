@@ -1,5 +1,5 @@
 /* I2C1, polled, clocked by the 8 MHz oscillator (the reset state of RCC_CFGR3.I2C1SW), so its timing is the same whatever the
- * rest of the chip runs at.  Timing values: RM0364, table 107 (8 MHz). */
+ * rest of the chip runs at.  Timing values: RM0364's examples for 8 MHz. */
 #include "board/i2c.h"
 #include "board/timer.h"
 #include "command.h"
@@ -53,7 +53,7 @@ wait_for(uint32_t mask, uint32_t start)
     return seen;
 }
 
-/* The peripheral off and on again: it lets go of both lines (RM0364, 26.4.5). */
+/* The peripheral off and on again: it lets go of both lines (RM0364). */
 static void
 let_go(void)
 {

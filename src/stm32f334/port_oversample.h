@@ -54,7 +54,18 @@ pair_sixteens(struct pair_state *s, const uint16_t *at, const uint16_t *end)
     return at;
 }
 
-/* Two at a time, what is left of less than 16. */
+static inline const uint16_t *
+pair_eight(struct pair_state *s, const uint16_t *at)
+{
+    uint32_t x;
+    __asm__ volatile(PAIRS_OF_EIGHT
+                     : [at] "+r"(at), [sum] "+r"(s->sum), [low] "+r"(s->low), [high] "+r"(s->high), [x] "=&r"(x)
+                     : [ones] "r"(0x00010001u)
+                     : "r4", "r5", "r6", "r8", "cc", "memory");
+    return at;
+}
+
+/* Two at a time, what is left of less than 8. */
 static inline const uint16_t *
 pair_twos(struct pair_state *s, const uint16_t *at, const uint16_t *end)
 {
@@ -80,6 +91,8 @@ oversample_reduce(const uint16_t *samples, uint16_t count, uint16_t *min, uint16
     uint32_t sixteens = (uint32_t)(end - samples) & ~15u;
     if (sixteens)
         samples = pair_sixteens(&s, samples, samples + sixteens);
+    if ((uint32_t)(end - samples) & 8u)
+        samples = pair_eight(&s, samples);
     uint32_t twos = (uint32_t)(end - samples) & ~1u;
     if (twos)
         samples = pair_twos(&s, samples, samples + twos);

@@ -12,7 +12,7 @@ DECL_CONSTANT("PWM_MAX", PORT_PWM_MAX);
 enum { TIMERS = 4, MODE_PWM1 = 6, PRESCALER_MAX = 65536 };
 static const uint32_t bases[TIMERS] = { TIM3_BASE, TIM15_BASE, TIM16_BASE, TIM17_BASE };
 
-/* DS9994, tables 14 and 15.  Timer: index into bases; channel 1 to 4. */
+/* DS9994.  Timer: index into bases; channel 1 to 4. */
 static const struct output { uint8_t pin, timer, channel, function; } outputs[] = {
     { PIN_A + 6, 0, 1, 2 }, { PIN_A + 7, 0, 2, 2 }, { PIN_B + 0, 0, 3, 2 }, { PIN_B + 1, 0, 4, 2 },
     { PIN_B + 4, 0, 1, 2 }, { PIN_B + 5, 0, 2, 2 }, { PIN_C + 6, 0, 1, 2 }, { PIN_C + 7, 0, 2, 2 },

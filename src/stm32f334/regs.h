@@ -385,7 +385,7 @@
 #define SCB_AIRCR R(SCB_BASE, 0x0c)
 #define SCB_AIRCR_SYSRESETREQ (FIELD(0x5fa, 16, 16) | BIT(2))
 
-/* Positions in the vector table (RM0364, table 29). */
+/* Positions in the vector table (RM0364). */
 enum {
     IRQ_DMA1_CHANNEL1 = 11,
     IRQ_DMA1_CHANNEL7 = 17,

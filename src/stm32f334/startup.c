@@ -4,8 +4,8 @@
 #include "internal.h"
 #include "sched.h"
 
-extern uint32_t data_start[], data_end[], bss_start[], bss_end[], stack_top[];
-extern const uint32_t data_image[];
+/* Of link.ld: only their addresses mean something. */
+extern char data_start[], data_end[], data_image[], bss_start[], bss_end[], stack_top[];
 
 void reset_handler(void);
 void timer_irq(void);
@@ -17,16 +17,15 @@ void bridge_fault_irq(void);
 void nmi_handler(void);
 void bridge_stop(void);
 
-/* Copied and cleared word by word: nothing here may need what it sets up.  (Without the attribute the compiler makes the
- * loops into calls of memcpy and memset, which is right too but longer.) */
-__attribute__((optimize("no-tree-loop-distribute-patterns"))) void
+/* Memory is copied and cleared word by word. */
+void
 reset_handler(void)
 {
-    const uint32_t *from = data_image;
-    for (uint32_t *to = data_start; to < data_end;)
-        *to++ = *from++;
-    for (uint32_t *to = bss_start; to < bss_end;)
-        *to++ = 0;
+    uintptr_t from = (uintptr_t)data_image;
+    for (uintptr_t to = (uintptr_t)data_start; to < (uintptr_t)data_end; to += 4, from += 4)
+        R(to, 0) = R(from, 0);
+    for (uintptr_t to = (uintptr_t)bss_start; to < (uintptr_t)bss_end; to += 4)
+        R(to, 0) = 0;
     __asm__ volatile("cpsid i" ::: "memory");
     extern int main(void);
     main();
@@ -45,7 +44,7 @@ stop_handler(void)
 
 typedef void (*vector)(void);
 
-/* RM0364, table 29. */
+/* RM0364 */
 #define IRQ(n) (16 + (n))
 __attribute__((section(".vectors"), used)) static const vector vectors[IRQ(IRQ_COUNT)] = {
     [0] = (vector)stack_top,

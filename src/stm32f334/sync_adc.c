@@ -20,7 +20,7 @@ enum {
     CHANNEL = 1,
     HALF_LEN_MAX = PORT_SYNC_HALF_LEN,
     SAMPLING_1_5 = 0,           /* SMPR: 1.5 cycles */
-    TRIGGER_HRTIM_1 = 7,        /* EXTSEL (RM0364, table 39) */
+    TRIGGER_HRTIM_1 = 7,        /* EXTSEL (RM0364) */
     RISING = 1,
     EDGE_CLEAR_TICKS = 150,     /* sync_adc_start() keeps so far from period edges */
     HALVES_LATE_MAX = 4,
@@ -49,7 +49,7 @@ sync_adc_init(void)
 }
 DECL_INIT(sync_adc_init);
 
-/* DS9994, table 13. */
+/* DS9994. */
 static uint8_t
 channel_of(uint32_t pin)
 {
@@ -191,7 +191,7 @@ samples_irq(void)
     const uint32_t half = DMA1_ISR_HTIF(CHANNEL), whole = DMA1_ISR_TCIF(CHANNEL), error = DMA1_ISR_TEIF(CHANNEL);
     uint32_t arrived = DMA1_ISR & (half | whole | error);
     DMA1_IFCR = arrived;
-    if (!sync.running)
+    if (!sync.running || !arrived)
         return;
     /* The newest complete half's last sample has been taken. */
     uint32_t now = timer_read_time() + sync.period_ticks;

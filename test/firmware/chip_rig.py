@@ -20,7 +20,14 @@ from mcu_harness import FREQ, Dictionary, Mcu, Reply, make_block  # noqa: E402
 from simulation.builds import Build, make_build  # noqa: E402
 from simulation.emulator import Emulator  # noqa: E402
 
-ARM = ["arm-none-eabi-gcc", "-std=gnu11", "-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"]
+ARM = [
+    "arm-none-eabi-gcc",
+    "-std=gnu11",
+    "-mcpu=cortex-m4",
+    "-mthumb",
+    "-mfloat-abi=hard",
+    "-mfpu=fpv4-sp-d16",
+]
 
 
 class _World:
@@ -37,7 +44,9 @@ class _World:
 class Chip(Mcu):
     """A chip with an image, powered on."""
 
-    def __init__(self, build: Build, image: Path, boot_clock: int = 0, mutations: tuple[str, ...] = ()) -> None:
+    def __init__(
+        self, build: Build, image: Path, boot_clock: int = 0, mutations: tuple[str, ...] = ()
+    ) -> None:
         self.build = build
         self.image = image
         self.mutations = mutations

@@ -35,7 +35,13 @@ def _steppers(count: int) -> Firmware:
         *(
             (
                 "config_stepper",
-                {"oid": oid, "step_pin": pin, "dir_pin": dir_pin, "invert_step": BOTH_EDGES, "step_pulse_ticks": 0},
+                {
+                    "oid": oid,
+                    "step_pin": pin,
+                    "dir_pin": dir_pin,
+                    "invert_step": BOTH_EDGES,
+                    "step_pulse_ticks": 0,
+                },
             )
             for oid, (pin, dir_pin) in enumerate(STEP_PINS[:count])
         ),
@@ -82,21 +88,19 @@ def step_limit(steppers: int = 1, steps: int = 3000) -> float:
     return (clocks[-1] - clocks[-steps]) / (steps - 1)
 
 
-def dispatch_cost(commands: int = 40) -> Cost:
+def dispatch_cost(commands: int = 40, blocks: int = 100) -> Cost:
     """Of one command with no work of its own, many to a block, receiving and acknowledging included."""
     chip = Firmware()
-    counts = []
-    for blocks in (10, 110):
-        before = chip.chip.counters()["instructions"]
-        for _ in range(blocks):
-            chip.send_content(chip.encode("debug_nop") * commands)
-        counts.append((chip.chip.counters()["instructions"] - before, chip.now))
-    waiting = Firmware()
-    before = waiting.chip.counters()["instructions"]
-    waiting.run(1.0)
-    idle_per_s = waiting.chip.counters()["instructions"] - before
-    (few, first), (many, second) = counts
-    return Cost((many - idle_per_s * (second - first) / FREQ) / (110 * commands))
+    content = chip.encode("debug_nop") * commands
+    chip.send_content(content)
+    begin, before = chip.now, chip.chip.counters()["instructions"]
+    for _ in range(blocks):
+        chip.send_content(content)
+    busy_s, busy = (chip.now - begin) / FREQ, chip.chip.counters()["instructions"] - before
+    before = chip.chip.counters()["instructions"]
+    chip.run(1.0)
+    idle_per_s = chip.chip.counters()["instructions"] - before
+    return Cost((busy - idle_per_s * busy_s) / (blocks * commands))
 
 
 # --- sampling ------------------------------------------------------------------------------------------------------
@@ -130,7 +134,7 @@ class Sampling:
 
 
 def code_at(clock: int) -> int:
-    """What the ADC gives at a clock: no two neighbours alike, nothing periodic in a block, nothing the guard calls clipped."""
+    """What the ADC gives at a clock: no two neighbours alike, nothing periodic, nothing the guard calls clipped."""
     n = clock // PERIOD
     return 40 + ((n * 2654435761 >> 7 ^ n * 40503) & 0xFFF) % 4000
 
@@ -139,7 +143,12 @@ def sampling_unit(block: tuple[int, int] = (192, 2), **options: Any) -> Firmware
     """The induction heater configured, sampling, reporting; an axis beside it."""
     chip = Firmware(**options)
     config = {"oid": 0, "bridge": 0, "adc_pin": 0, "period_ticks": PERIOD, "phase_max": 45000}
-    stepper = {"step_pin": AXIS_PINS[0], "dir_pin": AXIS_PINS[1], "invert_step": BOTH_EDGES, "step_pulse_ticks": 0}
+    stepper = {
+        "step_pin": AXIS_PINS[0],
+        "dir_pin": AXIS_PINS[1],
+        "invert_step": BOTH_EDGES,
+        "step_pulse_ticks": 0,
+    }
     chip.configure(
         2,
         ("config_induction", config | {"max_duration": FREQ // 2}),

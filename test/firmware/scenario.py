@@ -47,7 +47,7 @@ class Story:
 
 def part(target_c: float) -> str:
     """A square of 12 mm, two layers, after homing and heating: 80 moves of plain G-code with material."""
-    lines = ["G28", f"M109 S{target_c:g}", "G4 P3000", "G90", "M83", "G1 Z0.3 F600", "G1 X60 Y60 F9000", "M106 S128"]
+    lines = ["G28", f"M109 S{target_c:g}", "G90", "M83", "G1 Z0.3 F600", "G1 X60 Y60 F9000", "M106 S128"]
     for layer in range(2):
         lines.append(f"G1 Z{0.3 + 0.2 * layer:.1f} F600")
         for side in range(5):
@@ -55,7 +55,7 @@ def part(target_c: float) -> str:
             for x, y in ((high, low), (high, high), (low, high), (low, low)):
                 length = high - low
                 lines.append(f"G1 X{x:.2f} Y{y:.2f} E{length * 0.033:.4f} F2400")
-    return "\n".join([*lines, "G1 E-1 F1800", "G1 Z5 F600", "M107", "G4 P1000"]) + "\n"
+    return "\n".join([*lines, "G1 E-1 F1800", "G1 Z5 F600", "M107"]) + "\n"
 
 
 class Play(Simulation):

@@ -154,7 +154,9 @@ def test_the_watchdog_restarts_the_chip_unless_it_is_fed(tmp_path: Path) -> None
 
 
 def test_the_cause_of_a_reset_can_be_read(tmp_path: Path) -> None:
-    program = "uint32_t cause = R(RCC + 0x24) >> 24; if (cause & 8) R(SCB + 0xc) = 0x05fa0004; result[0] = cause;"
+    program = (
+        "uint32_t cause = R(RCC + 0x24) >> 24; if (cause & 8) R(SCB + 0xc) = 0x05fa0004; result[0] = cause;"
+    )
     tiny = Tiny(tmp_path, program)
     tiny.run(0.001)
     assert tiny.lib.sim_mcu_take_reset()
@@ -177,7 +179,9 @@ def test_the_same_run_twice_is_the_same_to_the_instruction(tmp_path: Path) -> No
 
 def test_stretches_of_time_do_not_change_the_run(tmp_path: Path) -> None:
     """However finely the world cuts its time, the chip does the same."""
-    program = "clock_72(); clocks_on(); R(TIM2 + 0x2c) = 777; R(TIM2 + 0xc) = 1; R(TIM2) = 1; R(NVIC) = 1 << 28;"
+    program = (
+        "clock_72(); clocks_on(); R(TIM2 + 0x2c) = 777; R(TIM2 + 0xc) = 1; R(TIM2) = 1; R(NVIC) = 1 << 28;"
+    )
     results = []
     for parts in (1, 97):
         tiny = Tiny(tmp_path, program, "void on_tim2(void) { R(TIM2 + 0x10) = 0; result[0]++; }")

@@ -25,7 +25,7 @@ MISTAKES = {
     "no_such_interrupt": ("R(NVIC + 4) = 1 << 12;", "does not have"),
     "undefined_instruction": ('__asm__ volatile("udf #0");', "Invalid instruction"),
     "stack": (
-        "__asm__ volatile(\"mov sp, %0\" :: \"r\"(0x20002c10)); R(NVIC) = 1 << 28; R(NVIC + 0x100) = 1 << 28;",
+        '__asm__ volatile("mov sp, %0" :: "r"(0x20002c10)); R(NVIC) = 1 << 28; R(NVIC + 0x100) = 1 << 28;',
         "run over its end",
     ),
     # --- clock tree ---
@@ -41,7 +41,10 @@ MISTAKES = {
         "APB1 runs at 72000000",
     ),
     # --- USART ---
-    "usart_pins": (READY + "R(USART2 + 12) = 144; R(USART2) = 9; R(USART2 + 0x28) = 1;", "none of its TX pins"),
+    "usart_pins": (
+        READY + "R(USART2 + 12) = 144; R(USART2) = 9; R(USART2 + 0x28) = 1;",
+        "none of its TX pins",
+    ),
     "usart_off": (READY + "R(USART2 + 0x28) = 1;", "while it is off"),
     "usart_full": (
         READY + "R(GPIOA + 0x20) = 0x7700; R(GPIOA) |= 0xa0; R(USART2 + 12) = 144; R(USART2) = 9;"
@@ -50,18 +53,23 @@ MISTAKES = {
     ),
     # --- DMA ---
     "dma_ccm": (
-        READY + "R(DMA + 0x0c) = 4; R(DMA + 0x10) = ADC + 0x40; R(DMA + 0x14) = 0x10000000; R(DMA + 8) = 0x581;",
+        READY
+        + "R(DMA + 0x0c) = 4; R(DMA + 0x10) = ADC + 0x40; R(DMA + 0x14) = 0x10000000; R(DMA + 8) = 0x581;",
         "CCM",
     ),
     "dma_changed": (
-        READY + "R(DMA + 0x0c) = 4; R(DMA + 0x14) = 0x20000100; R(DMA + 8) = 0x581; R(DMA + 0x14) = 0x20000200;",
+        READY
+        + "R(DMA + 0x0c) = 4; R(DMA + 0x14) = 0x20000100; R(DMA + 8) = 0x581; R(DMA + 0x14) = 0x20000200;",
         "while the channel is on",
     ),
     # --- ADC ---
     "adc_regulator": (READY + "R(ADC + 8) = 0; R(ADC + 8) = 1 << 28; R(ADC + 8) |= 1u << 31;", "regulator"),
     "adc_uncalibrated": (READY + "adc_regulator(); R(ADC + 8) |= 1;", "without having been calibrated"),
     "adc_not_ready": (READY + "adc_on(); R(ADC + 8) |= 2; R(ADC + 8) |= 4;", "before ADRDY"),
-    "adc_pin": (READY + "adc_on(); R(ADC + 0x30) = 1 << 6; R(ADC + 8) |= 4; wait(500);", "not in analog mode"),
+    "adc_pin": (
+        READY + "adc_on(); R(ADC + 0x30) = 1 << 6; R(ADC + 8) |= 4; wait(500);",
+        "not in analog mode",
+    ),
     "adc_running": (
         READY + "R(GPIOA) |= 3; adc_on(); R(ADC + 0x30) = 1 << 6; R(ADC + 8) |= 4; R(ADC + 0x30) = 2 << 6;",
         "while conversions run",
@@ -82,15 +90,18 @@ MISTAKES = {
         "dead time of leg A is zero",
     ),
     "duty": (
-        READY + "dll_on(); legs(9600); R(HRTIM + 0x80 + 0x1c) = 9000; wait(2000); R(HRTIM_COMMON + 0x14) = 15;",
+        READY
+        + "dll_on(); legs(9600); R(HRTIM + 0x80 + 0x1c) = 9000; wait(2000); R(HRTIM_COMMON + 0x14) = 15;",
         "direct current through the coil",
     ),
     "short_compare": (
-        READY + "dll_on(); legs(9600); R(HRTIM + 0x80 + 0x1c) = 0x40; wait(2000); R(HRTIM_COMMON + 0x14) = 15;",
+        READY
+        + "dll_on(); legs(9600); R(HRTIM + 0x80 + 0x1c) = 0x40; wait(2000); R(HRTIM_COMMON + 0x14) = 15;",
         "at least 0x60",
     ),
     "idle_active": (
-        READY + "dll_on(); legs(9600); R(HRTIM + 0x80 + 0x64) = 1 << 8 | 1 << 3; R(HRTIM_COMMON + 0x14) = 15;",
+        READY
+        + "dll_on(); legs(9600); R(HRTIM + 0x80 + 0x64) = 1 << 8 | 1 << 3; R(HRTIM_COMMON + 0x14) = 15;",
         "idle level",
     ),
     # --- the rest ---
@@ -113,7 +124,9 @@ def test_a_mistake_is_named(tmp_path: Path, name: str) -> None:
 
 
 def test_a_fault_says_where(tmp_path: Path) -> None:
-    tiny = Tiny(tmp_path, "culprit();", "__attribute__((noinline)) static void culprit(void) { R(TIM2) = 1; }")
+    tiny = Tiny(
+        tmp_path, "culprit();", "__attribute__((noinline)) static void culprit(void) { R(TIM2) = 1; }"
+    )
     tiny.run(0.001)
     assert "(in culprit at 0x0800" in tiny.fault()
 
@@ -152,10 +165,11 @@ def test_the_fault_line_takes_the_outputs_off_in_hardware(tmp_path: Path) -> Non
 
 
 def test_samples_arrive_by_dma_exactly_as_given(tmp_path: Path) -> None:
-    """One conversion a period into a circular buffer of 64: sums of the halves equal the sums of what the board gave."""
+    """One conversion a period into a circular buffer of 64: the halves' sums are those of what the board gave."""
     tiny = Tiny(
         tmp_path,
-        READY + "dll_on(); legs(9600); R(GPIOA) |= 3; adc_on(); R(ADC + 0x14) = 1 << 3; R(ADC + 0x30) = 1 << 6;"
+        READY
+        + "dll_on(); legs(9600); R(GPIOA) |= 3; adc_on(); R(ADC + 0x14) = 1 << 3; R(ADC + 0x30) = 1 << 6;"
         "R(HRTIM_COMMON + 0x3c) = 1 << 4; R(ADC + 0xc) = 3 | 7 << 6 | 1 << 10 | 1 << 12; R(DMA + 0x10) = ADC + 0x40;"
         "R(DMA + 0x14) = (uint32_t)buffer; R(DMA + 0x0c) = 64; R(DMA + 8) = 0x5a7; R(ADC + 8) |= 4; R(NVIC) = 1 << 11;",
         "static volatile uint16_t buffer[64];"

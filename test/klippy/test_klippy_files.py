@@ -39,7 +39,7 @@ def wrongs(tmp_path: Path, lines: str, config: str = "../../config/example-carte
         ("M104 S200\nEXPECT temperature extruder: 200", "[200.0, 0.0]"),
         ("G28\nREFUSED G1 X10 => out of range", "was not refused"),
         ("G28\nREFUSED G1 X500 => another reason", "was refused with"),
-        ("G28 X\nEXPECT time stepper_x: 1.0", "the last step"),
+        ("G28 X\nEXPECT duration stepper_x: 1.0", "steps for"),
     ],
 )
 def test_the_runner_sees_what_is_wrong(tmp_path: Path, lines: str, text: str) -> None:

@@ -36,6 +36,7 @@ from thermal import (
     model_control,
     model_nozzle,
     plausible,
+    practical,
     supervise,
     sweep,
     track,
@@ -225,6 +226,8 @@ def _control(
         return loop.Control(control.PID, replace(pid, output_high=power_w), power_w)
     if choice == "watermark":
         return loop.Control(control.WATERMARK, control.WatermarkParameters(2.0, power_w), power_w)
+    if choice == "practical":
+        return loop.Control(practical.PRACTICAL, practical.PracticalParameters(power_w), power_w)
     parameters = replace(model_nozzle.nozzle_model(heat, balance, power_w, timing), **held)
     return loop.Control(model_control.MODEL, parameters, power_w, models=True)
 

@@ -55,7 +55,7 @@ def load(folder: Path, config: str) -> Loaded:
     (folder / "dict").write_text(json.dumps(dictionary))
     (folder / "printer.cfg").write_text(config)
     (folder / "in.gcode").write_text("")
-    (folder / "plugins").mkdir(exist_ok=True)
+    (folder / "printer_data" / "plugins").mkdir(parents=True, exist_ok=True)
     reactor = Reactor()
     start_args = {
         "config_file": str(folder / "printer.cfg"),
@@ -120,8 +120,8 @@ class Block:
 
     section: str  # "" for the options several sections share
     heading: str  # of the page's part it stands in
-    line: int
-    where: str
+    fence: int  # line of the ``` above
+    where: str  # page and line, for messages
     required: dict[str, str] = field(default_factory=dict)
     optional: dict[str, str] = field(default_factory=dict)
     includes: list[str] = field(default_factory=list)
@@ -161,7 +161,7 @@ def config_blocks(page: str) -> list[Block]:
             blocks.append(block)
         for offset, line in enumerate(lines, 1):
             if section := SECTION.match(line):
-                block = Block(section[1], heading, number + offset, f"{page}:{number + offset}")
+                block = Block(section[1], heading, number, f"{page}:{number + offset}")
                 blocks.append(block)
             if block is not None:
                 _read_line(block, line)

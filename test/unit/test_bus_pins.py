@@ -557,3 +557,53 @@ def test_a_wrong_template_is_refused(tmp_path: Path, command: str, reason: str) 
             s.gcode.run_script(f"SET_LED_TEMPLATE LED=n {command}")
 
     neopixel(tmp_path, TEMPLATES, body)
+
+
+FOLLOWERS = """
+[display_template heat]
+param_gain: 1.0
+text: {printer["output_pin lamp"].value * param_gain}
+[display_template nonsense]
+text: warm
+[output_pin lamp]
+pin: PB7
+pwm: true
+[output_pin relay]
+pin: PB6
+[output_pin dimmer]
+pin: PB5
+pwm: true
+scale: 10
+[fan_generic f]
+pin: PB4
+kick_start_time: 0
+"""
+
+
+def test_pins_and_fans_follow_a_template_until_they_are_set_by_hand(tmp_path: Path) -> None:
+    def body(s: BusSession) -> None:
+        def values() -> tuple[float, float, float]:
+            status = s.status
+            return (
+                status("output_pin relay")["value"],
+                status("output_pin dimmer")["value"],
+                status("fan_generic f")["speed"],
+            )
+
+        s.gcode.run_script(
+            "SET_PIN PIN=relay TEMPLATE=heat\nSET_PIN PIN=dimmer TEMPLATE=heat PARAM_GAIN=5\n"
+            "SET_FAN_SPEED FAN=f TEMPLATE=heat PARAM_GAIN=0.5"
+        )
+        s.sleep(1.0)
+        assert values() == (0.0, 0.0, 0.0)
+        s.gcode.run_script("SET_PIN PIN=lamp VALUE=0.8")
+        s.sleep(1.0)
+        assert values() == (1.0, 0.4, 0.4)
+        assert s.chip.pins["PB5"].log[-1][1] == 0.4
+        s.gcode.run_script(
+            "SET_PIN PIN=relay VALUE=0\nSET_PIN PIN=dimmer TEMPLATE=nonsense\nSET_FAN_SPEED FAN=f SPEED=1"
+        )
+        s.sleep(1.0)
+        assert values() == (0.0, 0.0, 1.0), "by hand, no value is off, by hand"
+
+    run(tmp_path, FOLLOWERS, body)

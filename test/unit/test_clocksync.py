@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from clockfit import widest_strip
 from clocksync import ClockEstimator, ClockLine, ClockSample, ClockSync, SecondarySync, fit_clock_line
 from reactor import Reactor
 
@@ -130,3 +131,50 @@ def test_secondary_converts_both_ways() -> None:
     synced(reactor, ClockLine(0.0, 3e6, FREQ * 1.0001), second)
     second._adjusted_freq, second._offset_s = FREQ * 1.0001, -0.04
     assert second.clock_to_print_time(second.print_time_to_clock(12.5)) == pytest.approx(12.5, abs=1e-7)
+
+
+# --- the strip between the bounds ---
+
+
+def test_the_strip_leans_on_the_luckiest_answers() -> None:
+    highs = [(0.0, 5.0), (1.0, 2.0), (2.0, 9.0), (3.0, 2.5)]
+    lows = [(0.0, -3.0), (1.0, 0.0), (2.0, 1.0), (3.0, -8.0)]
+    # highs' hull is 2 at x=1 and 2.25 at x=2; closest to the lows at x=2 (distance 1.25), where it has slope 0.25
+    assert widest_strip(highs, lows) == pytest.approx(0.25)
+
+
+def test_one_answer_says_nothing_of_the_slope() -> None:
+    assert widest_strip([(0.0, 1.0)], [(0.0, -1.0)]) == 0.0
+
+
+@pytest.mark.parametrize("drift_ppm_min", [0.0, 2.0, -2.0])
+@pytest.mark.parametrize("seed", range(2))
+def test_often_asked_boards_agree_to_some_us_whatever_the_crystals_do(
+    seed: int, drift_ppm_min: float
+) -> None:
+    """Half a millisecond of jitter in a round trip, a second after the answers that the line is drawn from."""
+    rng = random.Random(seed)
+    osc = Oscillator(80.0, drift_ppm_min=drift_ppm_min)
+    estimator = ClockEstimator(FREQ)
+    time_s, errors = 0.0, []
+    while time_s < 150.0:
+        time_s += 0.02 if time_s < 12.0 else 0.1
+        line = estimator.add(sample(osc, time_s, lambda: rng.uniform(0.0, 250e-6)))
+        errors.append((time_s, abs(line.clock_at(time_s + 1.0) - osc.at(time_s + 1.0)) / FREQ))
+    assert max(error for at_s, error in errors if at_s > 8.0) < 10e-6
+    # seen afterwards: the drift is known by then
+    assert estimator.curvature * 60e6 == pytest.approx(drift_ppm_min, abs=0.2)
+
+
+def test_without_motion_the_secondary_follows_by_itself() -> None:
+    reactor = Reactor()
+    now = reactor.monotonic()
+    main = synced(reactor, ClockLine(now, 50.0 * FREQ, FREQ))
+    second = SecondarySync(reactor, main)
+    synced(reactor, ClockLine(now, 7.0 * FREQ, FREQ), second)
+    second._adjusted_freq, second._offset_s = FREQ, 43.0 - 0.001  # 1 ms off
+    second._take_sample = lambda params: None  # type: ignore[method-assign]
+    second._on_clock({})
+    print_time = main.estimated_print_time(now) + 5.0
+    error_s = second.print_time_to_clock(print_time) / FREQ - (print_time - 43.0)
+    assert abs(error_s) < 0.5e-3, "nobody asked for a calibration, and it was made"

@@ -1,4 +1,4 @@
-"""docs/Config_Reference.md against the program: every block loads, every option of one is in the other."""
+"""docs/Config_Reference.md and the program have the same options; the config blocks of all pages load."""
 
 from __future__ import annotations
 
@@ -58,18 +58,13 @@ def groups() -> dict[str, Block]:
 
 
 def documents() -> list[list[Block]]:
-    """The sections of each fenced block."""
+    """The sections of each fenced block of the pages."""
     found: dict[tuple[str, int], list[Block]] = {}
-    for block in config_blocks(PAGE):
-        if block.section:
-            found.setdefault((block.heading, _fence(block)), []).append(block)
+    for page in sorted(path.name for path in DOCS.glob("*.md")):
+        for block in config_blocks(page):
+            if block.section:
+                found.setdefault((page, block.fence), []).append(block)
     return list(found.values())
-
-
-def _fence(block: Block) -> int:
-    """Line of the ``` a section stands below."""
-    lines = (DOCS / PAGE).read_text(encoding="utf-8").splitlines()
-    return max(number for number in range(block.line) if lines[number].startswith("```"))
 
 
 def included(block: Block, known: dict[str, Block]) -> list[Block]:
@@ -135,7 +130,7 @@ def _base_without(sections: dict[str, Any]) -> str:
 
 
 def name_of(blocks: list[Block]) -> str:
-    return f"line {_fence(blocks[0])} [{blocks[0].section}]"
+    return f"{blocks[0].where.partition(':')[0]} {blocks[0].fence} [{blocks[0].section}]"
 
 
 @pytest.fixture(scope="module", params=documents(), ids=name_of)
@@ -204,6 +199,17 @@ def test_every_option_the_code_asks_for_by_name_is_documented() -> None:
             if option.lower() not in words and option not in UNDOCUMENTED:
                 missing.append(f"{option} ({path.relative_to(HOST)})")
     assert not missing, f"options missing in docs/{PAGE}: {sorted(set(missing))}"
+
+
+def test_every_option_of_the_simulated_machine_is_in_its_page() -> None:
+    page = (DOCS / "Simulation.md").read_text(encoding="utf-8")
+    code = (HOST / "extras" / "simulator.py").read_text(encoding="utf-8")
+    options = set(re.findall(r"\bconfig\.get\w*\(\s*\"(\w+)\"", code)) - {"simulator_parameters"}
+    kinds = set(re.findall(r"\[simulator (\w+)", page))
+    assert len(options) > 20
+    missing = sorted(option for option in options if f"`{option}`" not in page)
+    assert not missing, f"options missing in docs/Simulation.md: {missing}"
+    assert kinds >= set(re.findall(r'^    "(\w+)": _read_', code, re.M)), "a kind of section is missing"
 
 
 def test_every_section_the_program_has_is_documented() -> None:

@@ -312,17 +312,14 @@ def test_the_page_comes_alive_in_a_browser(page: str, tmp_path: Path) -> None:
     assert "true minus target" in dom
 
 
-@pytest.mark.parametrize(
-    ("colour", "words"),
-    [("temp", "true temperature:"), ("flow", "mm³/s</span>"), ("error", "true minus target")],
-)
+@pytest.mark.parametrize(("colour", "words"), [("temp", "true temperature:"), ("flow", "mm³/s</span>")])
 def test_a_link_opens_a_layer_in_its_colours(page: str, tmp_path: Path, colour: str, words: str) -> None:
     dom = browse(page, tmp_path, "--dump-dom", link=f"#layer=2&colour={colour}")
     assert "2 of 4, z = 0.40 mm" in dom
     assert words in dom
 
 
-@pytest.mark.parametrize("link", ["#layer=99", "#layer=-1&colour=none", "#%%%", "#layer=x"])
+@pytest.mark.parametrize("link", ["#layer=99&colour=none", "#%%%&layer=x"])
 def test_a_wrong_link_opens_the_page_all_the_same(page: str, tmp_path: Path, link: str) -> None:
     dom = browse(page, tmp_path, "--dump-dom", link=link)
     assert re.search(r"[1-4] of 4, z = ", dom)

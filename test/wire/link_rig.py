@@ -46,9 +46,7 @@ class LinkSession:
         self.world = World(seed)
         # each MCU drifts differently
         build = make_build(self.BUILD)
-        self.mcus = [
-            self.world.add_mcu(clock_ppm=80.0 - 130.0 * n, build=build, **line) for n in range(mcus)
-        ]
+        self.mcus = [self.world.add_mcu(clock_ppm=80.0 - 130.0 * n, build=build, **line) for n in range(mcus)]
         self.time = SimTime(self.world)
         self.reactor = Reactor(self.time)
         self.printer: Any = None
@@ -101,6 +99,7 @@ class LinkSession:
         reactor.register_callback(drive)
         self.exit = printer.run()
         reactor.finalize()
+        self.world.check()
         if failures:
             raise failures[0]
         return outcome[0] if outcome else printer.get_state_message()[::-1]

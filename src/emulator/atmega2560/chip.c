@@ -23,7 +23,7 @@ static struct {
     uint64_t base;                      /* the world's clock at cycle 0 */
     int depth;                          /* interrupts being served */
     uint64_t entered[64];               /* at what cycle, by depth */
-    uint64_t instructions_at[64];
+    uint64_t own[64];                   /* instructions of each, without what preempted it */
     int vector[64];
     uint64_t busy_ticks, interrupt_ticks;
     uint32_t profile[WORDS];            /* instructions by address */
@@ -199,7 +199,7 @@ entered_interrupt(void)
     }
     me.vector[me.depth] = vector;
     me.entered[me.depth] = chip->cycle;
-    me.instructions_at[me.depth] = counters.interrupt_instructions;
+    me.own[me.depth] = 0;
     me.depth++;
     counters.interrupts++;
     counters.count[vector]++;
@@ -219,11 +219,10 @@ left_interrupt(void)
     me.depth--;
     int vector = me.vector[me.depth];
     uint64_t ticks = chip->cycle - me.entered[me.depth];
-    uint64_t instructions = counters.interrupt_instructions - me.instructions_at[me.depth];
     if (ticks > counters.longest_ticks[vector])
         counters.longest_ticks[vector] = (uint32_t)ticks;
-    if (instructions > counters.longest_instructions[vector])
-        counters.longest_instructions[vector] = (uint32_t)instructions;
+    if (me.own[me.depth] > counters.longest_instructions[vector])
+        counters.longest_instructions[vector] = (uint32_t)me.own[me.depth];
 }
 
 static void
@@ -242,7 +241,11 @@ one_instruction(void)
     uint64_t before = chip->cycle;
     me.profile[(chip->pc >> 1) % WORDS]++;
     counters.instructions++;
-    counters.interrupt_instructions += me.depth > 0;
+    if (me.depth) {
+        counters.interrupt_instructions++;
+        counters.spent[me.vector[me.depth - 1]]++;
+        me.own[me.depth - 1]++;
+    }
     chip->run_cycle_count = 1;
     chip->pc = avr_run_one(chip);
     me.busy_ticks += chip->cycle - before;
@@ -437,6 +440,8 @@ emulator_peek(const char *what, uint32_t *value)
         *value = (uint32_t)me.busy_ticks;
     else if (!strcmp(what, "ticks.interrupt"))
         *value = (uint32_t)me.interrupt_ticks;
+    else if (!strcmp(what, "timer5.zero"))
+        *value = (uint32_t)(me.base + timer5_zero());
     else if (what[0] == '=' && !image_symbol(what + 1, &address, &size) && (address & 0xffff) <= RAM_END - 3u)
         memcpy(value, chip->data + (address & 0xffff), sizeof *value);
     else

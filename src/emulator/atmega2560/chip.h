@@ -64,6 +64,7 @@ void pwm_init(void);
 void pwm_reset(void);
 void timer5_init(void);
 void timer5_reset(void);
+uint64_t timer5_zero(void);             /* a cycle at which the counter stood at 0 */
 void usart_init(void);
 void usart_reset(void);
 void usart_receive(const uint8_t *data, uint32_t len);

@@ -132,6 +132,12 @@ timer5_init(void)
     request(VECTOR_TIMER5_COMPA, t5_compare_level, t5_compare_taken);
 }
 
+uint64_t
+timer5_zero(void)
+{
+    return t5.zero;
+}
+
 void
 timer5_reset(void)
 {

@@ -27,7 +27,7 @@ static void raise(unsigned i, uint32_t flag)
 
 int dma_enabled(unsigned channel)
 {
-    return (channels[channel - 1].ccr & EN) && !mutation.dma_dead;
+    return (channels[channel - 1].ccr & EN) && !(mutation.dma_dead >> (channel - 1) & 1u);
 }
 
 uint32_t dma_peripheral_address(unsigned channel)

@@ -1,0 +1,210 @@
+"""Autotune of a PID: the heater is switched around the target, and the swing tells what it is.
+
+    output  high ┐   ┌───┐      switched off `band_c` above the target, on `band_c` below it; "off" is `low`
+            low  └───┘   └─     the first swings only settle, `cycles` of them are measured
+
+From whole periods the first harmonics of temperature and output (Fourier integrals over the samples, so neither
+peaks nor symmetry matter) give one point of the plant's frequency response, G(jw) = T1 / U1. Around the target every
+heater is an integrator with a delay; that point determines both its numbers:
+
+    G = k exp(-jw L) / (jw)      k = w |G|  (degC/s per output),   L = (-pi/2 - arg G) / w
+
+An integrator with a delay oscillates at K_u = pi / (2 k L) with the period T_u = 4 L. Gains are Tyreus and Luyben's
+(Ind. Eng. Chem. Res. 31, 2625, 1992), made for such plants: K_p = K_u / 2.2, T_i = 2.2 T_u, T_d = T_u / 6.3: little
+overshoot, a gain margin above 2. The scatter over the periods is the uncertainty.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+import statistics
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+
+class CalibrationError(ValueError):
+    """A run cannot give a result; the text is for people."""
+
+
+class Point(NamedTuple):
+    """One reading, and the output in force (or about to be) from it on."""
+
+    time_s: float
+    temp_c: float
+    output: float
+
+
+@dataclass(frozen=True, slots=True)
+class RelayPlan:
+    """How to swing. Times in s, outputs in the heater's unit (duty or W)."""
+
+    target_c: float
+    high: float
+    band_c: float
+    cycles: int = 5  # measured, after one that settles
+    swing_s: float = 300.0  # longest half of a cycle
+    heat_s: float = 1200.0  # longest way to the target
+    lost_c: float = 40.0  # farther above the target than this the run ends
+    gain_c: float = 3.0  # at full power it must warm by so much ...
+    gain_s: float = 90.0  # ... within this time
+
+
+class Stage(Enum):
+    HEAT = "heating"
+    SWING = "swinging"
+    DONE = "done"
+    FAILED = "failed"
+
+
+class RelayRun:
+    """One run: `decide` at every reading, until `over`."""
+
+    def __init__(self, plan: RelayPlan) -> None:
+        self.plan = plan
+        self.stage = Stage.HEAT
+        self.fault = ""
+        self.points: list[Point] = []
+        self.rises: list[
+            int
+        ] = []  # index of the point at which the output was switched on, once at temperature
+        self._output = plan.high
+        self._since_s = math.nan  # of the present half
+        self._gain = (math.nan, math.nan)
+
+    @property
+    def over(self) -> bool:
+        return self.stage in (Stage.DONE, Stage.FAILED)
+
+    @property
+    def target_c(self) -> float:
+        return self.plan.target_c if not self.over else 0.0
+
+    def progress(self) -> str:
+        done = max(0, len(self.rises) - 2)
+        return self.stage.value if self.stage is Stage.HEAT else f"swing {done} of {self.plan.cycles}"
+
+    def abort(self, reason: str) -> None:
+        if not self.over:
+            self.stage, self.fault = Stage.FAILED, reason
+
+    def decide(self, time_s: float, temp_c: float, limit: float = math.inf) -> float:
+        """Output from now on."""
+        if not self.over and not math.isnan(temp_c):
+            self._check(time_s, temp_c)
+        if self.over:
+            return 0.0
+        if not math.isnan(temp_c):
+            self._switch(time_s, temp_c)
+            if not self.over:
+                self.points.append(Point(time_s, temp_c, min(limit, self._output)))
+        return 0.0 if self.over else min(limit, self._output)
+
+    def _check(self, time_s: float, temp_c: float) -> None:
+        plan = self.plan
+        if not self.points:
+            self._since_s, self._gain = time_s, (time_s, temp_c)
+        start_s, start_c = self._gain
+        if self._output <= 0.0 or temp_c >= start_c + plan.gain_c or temp_c > plan.target_c:
+            self._gain = time_s, temp_c
+        elif time_s - start_s > plan.gain_s:
+            self.abort(
+                f"the temperature went from {start_c:.1f} to {temp_c:.1f} C in {plan.gain_s:.0f} s of heating: heater or"
+                " sensor is broken, or they are not on the same part"
+            )
+        if temp_c > plan.target_c + plan.lost_c:
+            self.abort(
+                f"{temp_c:.0f} C is {plan.lost_c:.0f} C above the target: the heater does not turn off"
+            )
+        longest_s = plan.heat_s if self.stage is Stage.HEAT else plan.swing_s
+        if time_s - self._since_s > longest_s:
+            self.abort(f"it was still {self.stage.value} after {longest_s:.0f} s ({temp_c:.1f} C)")
+
+    def _switch(self, time_s: float, temp_c: float) -> None:
+        plan = self.plan
+        if self._output and temp_c >= plan.target_c + plan.band_c:
+            self._output, self._since_s, self.stage = 0.0, time_s, Stage.SWING
+        elif not self._output and temp_c <= plan.target_c - plan.band_c:
+            self._output, self._since_s = plan.high, time_s
+            self.rises.append(len(self.points))
+            if len(self.rises) > plan.cycles + 1:
+                self.stage = Stage.DONE
+
+
+@dataclass(frozen=True, slots=True)
+class RelayResult:
+    """Integrator and delay, 1 sigma of each, and the PID they ask for; gains per K, K s, K/s in output units."""
+
+    gain_per_s: float  # k, degC/s per unit of output
+    gain_sigma: float
+    delay_s: float
+    delay_sigma_s: float
+    period_s: float
+    swing_c: float  # peak to peak
+    kp: float
+    ki: float
+    kd: float
+
+
+def _harmonic(points: Sequence[Point], omega: float) -> tuple[complex, complex]:
+    """First harmonics of temperature (straight lines between readings) and output (held from each reading on)."""
+    temp, output = 0j, 0j
+    mean_c = statistics.fmean(p.temp_c for p in points)
+    for a, b in zip(points, points[1:], strict=False):
+        dt_s = b.time_s - a.time_s
+        middle = cmath.exp(-1j * omega * 0.5 * (a.time_s + b.time_s))
+        temp += (0.5 * (a.temp_c + b.temp_c) - mean_c) * middle * dt_s
+        output += (
+            a.output * (cmath.exp(-1j * omega * a.time_s) - cmath.exp(-1j * omega * b.time_s)) / (1j * omega)
+        )
+    return temp, output
+
+
+def _cycle(points: Sequence[Point]) -> tuple[float, float, float]:
+    """(gain, delay, period) of one cycle."""
+    period_s = points[-1].time_s - points[0].time_s
+    omega = 2.0 * math.pi / period_s
+    temp, output = _harmonic(points, omega)
+    if abs(output) == 0.0:
+        raise CalibrationError("the output did not swing")
+    response = temp / output
+    lag = -math.pi / 2.0 - cmath.phase(response)
+    lag = (lag + math.pi) % (2.0 * math.pi) - math.pi
+    return omega * abs(response), lag / omega, period_s
+
+
+def evaluate(run: RelayRun) -> RelayResult:
+    """PID from a run that is done. Raises CalibrationError if the swings do not tell one plant."""
+    if run.stage is not Stage.DONE:
+        raise CalibrationError(run.fault or "the run is not over")
+    points = [*run.points]
+    spans = list(zip(run.rises[1:], run.rises[2:], strict=False))  # the first swing settles
+    cycles = [_cycle(points[a : min(b + 1, len(points))]) for a, b in spans]
+    if len(cycles) < 2:
+        raise CalibrationError("too few swings")
+    gains, delays, periods = (list(column) for column in zip(*cycles, strict=True))
+    gain, delay_s = statistics.fmean(gains), statistics.fmean(delays)
+    sigma = statistics.stdev(gains), statistics.stdev(delays)
+    if not (gain > 0.0 and delay_s > 0.0) or sigma[0] > 0.25 * gain or sigma[1] > 0.35 * delay_s:
+        raise CalibrationError(
+            f"the swings differ too much for a tuning (gain {gain:.3g} +- {sigma[0]:.2g}, delay {delay_s:.3g} +-"
+            f" {sigma[1]:.2g} s): is a fan or the extruder running?"
+        )
+    measured = points[run.rises[1] :]
+    swing_c = max(p.temp_c for p in measured) - min(p.temp_c for p in measured)
+    ultimate, ultimate_s = math.pi / (2.0 * gain * delay_s), 4.0 * delay_s
+    kp = ultimate / 2.2
+    root = math.sqrt(len(cycles))
+    return RelayResult(
+        gain,
+        sigma[0] / root,
+        delay_s,
+        sigma[1] / root,
+        statistics.fmean(periods),
+        swing_c,
+        kp,
+        kp / (2.2 * ultimate_s),
+        kp * ultimate_s / 6.3,
+    )

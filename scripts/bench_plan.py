@@ -1,0 +1,267 @@
+#!/usr/bin/env python3
+"""What the temperature plan does for welds and how well the nozzle follows it, on three unlike sliced files.
+
+    scripts/bench_plan.py [--seconds 450] [--out out/bench/plan]
+
+    whole file, offline        interface temperature along the path, planned against one fixed temperature
+    the first --seconds of it  printed on the simulated machine in closed loop: the melt that leaves the plant's nozzle,
+                               planned, with the same targets set at the borders (no preview), with one fixed target
+    steps                      15 degC every 1.5 s at constant flow: planned against set at the border
+
+Melt of the plant at the flow of the moment, weighted with it. "against the plan": the melt that the planned nozzle
+temperature gives at that flow. "against wanted": wanted and extruded melt, both averaged over 0.5 s, since no nozzle
+follows the flow of single corners.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import math
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
+
+import configtext
+from configfile import ConfigWrapper
+from extras import temperature_plan
+from simulation import gcode_path, plan_offline, plan_report
+from thermal.nozzle_melt import NozzleLimits
+
+ROOT = Path(__file__).resolve().parents[1]
+FILES = {  # kind, file of pyGCodeDecode's examples
+    "Benchy": "benchy.gcode",
+    "thin tower, tiny layers": "cubhelix.gcode",
+    "large and flat, long layers": "brace.gcode",
+}
+# The files are sliced for PLA; what is printed here is ABS, with the targets of ABS.
+SECTION = {"material": "ABS", "bed_temp": "100", "chamber_temp": "40", "melt_min": "205", "melt_max": "265"}
+NOZZLE_C, BED_C = 245, 100
+UA_W_K, HEAT_MJ_M3K, INLET_C = 0.0276, 2.1, 25.0  # of the reference plant
+LEAST_FLOW_MM3_S = 0.3
+AVERAGE_S = 0.5
+STEP_C, STEP_S, STEPS = 15.0, 1.5, 24
+Table = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Tracking:
+    """Errors of the extruded melt, degC, flow weighted."""
+
+    rms_plan_c: float
+    within_3_plan: float
+    rms_wanted_c: float
+    within_3_wanted: float
+
+
+def data_file(name: str) -> Path:
+    import importlib.util
+
+    spec = importlib.util.find_spec("pyGCodeDecode")
+    assert spec is not None and spec.origin is not None, "scripts/setup.sh demo installs the sliced files"
+    return Path(spec.origin).parent / "examples" / "data" / name
+
+
+def as_abs(source: Path, folder: Path) -> Path:
+    """The file with ABS's targets; nothing waits for the bed."""
+    target = folder / source.name
+    text = source.read_text(encoding="utf-8", errors="replace")
+    text = re.sub(r"(?m)^(M10[49])\b[^;\n]*S[1-9][0-9.]*.*", rf"\1 S{NOZZLE_C}", text)
+    text = re.sub(r"(?m)^M1[49]0\b[^;\n]*S[1-9][0-9.]*.*", f"M140 S{BED_C}", text)
+    target.write_text(text, encoding="utf-8")
+    return target
+
+
+def offline(path: Path) -> tuple[plan_offline.OfflinePlan, Table, float]:
+    """(plan, its figures, µs a move for planning alone)."""
+    data = configtext.ConfigData()
+    for name, value in SECTION.items():
+        data.set("temperature_plan", name, value, configtext.Origin("bench", 0))
+    settings = temperature_plan.read_settings(ConfigWrapper(None, data, {}, "temperature_plan"))
+    limits = gcode_path.Limits(180.0, 2500.0)
+    base_c = float(NOZZLE_C)
+
+    def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
+        return plan_offline.Planning(settings, NozzleLimits(), replace(limits)).run(
+            path, base_c, lambda n: None
+        )
+
+    first = run(settings)
+    usual_c = round(max(first.summary.interface_5_50_95_c[1][1], settings.craft.interface_c or 0.0))
+    found = run(replace(settings, craft=replace(settings.craft, interface_c=usual_c, follow_mm=0.0)))
+    figures = plan_report.figures(found, settings.material)
+    figures["interface_wanted_c"] = usual_c
+    return found, figures, planning_us(found)
+
+
+def planning_us(found: plan_offline.OfflinePlan, count: int = 50_000) -> float:
+    """Time of add, make and finish for the file's own moves, planned again each 0.25 s with 2 s ahead."""
+    from tempplan import Craft, Piece, TemperaturePlan
+    from thermal.deposit import Surroundings
+    from thermal.materials import MATERIALS
+
+    plan = TemperaturePlan(
+        NozzleLimits(), MATERIALS["ABS"], Surroundings(), Craft(interface_c=150.0, smooth_s=0.3)
+    )
+    pieces = []
+    for a, b in itertools.pairwise(found.moves[:count]):
+        end_s = max(a.start_s + 1e-4, min(b.start_s, a.start_s + 1.0))
+        pieces.append(Piece(a.start_s, end_s, a.start_mm, a.end_mm, 4.0, 0.2, 0.0, math.nan, 240.0))
+    began = time.process_time()
+    batch: list[Piece] = []
+    for piece in pieces:
+        batch.append(piece)
+        if piece.end_s - batch[0].start_s >= 0.25:
+            plan.add(batch)
+            from_s = batch[-1].end_s - 2.0
+            plan.make(from_s, plan.at(from_s, 240.0))
+            plan.finish(from_s - 0.5)
+            batch = []
+    return 1e6 * (time.process_time() - began) / max(1, len(pieces))
+
+
+def simulate(
+    gcode: Path, folder: Path, name: str, seconds: float, options: dict[str, str], plan: bool
+) -> Table:
+    """One closed-loop run; its trace, and the rows of the plan if there is one."""
+    section = "[temperature_plan]\n" + "".join(f"{k}: {v}\n" for k, v in {**SECTION, **options}.items())
+    record = folder / f"{name}-plan.csv"
+    config, trace = folder / f"{name}.cfg", folder / f"{name}.csv"
+    text = f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n"
+    config.write_text(text + (f"{section}record: {record}\n" if plan else ""))
+    command = [ROOT / "scripts" / "simulate.py", config, gcode, "--trace", trace, "--until", seconds]
+    done = subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"bench_plan: {name}: {done.stderr}")
+    found: Table = {"trace": np.genfromtxt(trace, delimiter=",", names=True)}
+    if plan:
+        found["plan"] = np.genfromtxt(record, delimiter=",", names=True)
+    return found
+
+
+def clock_offset_s(run: Table) -> float:
+    """Print time less time of the trace: where planned and true nozzle temperature agree best."""
+    trace, plan = run["trace"], run["plan"]
+    middle = 0.5 * (plan["start_s"] + plan["end_s"])
+
+    def off(shift_s: float) -> float:
+        return float(
+            np.mean((np.interp(middle - shift_s, trace["t_s"], trace["true_c"]) - plan["wall_c"]) ** 2)
+        )
+
+    return min(np.arange(-0.5, 0.5, 0.01), key=off)
+
+
+def tracking(run: Table, plan: Any, offset_s: float) -> Tracking:
+    """The melt of `run` against a plan's rows."""
+    trace = run["trace"]
+    times = trace["t_s"] + offset_s
+    row = np.searchsorted(plan["start_s"], times, side="right") - 1
+    flow = trace["flow_mm3_s"]
+    laid = (row >= 0) & (flow > LEAST_FLOW_MM3_S)
+    row = np.clip(row, 0, None)
+    laid &= times < plan["end_s"][row]
+    row, weight, melt = row[laid], flow[laid], trace["melt_c"][laid]
+    share = -np.expm1(-UA_W_K / (1e-3 * HEAT_MJ_M3K * weight))
+    against_plan = melt - (INLET_C + (plan["wall_c"][row] - INLET_C) * share)
+    slot = np.floor(times[laid] / AVERAGE_S).astype(int)
+    slot -= slot[0]
+    volume = np.bincount(slot, weight)
+    held = volume > 0.0
+    mean = [np.bincount(slot, weight * v)[held] / volume[held] for v in (melt, plan["wanted_melt_c"][row])]
+    against_wanted, volume = mean[0] - mean[1], volume[held]
+    return Tracking(
+        float(np.sqrt(np.average(against_plan**2, weights=weight))),
+        float(np.average(np.abs(against_plan) <= 3.0, weights=weight)),
+        float(np.sqrt(np.average(against_wanted**2, weights=volume))),
+        float(np.average(np.abs(against_wanted) <= 3.0, weights=volume)),
+    )
+
+
+def compare(
+    gcode: Path, folder: Path, name: str, seconds: float, options: dict[str, str]
+) -> dict[str, Tracking]:
+    """The same path three ways."""
+    planned = simulate(gcode, folder, f"{name}-planned", seconds, options, plan=True)
+    offset_s = clock_offset_s(planned)
+    border = simulate(gcode, folder, f"{name}-border", seconds, {**options, "preview": "no"}, plan=True)
+    fixed = simulate(gcode, folder, f"{name}-fixed", seconds, options, plan=False)
+    plan = planned["plan"]
+    return {
+        "planned": tracking(planned, plan, offset_s),
+        "set at the border": tracking(border, plan, offset_s),
+        "one fixed target": tracking(fixed, plan, offset_s),
+    }
+
+
+def steps_gcode() -> str:
+    """15 degC up and down every 1.5 s, one line of constant flow each."""
+    feed_mm_s, flow_mm3_s = 40.0, 5.0
+    length_mm = feed_mm_s * STEP_S
+    filament_mm = flow_mm3_s * STEP_S / (math.pi / 4.0 * 1.75**2)
+    lines = ["M104 S215", "G28", "M83", "G1 X40 Y40 Z0.3 F6000", "M109 S215"]
+    for i in range(STEPS):
+        lines.append(f"SET_SEGMENT_TEMPERATURE TEMP={200.0 + STEP_C * (i % 2)}")
+        x = 40.0 + length_mm * (i % 2 == 0)
+        lines.append(f"G1 X{x} Y{40 + 0.4 * i:.1f} E{filament_mm:.5f} F{60 * feed_mm_s:.0f}")
+    return "\n".join([*lines, "M400", ""])
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seconds", type=float, default=450.0, help="printed in closed loop of each file")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "bench" / "plan")
+    options = parser.parse_args(argv)
+    folder = options.out
+    folder.mkdir(parents=True, exist_ok=True)
+    table: Table = {}
+    print(
+        "whole files, offline     interface 5..95 %, spread     fixed, spread        ratio"
+        "  below bonding: plan, fixed  us/move"
+    )
+    for kind, name in FILES.items():
+        _, figures, us = offline(as_abs(data_file(name), folder))
+        table[kind] = {"offline": figures, "planning_us": us}
+        low, _, high = figures["interface_5_50_95_c"]
+        low_fixed, _, high_fixed = figures["interface_5_50_95_fixed_c"]
+        print(
+            f"{kind:<28} {low:5.0f}..{high:3.0f} C {figures['spread_c']:5.1f}"
+            f"         {low_fixed:5.0f}..{high_fixed:3.0f} C {figures['spread_fixed_c']:5.1f}"
+            f"   {figures['spread_c'] / figures['spread_fixed_c']:6.2f}"
+            f"     {1 - figures['bonded_share']:8.3%} {1 - figures['bonded_share_fixed']:8.3%}  {us:12.1f}"
+        )
+    steps = folder / "steps.gcode"
+    steps.write_text(steps_gcode())
+    print("\nclosed loop                  run                 melt against plan     against wanted")
+    runs = [(kind, folder / name) for kind, name in FILES.items()]
+    for kind, path in [*runs, ("15 C every 1.5 s", steps)]:
+        extra = (
+            {"interface_temp": str(table[kind]["offline"]["interface_wanted_c"])}
+            if kind in table
+            else {"melt_min": "180"}
+        )
+        found_by_run = compare(path, folder, path.stem, options.seconds, extra)
+        table.setdefault(kind, {})["closed loop"] = {k: asdict(v) for k, v in found_by_run.items()}
+        for run, t in found_by_run.items():
+            print(
+                f"{kind:<28} {run:<18} rms {t.rms_plan_c:5.2f} C {t.within_3_plan:6.1%} <= 3 C"
+                f"   rms {t.rms_wanted_c:5.2f} C {t.within_3_wanted:6.1%} <= 3 C"
+            )
+    (folder / "plan.json").write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,121 @@
+"""The ATmega2560's image on its emulator, with the recording board of test/c; and what it costs in processor cycles.
+
+The emulator counts cycles as the datasheet has them, so costs are exact for the paths taken, and the same on every run.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from chip_rig import Firmware
+from mcu_harness import make_block
+
+MEGA_HZ = 16_000_000
+BOTH_EDGES = 0xFF
+# step and direction pins of RAMPS' X, Y, Z and E0: PF0 PF1, PF6 PF7, PL3 PL1, PA4 PA6
+STEP_PINS = ((40, 41), (46, 47), (83, 81), (4, 6))
+
+
+class Mega(Firmware):
+    """The Mega, powered on; `clock()` and `since()` go between the board's clock and the chip's own counter."""
+
+    def __init__(self, boot_clock: int = 1000, **options: Any) -> None:
+        super().__init__("atmega2560", boot_clock=boot_clock, **options)
+
+    def run(self, seconds: float) -> None:
+        self.run_to(self.now + round(seconds * MEGA_HZ))
+        self._blocks()
+        assert not self.fault(), self.fault()
+
+    @property
+    def zero(self) -> int:
+        """The board's clock when the chip's counter was 0 last (mod 2^32)."""
+        return self.chip.peek("timer5.zero")
+
+    def clock_in(self, seconds: float) -> int:
+        """A clock to name in a command: so far ahead."""
+        return (self.now - self.zero + round(seconds * MEGA_HZ)) & 0xFFFFFFFF
+
+    def chip_clock(self, board_clock: int) -> int:
+        return (board_clock - self.zero) & 0xFFFFFFFF
+
+    def interrupt_cycles(self) -> int:
+        return self.chip.peek("ticks.interrupt")
+
+    def busy_cycles(self) -> int:
+        return self.chip.peek("ticks.busy")
+
+
+def stepping(count: int, invert_step: int = BOTH_EDGES, pulse_ticks: int = 0) -> Mega:
+    """A Mega with so many steppers."""
+    mega = Mega()
+    steppers = [
+        ("config_stepper", {"oid": oid, "step_pin": step, "dir_pin": direction, "invert_step": invert_step,
+                            "step_pulse_ticks": pulse_ticks})
+        for oid, (step, direction) in enumerate(STEP_PINS[:count])
+    ]  # fmt: skip
+    mega.configure(count, *steppers)
+    return mega
+
+
+def run_steps(mega: Mega, steppers: int, interval: int, count: int, lead_s: float = 0.1) -> int:
+    """All steppers alike from the same clock on, to their end; returns that clock."""
+    clock = mega.clock_in(lead_s)
+    for oid in range(steppers):
+        mega.send("reset_step_clock", oid=oid, clock=clock)
+        mega.send("queue_step", oid=oid, interval=interval, count=count, add=0)
+    mega.run(lead_s + (interval * (count + 1) + 20000) / MEGA_HZ)
+    return clock
+
+
+@dataclass(frozen=True)
+class StepCost:
+    """`cycles` of one step in the timer interrupt; `rate_hz` the saturated rate of all steppers together."""
+
+    cycles: float
+    rate_hz: float
+
+
+def step_cost(steppers: int) -> StepCost:
+    """Steps on both edges, all motors at the same clocks. Cycles from the difference of two counts: the rest cancels."""
+    interval = 4000
+    spent = []
+    for count in (200, 1200):
+        mega = stepping(steppers)
+        before = mega.interrupt_cycles()
+        run_steps(mega, steppers, interval, count)
+        # what comes with time (overflows, house-keeping) is in both, except for the longer run's excess
+        idle = stepping(steppers)
+        idle_before = idle.interrupt_cycles()
+        idle.run_to(mega.now - (mega.zero - idle.zero))
+        spent.append((mega.interrupt_cycles() - before) - (idle.interrupt_cycles() - idle_before))
+    cycles = (spent[1] - spent[0]) / (1000 * steppers)
+    return StepCost(cycles, _saturated_rate(steppers))
+
+
+def _saturated_rate(steppers: int, count: int = 400) -> float:
+    """Steps asked for much faster than they can be made come as fast as they can."""
+    mega = stepping(steppers)
+    run_steps(mega, steppers, 20, count, 0.1)
+    mega.run(0.3)
+    edges = [clock for clock, _ in mega.edges(STEP_PINS[0][0])][-count:]
+    return steppers * (count - 1) * MEGA_HZ / (edges[-1] - edges[0])
+
+
+def command_cost(blocks: int = 60, commands: int = 40) -> float:
+    """Cycles of one command with no work of its own, forty to a block: receiving, checking, acknowledging included."""
+    mega = Mega()
+    content = mega.encode("debug_nop") * commands
+    before, start = mega.busy_cycles(), mega.now
+    for _ in range(blocks):
+        mega.send_content(content)
+    spent, elapsed = mega.busy_cycles() - before, mega.now - start
+    before, start = mega.busy_cycles(), mega.now
+    mega.run(elapsed / MEGA_HZ)
+    return (spent - (mega.busy_cycles() - before)) / (blocks * commands)
+
+
+def block(mega: Mega, content: bytes) -> bytes:
+    """The next block in turn, not sent."""
+    return make_block(mega.sequence, content)

@@ -1,0 +1,80 @@
+"""One story on every build: the same host, the same plant, the same results (scenario.py tells what happens).
+
+Another build joins by a line in CASES: the machine's config with that chip's pins, its name, what heats.
+"""
+
+from __future__ import annotations
+
+import pytest
+from scenario import Case, Story, play
+
+# A chip takes time to compute, the simulator port does not: orders of the host reach the pins alike (they are
+# stamped), but the moment a switch is seen, and when the host hears of it, differ by some tens of microseconds.
+CASES = {
+    "stm32f334": (Case("simulator", "sim-f334.cfg", 250.0), Case("stm32f334", "sim-f334.cfg", 250.0)),
+}
+HOMING_STEPS = 2  # a switch seen 25 us later: one step at 40 mm/s, both ways
+TIME_S = 0.3  # the file's end: M109 looks at the heater a few times a second
+
+
+@pytest.fixture(scope="module", params=CASES)
+def told(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> tuple[Story, Story]:
+    """The story as the simulator port tells it, and as the chip's image does."""
+    reference, chip = (play(case, tmp_path_factory.mktemp(case.build)) for case in CASES[request.param])
+    return reference, chip
+
+
+def test_the_print_ends_and_the_fault_stops_the_printer(told: tuple[Story, Story]) -> None:
+    for story in told:
+        assert story.outcome.status == 3, story.outcome.reason
+        assert story.end_of_print_s > 0.0
+        assert story.shutdown_s < story.fault_s + 5.0
+
+
+def test_both_give_the_same_reason(told: tuple[Story, Story]) -> None:
+    reference, chip = told
+    assert reference.outcome.reason == chip.outcome.reason
+
+
+def test_both_make_the_same_steps(told: tuple[Story, Story]) -> None:
+    reference, chip = told
+    assert chip.crashed == reference.crashed == 0
+    for axis, (forward, backward) in reference.steps.items():
+        assert chip.steps[axis][0] == pytest.approx(forward, abs=HOMING_STEPS)
+        assert chip.steps[axis][1] == pytest.approx(backward, abs=HOMING_STEPS)
+        # at the end they stand at the same place: to the step
+        assert chip.positions_mm[axis] == pytest.approx(reference.positions_mm[axis], abs=0.0126)
+
+
+def test_both_extrude_the_same(told: tuple[Story, Story]) -> None:
+    reference, chip = told
+    assert chip.extruded_mm3 == pytest.approx(reference.extruded_mm3, rel=1e-3) and chip.extruded_mm3 > 10.0
+
+
+def test_both_take_the_same_time(told: tuple[Story, Story]) -> None:
+    reference, chip = told
+    assert chip.end_of_print_s == pytest.approx(reference.end_of_print_s, abs=TIME_S)
+
+
+def test_both_reach_and_hold_the_temperature(told: tuple[Story, Story]) -> None:
+    """25 to 250 °C in closed loop and within 3 °C, all the time after settling and while printing."""
+    for story in told:
+        heater = story.outcome.summary["heater"]
+        assert heater["targets"][0]["reach_s"] < 5.0
+        assert heater["settled_max_error_c"] < 3.0
+        assert all(abs(c - 250.0) < 3.0 for c in story.held_c)
+    times = [story.outcome.summary["heater"]["time_to_heat_s"] for story in told]
+    assert times[0] == pytest.approx(times[1], abs=0.2)
+
+
+def test_no_heat_after_the_shutdown(told: tuple[Story, Story]) -> None:
+    for story in told:
+        assert story.energy_after_j < 5.0  # what flowed until the guard saw it: tens of milliseconds at 81 W
+
+
+def test_the_chip_lost_nothing_on_the_way(told: tuple[Story, Story]) -> None:
+    counters = told[1].counters
+    assert counters["console_overruns"] == counters["samples_lost"] == counters["resets"] == 0
+    assert counters["console_baud"] == 250000
+    used = counters["stack_top"] - counters["stack_low"]
+    assert used < 0.75 * (counters["stack_top"] - counters["stack_limit"])

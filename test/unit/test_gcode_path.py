@@ -1,0 +1,168 @@
+"""Sliced files as timed path without a printer, cut into pieces for the temperature plan, and back into a file."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "klippy"))
+
+from pathpieces import PathPieces
+from simulation.gcode_path import GcodePath, Limits
+
+ROOT = Path(__file__).resolve().parents[2]
+AREA = math.pi / 4 * 1.75**2
+LINES = """
+M140 S90
+M104 S240
+G90
+M83
+;LAYER_CHANGE
+;HEIGHT:0.3
+G1 Z0.3 F600
+;TYPE:External perimeter
+G1 X20 Y0 F6000
+G1 X60 Y0 E2.0 F3000
+G1 X60 Y40 E2.0
+EXCLUDE_OBJECT_START NAME=box
+M104.1 S230
+G1 X20 Y40 E2.0
+EXCLUDE_OBJECT_END NAME=box
+G4 P500
+M104 S0
+G1 X20 Y0 E2.0
+"""
+
+
+def moves_of(text: str, tmp_path: Path):  # type: ignore[no-untyped-def]
+    path = tmp_path / "part.gcode"
+    path.write_text(text)
+    reader = GcodePath(Limits(200.0, 1000.0))
+    return reader, [move for batch in reader.moves(path) for move in batch]
+
+
+def test_moves_follow_each_other_in_time_and_know_their_line(tmp_path: Path) -> None:
+    reader, moves = moves_of(LINES, tmp_path)
+    assert reader.bed_c == 90.0
+    lines = LINES.split("\n")
+    assert all(lines[m.line].startswith("G1") for m in moves)
+    ends = [m.move.print_time + m.move.accel_t + m.move.cruise_t + m.move.decel_t for m in moves]
+    gaps = [b.move.print_time - end for end, b in zip(ends, moves[1:], strict=False)]
+    assert gaps == pytest.approx([0.0, 0.0, 0.0, 0.0, 0.5], abs=1e-9)  # only the dwell
+    extruding = [m for m in moves if m.move.axes_d[3] > 0.0]
+    # 40 mm at 50 mm/s and 1000 mm/s2: at least 0.8 s and what the corner costs
+    assert all(0.8 <= m.move.accel_t + m.move.cruise_t + m.move.decel_t < 0.95 for m in extruding)
+    assert [m.nozzle_c for m in extruding] == [240.0] * 4  # S0 is the end of a print, not a wish
+    assert [m.wishes.feature for m in extruding] == ["external perimeter"] * 4
+    assert [m.wishes.object_name for m in extruding] == ["", "", "BOX", ""]
+    assert [m.wishes.explicit_c for m in extruding[2:]] == [230.0, 230.0]
+
+
+def test_relative_and_absolute_coordinates_give_the_same_path(tmp_path: Path) -> None:
+    absolute = "G90\nM82\nG92 E5\nG1 X10 Y10 F3000\nG1 X20 Y10 E6\nG92 E0\nG1 X20 Y20 E1\n"
+    relative = "G91\nM83\nG1 X10 Y10 F3000\nG1 X10 E1\nG1 Y10 E1\n"
+    ways = []
+    for text in (absolute, relative):
+        _, moves = moves_of(text, tmp_path)
+        ways.append([(m.move.end_pos[:3], round(m.move.axes_d[3], 9)) for m in moves])
+    assert ways[0] == ways[1]
+
+
+def test_pieces_hold_all_the_filament_and_all_the_time(tmp_path: Path) -> None:
+    _, moves = moves_of(LINES, tmp_path)
+    maker = PathPieces(AREA, longest_mm=10.0)
+    pieces = list(maker.pieces([m.move for m in moves], lambda t, layer, z: (math.nan, 240.0, math.nan)))
+    laid = [p for p in pieces if p.flow_mm3_s > 0.0]
+    assert sum(p.flow_mm3_s * (p.end_s - p.start_s) for p in laid) == pytest.approx(8.0 * AREA)
+    assert max(math.dist(p.start_mm, p.end_mm) for p in laid) <= 10.0 + 1e-9
+    for a, b in itertools.pairwise(pieces):
+        assert b.start_s - a.end_s == pytest.approx(0.0, abs=1e-9) or b.start_s - a.end_s == pytest.approx(
+            0.5
+        )
+    slow, fast = min(p.flow_mm3_s for p in laid), max(p.flow_mm3_s for p in laid)
+    assert fast == pytest.approx(2.0 * AREA / 40.0 * 50.0) and slow < fast  # cruise, and where it speeds up
+    assert all(p.height_mm == pytest.approx(0.3) for p in laid)
+
+
+def test_layers_are_seen_where_material_is_laid() -> None:
+    layers = PathPieces(AREA).layers
+    heights = [layers.note(z) for z in (0.3, 0.3, 0.5, 0.7, 0.9, 0.2, 0.4)]
+    assert heights == pytest.approx([0.3, 0.3, 0.2, 0.2, 0.2, 0.2, 0.2])
+    assert layers.number == 2  # down again: another object began
+    assert layers.note(0.6, 0.15) == 0.15  # the slicer knows better
+
+
+CONFIG = """
+[printer]
+kinematics: cartesian
+max_velocity: 200
+max_accel: 3000
+[extruder]
+max_temp: 300
+[temperature_plan]
+material: ABS
+features:
+  external perimeter: 235
+"""
+
+
+def tool(
+    tmp_path: Path, *options: str, config: str = CONFIG, gcode: str = LINES
+) -> subprocess.CompletedProcess[str]:
+    (tmp_path / "printer.cfg").write_text(config)
+    (tmp_path / "part.gcode").write_text(gcode)
+    command = [ROOT / "scripts" / "plan_temperature.py", tmp_path / "part.gcode", *options]
+    if "--config" not in options:
+        command += ["--config", tmp_path / "printer.cfg"]
+    return subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True, check=False)
+
+
+def test_the_tool_writes_a_page_figures_and_a_file_with_commands(tmp_path: Path) -> None:
+    page, figures, planned = tmp_path / "plan.html", tmp_path / "plan.json", tmp_path / "planned.gcode"
+    done = tool(
+        tmp_path,
+        "--report",
+        str(page),
+        "--json",
+        str(figures),
+        "--emit",
+        str(planned),
+        "--heater",
+        "induction",
+    )
+    assert done.returncode == 0, done.stderr
+    assert "welded" in done.stdout
+    found = json.loads(figures.read_text())
+    assert found["moves"] == 4 and found["length_mm"] == pytest.approx(160.0)
+    text = page.read_text()
+    assert "@" + "DATA@" not in text and '"ways"' in text and "http" not in text
+    emitted = planned.read_text().split("\n")
+    plain = [line for line in emitted if not line.endswith(";planned")]
+    assert plain == LINES.split("\n")  # nothing else is changed
+    targets = [int(line.split()[1][1:]) for line in emitted if line.endswith(";planned")]
+    assert targets and all(170 <= t <= 300 for t in targets)
+
+
+@pytest.mark.parametrize(
+    ("options", "config", "gcode", "words"),
+    [
+        (["--set", "material=WOOD"], CONFIG, LINES, "material"),
+        (["--set", "material"], CONFIG, LINES, "OPTION=VALUE"),
+        ([], CONFIG.replace("235", "warm"), LINES, "'warm' is not a number"),
+        ([], CONFIG, "G28\nM104 S200\n", "no line of it extrudes"),
+        (["--config", "/nonexistent.cfg"], CONFIG, LINES, "/nonexistent.cfg"),
+        ([], CONFIG.replace("max_accel: 3000", "max_accel: -1"), LINES, "max_accel"),
+    ],
+)
+def test_wrong_input_is_told_in_a_line(
+    tmp_path: Path, options: list[str], config: str, gcode: str, words: str
+) -> None:
+    done = tool(tmp_path, *options, config=config, gcode=gcode)
+    assert done.returncode == 2
+    assert words in done.stderr and "Traceback" not in done.stderr
