@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-api bench-thermometer bench-motion fuzz clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-api bench-thermometer bench-motion bench-firmware fuzz clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -22,6 +22,7 @@ help:
 	@echo "make bench-thermometer  accuracy and latency of the estimate, beside the published chain"
 	@echo "make bench-motion       moves a second in batch mode (PEER=\"CMD\": a peer beside it; QUICK=1)"
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
+	@echo "make bench-firmware     cost of samples, steps, commands on the STM32F334 image (QUICK=1)"
 	@echo "make fuzz    fuzz the firmware's message parser (FUZZ_SECONDS=600)"
 	@echo "make sim     build the simulated MCU and the world it lives in"
 	@echo "make menuconfig     choose a chip and its options; then make, make flash, make size"
@@ -70,6 +71,9 @@ bench-api: setup sim chelper
 
 bench-motion: setup chelper
 	@$(PYTHON) scripts/bench_motion.py $(if $(QUICK),--quick) $(if $(PEER),--peer "$(PEER)")
+
+bench-firmware: setup-test sim chelper
+	@$(PYTHON) scripts/bench_firmware.py --json $(OUT)/bench/firmware.json $(if $(QUICK),--quick)
 
 # --- test ----------------------------------------------------------------------------------------
 # Both are run to their end whatever the other finds; the tests' closing line comes last.

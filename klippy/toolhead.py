@@ -350,9 +350,10 @@ class ToolHead:
 
     def wait_moves(self) -> None:
         """Return when all that is queued has been done."""
-        self._settle()
-        if not self.can_pause:
+        if not self.can_pause:  # nobody to wait for: what comes next follows at once
+            self._flush_lookahead()
             return
+        self._settle()
         eventtime = self.reactor.monotonic()
         while not self.printer.is_shutdown() and self.print_time >= self.mcu.estimated_print_time(eventtime):
             eventtime = self.reactor.pause(eventtime + WAIT_POLL_S)
@@ -535,13 +536,13 @@ class ToolHead:
         self.wait_moves()
 
     def cmd_M204(self, gcmd: Any) -> None:
-        """M204 S<accel>, or P<print> T<travel>: the lower of both."""
+        """M204 S<accel>, or P<print> T<travel>: the lower of both. Slicers send P or T alone, too, for a kind of
+        move that is not told apart here: that changes nothing."""
         accel = gcmd.get_float("S", None, above=0.0)
         if accel is None:
             printing = gcmd.get_float("P", None, above=0.0)
             travel = gcmd.get_float("T", None, above=0.0)
             if printing is None or travel is None:
-                gcmd.respond_info(f'Invalid M204 command "{gcmd.get_commandline()}"')
                 return
             accel = min(printing, travel)
         self.max_accel = accel

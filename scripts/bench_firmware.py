@@ -23,8 +23,8 @@ ROOT = Path(__file__).resolve().parent.parent
 for folder in ("klippy", "test", "test/firmware"):
     sys.path.insert(0, str(ROOT / folder))
 
-import measure  # noqa: E402
-from chip_rig import FREQ, Firmware  # noqa: E402
+import measure  # type: ignore[import-not-found]  # noqa: E402
+from chip_rig import FREQ, Firmware  # type: ignore[import-not-found]  # noqa: E402
 
 SAMPLES_IRQ, TIMER_IRQ = 16 + 11, 16 + 28
 KLIPPER_STEPS_K = {1: 1180, 3: 818}  # thousand steps a second, one and three steppers (all three together)

@@ -242,26 +242,44 @@ int tempplan_add(struct tempplan *tp, struct tempplan_piece *pieces, int count)
 
 /* -- plan: thermal/plan.py in the same order of sums -- */
 
-/* Walls as they are gone after: wanted ones averaged by volume over smooth_s to both sides of each piece. */
-static void smooth_walls(struct tempplan *tp, int first)
+static int same_wish(const struct tempplan_piece *a, const struct tempplan_piece *b)
 {
-    double sum = 0.0, volume = 0.0, half_s = tp->p.preview != 0.0 ? tp->p.smooth_s : 0.0;
+    return a->wish_c == b->wish_c || (isnan(a->wish_c) && isnan(b->wish_c));
+}
+
+/* One stretch of path with the same wish: its walls averaged by volume over smooth_s to both sides of each piece. */
+static void smooth_stretch(struct tempplan *tp, int first, int end, double half_s)
+{
+    double sum = 0.0, volume = 0.0;
     int low = first, high = first;
-    for (int i = first; i < tp->count; i++) {
+    for (int i = first; i < end; i++) {
         const struct tempplan_piece *q = &tp->pieces[i];
-        double from_s = q->start_s - half_s, until_s = q->end_s + half_s;
-        for (; half_s > 0.0 && high < tp->count && tp->pieces[high].start_s < until_s; high++) {
+        for (; high < end && tp->pieces[high].start_s < q->end_s + half_s; high++) {
             double mm3 = tp->pieces[high].flow_mm3_s * (tp->pieces[high].end_s - tp->pieces[high].start_s);
             volume += mm3;
             sum += mm3 * tp->pieces[high].wall_c;
         }
-        for (; low < high && tp->pieces[low].end_s <= from_s; low++) {
+        for (; low < high && tp->pieces[low].end_s <= q->start_s - half_s; low++) {
             double mm3 = tp->pieces[low].flow_mm3_s * (tp->pieces[low].end_s - tp->pieces[low].start_s);
             volume -= mm3;
             sum -= mm3 * tp->pieces[low].wall_c;
         }
         double wall_c = volume > 1e-6 ? sum / volume : q->wall_c;
         tp->walls_c[i] = fmin(tp->p.ceiling_c, fmax(tp->p.floor_c, wall_c));
+    }
+}
+
+/* Walls as they are gone after. What is asked for by name stays a step: only within a wish is averaged. */
+static void smooth_walls(struct tempplan *tp, int first)
+{
+    int smooth = tp->p.smooth_s > 0.0 && tp->p.preview != 0.0;
+    for (int i = first, end; i < tp->count; i = end) {
+        for (end = i + 1; smooth && end < tp->count && same_wish(&tp->pieces[i], &tp->pieces[end]); end++)
+            ;
+        if (smooth)
+            smooth_stretch(tp, i, end, tp->p.smooth_s);
+        else
+            tp->walls_c[i] = tp->pieces[i].wall_c;
     }
 }
 

@@ -39,7 +39,9 @@ class StepperPosition:
 
     def note_home_end(self, trigger_time: float) -> None:
         self.halt_pos = self.stepper.get_mcu_position()
-        self.trig_pos = self.stepper.get_past_mcu_position(trigger_time)
+        self.trig_pos = self.halt_pos
+        if not self.stepper.get_mcu().is_fileoutput():  # there the trigger is the end of the move
+            self.trig_pos = self.stepper.get_past_mcu_position(trigger_time)
 
     def moved(self, steps: int) -> float:
         """mm (rad) from the start to a position in steps."""

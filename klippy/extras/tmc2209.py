@@ -71,6 +71,15 @@ STEP_PULSE_S = 0.000000100
 PHASES_PER_CYCLE = 1024  # of MSCNT
 # With several drivers on a wire the answers must not come at once (datasheet 5.1, SLAVECONF).
 SEND_DELAY = 2
+# While the motor is on, the driver is asked for faults this often.
+CHECK_PERIOD_S = 1.0
+FAULTS = {
+    "ot": "it is too hot and has switched off",
+    "s2ga": "short of coil A to ground",
+    "s2gb": "short of coil B to ground",
+    "s2vsa": "short of coil A to the supply",
+    "s2vsb": "short of coil B to the supply",
+}
 
 
 class TMC2209:
@@ -94,8 +103,11 @@ class TMC2209:
         self._phase_offset: int | None = None
         self._saved: dict[str, int] = {}
         self._endstop: Any = None
+        self._is_hot = False
+        self._reactor = self.printer.get_reactor()
+        self._check_timer = self._reactor.register_timer(self._check_faults)
         self._diag_pin = config.get("diag_pin", None)
-        self._chip_name = "tmc2209_" + self.stepper_name.replace(" ", "_")
+        self._chip_name = f"tmc2209_{self.name}"
         if self._diag_pin is not None:
             self.printer.lookup_object("pins").register_chip(self._chip_name, self)
 
@@ -154,6 +166,9 @@ class TMC2209:
         self._set_currents(self.run_current, self.hold_current)
         self._set_thresholds()
         self._write_all()
+        if not self.link.wire.mcu.is_fileoutput():
+            enable = self.printer.lookup_object("stepper_enable").lookup_enable(self.stepper_name)
+            enable.register_state_callback(self._handle_enable)
 
     def _threshold(self, speed: float) -> int:
         return speed_threshold(speed, self.stepper.get_step_dist(), self.microsteps)
@@ -182,7 +197,35 @@ class TMC2209:
     def _write_all(self) -> None:
         for register in WRITTEN:
             self._write(register)
+        self.link.write(REGISTERS["GSTAT"], 7)  # writing ones clears what was before: above all `reset`
         self._learn_phase()
+
+    # -- faults --
+
+    def _handle_enable(self, print_time: float, is_enabled: bool) -> None:
+        wake = self._reactor.monotonic() + CHECK_PERIOD_S if is_enabled else self._reactor.NEVER
+        # called while steps are worked out: the timer itself asks the driver
+        self._reactor.update_timer(self._check_timer, wake)
+
+    def _check_faults(self, eventtime: float) -> float:
+        """Timer: stop the printer if the driver has lost its settings or switched off."""
+        try:
+            status = self._read("DRV_STATUS")
+            if FIELDS["reset"].extract(self._read("GSTAT")):
+                raise self.printer.command_error(
+                    f"The driver of '{self.stepper_name}' has lost its settings: it was without power for a moment"
+                )
+            for name, text in FAULTS.items():
+                if FIELDS[name].extract(status):
+                    raise self.printer.command_error(f"The driver of '{self.stepper_name}' reports: {text}")
+        except self.printer.command_error as e:
+            self.printer.invoke_shutdown(str(e))
+            return self._reactor.NEVER
+        hot = bool(FIELDS["otpw"].extract(status))
+        if hot and not self._is_hot:
+            logging.warning("The driver of '%s' is close to switching off for heat", self.stepper_name)
+        self._is_hot = hot
+        return self._reactor.monotonic() + CHECK_PERIOD_S
 
     # -- the motor's phase --
 

@@ -32,6 +32,7 @@ from .timeline import NOT_COMMANDED, TIME_SLACK_S, Timeline, Timing
 __all__ = ["NOT_COMMANDED", "Approach", "Control", "InductionLoop", "LoopParameters", "LoopState", "Timing"]
 
 BALANCE_S = 0.1
+PROMPT_S = 0.005  # to the MCU, when it matters more that a command comes soon than that it comes in time
 STEP_FRACTION = 0.1  # of p = (phase/45000)^2: a step of the drive that may move the reading
 USUAL_S = 0.1  # memory of the usual p
 DOUBT_C = 40.0  # 1 sigma of the law's error per unit of p away from it; C1 +0.1 % makes it 17 to 29 degC
@@ -411,7 +412,9 @@ class InductionLoop:
         state, timing = self.state, self.parameters.timing
         apart_s = min(apart_s, timing.control_s)
         if self.parameters.control.models:
-            return state.line.slot(timing, now_s, apart_s - TIME_SLACK_S)
+            # A new target need not wait for a late host: late, it holds from its arrival on.
+            lead_s = timing.lead_s if apart_s > 0.0 else min(timing.lead_s, PROMPT_S)
+            return state.line.slot(timing, now_s, apart_s - TIME_SLACK_S, lead_s)
         at_s = state.line.edge(timing, now_s + timing.lead_s)
         taken_s = state.line.newest.time_s + max(TIME_SLACK_S, apart_s - TIME_SLACK_S)
         return at_s if at_s > taken_s else None

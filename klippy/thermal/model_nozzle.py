@@ -12,14 +12,14 @@ from .nozzle_melt import MeltExchange
 from .plausible import TwoNodeLoss
 from .timeline import Timing
 
-FADE_S = 0.030  # four control intervals: noise of the estimate is not chased
+FADE_S = 0.045  # five control intervals: noise of the estimate is not chased
 FAN_W_K = 5e-3
 FLOW_LAG_S = 0.020  # compliance between motor and nozzle
 # Plan this far ahead: a host late by 50 ms has already said what to do.
 AHEAD_S = 0.060
-# Random walk of heat nobody told of, W within a second. Measured on the reference nozzle: 0.7, 1.5, 2 W give 0.11,
-# 0.14, 0.17 degC of ripple peak to peak and 0.55, 0.52, 0.48 degC at an unplanned flow of 25 mm3/s.
-DISTURBANCE_W = 2.0
+# Random walk of heat nobody told of, W within a second. Measured on the reference nozzle: 0.7, 1.5, 2 W give 0.07,
+# 0.08, 0.10 degC of ripple peak to peak and 0.9, 0.7, 0.6 degC at an unplanned flow of 25 mm3/s.
+DISTURBANCE_W = 1.5
 DISTURBANCE_MAX_W = 20.0  # melt at any flow, a draught, losses wrong by half: 15 W
 
 

@@ -91,8 +91,8 @@ class Timeline:
         blocks = math.ceil((earliest_s - edge_s) / timing.block_s - 1e-6)
         return edge_s + max(0, blocks) * timing.block_s
 
-    def slot(self, timing: Timing, now_s: float, apart_s: float) -> float:
+    def slot(self, timing: Timing, now_s: float, apart_s: float, lead_s: float) -> float:
         """Where a command sent now may begin: lead time ahead and `apart_s` after the last that stays."""
-        earliest_s = now_s + timing.lead_s
+        earliest_s = now_s + lead_s
         settled = self.last_before(earliest_s)
         return self.edge(timing, max(earliest_s, settled.time_s + apart_s))

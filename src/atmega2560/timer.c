@@ -15,7 +15,7 @@
 #include "sched.h"
 
 enum {
-    HORIZON = 0x8000,
+    HORIZON = 0xff00, /* less than a round, which is when the overflow looks again */
     /* Closer than this the compare register may be passed while it is being written; Origin: the code between reading the
      * clock and the end of the write is some 40 cycles. */
     TOO_CLOSE = 96,

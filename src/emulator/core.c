@@ -304,7 +304,9 @@ static void on_block(uc_engine *uc, uint64_t address, uint32_t size, void *user)
 static void on_interrupt(uc_engine *uc, uint32_t number, void *user)
 {
     (void)user;
-    if (number != 8) /* 8: EXC_RETURN taken by unicorn itself */
+    /* A jump to EXC_RETURN shows as one of these: unicorn knows whether it is in a handler only after it has looked again. */
+    enum { PREFETCH_ABORT = 3, EXCEPTION_EXIT = 8 };
+    if ((number != PREFETCH_ABORT && number != EXCEPTION_EXIT) || read_register(UC_ARM_REG_PC) < RETURN_LOWEST)
         fault("the processor faulted (unicorn exception %u: undefined instruction, SVC or breakpoint)", number);
     uc_emu_stop(uc);
 }

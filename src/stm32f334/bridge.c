@@ -122,7 +122,7 @@ objection_inside(void)
         HRTIM_TIM_CMP1(LEG_A) != bridge.period_steps / 2 || HRTIM_TIM_CMP4(LEG_A) != SAMPLE_STEPS ||
         HRTIM_ADC1R != HRTIM_ADC1R_AD1TAC4 || HRTIM_FLTINR1 != fault_input_word)
         return SHUTDOWN_BRIDGE_REGISTERS;
-    if (HRTIM_ISR & FAULTS)
+    if (HRTIM_ISR & FAULTS || pin_level(PIN_FAULT) == CONFIG_FAULT_ACTIVE_HIGH)
         return SHUTDOWN_BRIDGE_FAULT_AT_START;
     return SHUTDOWN_NONE;
 }

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from chip_rig import Firmware
-from mcu_harness import make_block
 
 MEGA_HZ = 16_000_000
 BOTH_EDGES = 0xFF
@@ -27,6 +26,12 @@ class Mega(Firmware):
         self.run_to(self.now + round(seconds * MEGA_HZ))
         self._blocks()
         assert not self.fault(), self.fault()
+
+    def boot_again(self, settle_s: float = 0.05) -> None:
+        """The reset the firmware asked for takes place."""
+        self.sequence = 0
+        self.lib.sim_mcu_boot(self.board, self.now)
+        self.run(settle_s)
 
     @property
     def zero(self) -> int:
@@ -114,8 +119,3 @@ def command_cost(blocks: int = 60, commands: int = 40) -> float:
     before, start = mega.busy_cycles(), mega.now
     mega.run(elapsed / MEGA_HZ)
     return (spent - (mega.busy_cycles() - before)) / (blocks * commands)
-
-
-def block(mega: Mega, content: bytes) -> bytes:
-    """The next block in turn, not sent."""
-    return make_block(mega.sequence, content)

@@ -6,6 +6,7 @@ MCU. A case names the machine's config, the build, how hot, and what breaks at t
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -24,13 +25,27 @@ class Case:
     config: str
     target_c: float
     heater: str = "nozzle"
-    broken: tuple[str, float] = ("fault", 1.0)  # no nozzle in the coil
+    broken: tuple[str, float] = ("fault", 1.0)  # no nozzle in the coil; a load's thermistor open
+
+    def overrides(self) -> tuple[tuple[str, str, str], ...]:
+        """The simulator port has ports A to H: a chip's J, K and L lie on pins of G and H there."""
+        if self.build != "simulator":
+            return ()
+        found, section = [], ""
+        for line in (ROOT / "config" / self.config).read_text().splitlines():
+            section = line.strip("[]") if line.startswith("[") else section
+            match = re.match(r"(\w*pin): ([!^]*)P([JKL])(\d)$", line)
+            if match:
+                port, first = {"J": ("G", 0), "K": ("G", 8), "L": ("H", 0)}[match[3]]
+                found.append((section, match[1], f"{match[2]}P{port}{first + int(match[4])}"))
+        return tuple(found)
 
 
 @dataclass
 class Story:
     """What happened."""
 
+    case: Case
     outcome: Outcome
     steps: dict[str, tuple[int, int]] = field(default_factory=dict)  # axis → steps forward, backward
     positions_mm: dict[str, float] = field(default_factory=dict)
@@ -42,7 +57,6 @@ class Story:
     shutdown_s: float = 0.0
     energy_after_j: float = 0.0  # put into the heater after the shutdown
     counters: dict[str, Any] = field(default_factory=dict)  # of an emulated chip
-    phase_error_max: int = 0  # |phase in force - phase in the timer's compare registers|
 
 
 def part(target_c: float) -> str:
@@ -67,11 +81,12 @@ class Play(Simulation):
     def __init__(self, case: Case, folder: Path, seed: int, trace: Path | None) -> None:
         gcode = folder / "part.gcode"
         gcode.write_text(part(case.target_c))
+        config = ROOT / "config" / case.config
         super().__init__(
-            RunOptions(ROOT / "config" / case.config, gcode, seed, trace=trace, builds={"mcu": case.build})
+            RunOptions(config, gcode, seed, case.overrides(), trace=trace, builds={"mcu": case.build})
         )
         self.case = case
-        self.story = Story(Outcome(1, "", {}))
+        self.story = Story(case, Outcome(1, "", {}))
 
     def _temperature_c(self) -> float:
         lib, pointer = self.world.lib, self.world.pointer

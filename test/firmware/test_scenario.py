@@ -11,8 +11,13 @@ from scenario import Case, Story, play
 # A chip takes time to compute, the simulator port does not: orders of the host reach the pins alike (they are
 # stamped), but the moment a switch is seen, and when the host hears of it, differ by some tens of microseconds.
 CASES = {
-    "stm32f334": (Case("simulator", "sim-f334.cfg", 250.0), Case("stm32f334", "sim-f334.cfg", 250.0)),
+    "stm32f334": tuple(Case(build, "sim-f334.cfg", 250.0) for build in ("simulator", "stm32f334")),
+    "atmega2560": tuple(
+        Case(build, "sim-mega.cfg", 200.0, heater="load") for build in ("simulator", "atmega2560")
+    ),
 }
+HEAT_WITHIN_S = {"nozzle": 5.0, "load": 120.0}  # induction, a 40 W cartridge
+SHUTDOWN_WITHIN_S = 5.0
 HOMING_STEPS = 2  # a switch seen 25 us later: one step at 40 mm/s, both ways
 TIME_S = 0.3  # the file's end: M109 looks at the heater a few times a second
 
@@ -28,7 +33,7 @@ def test_the_print_ends_and_the_fault_stops_the_printer(told: tuple[Story, Story
     for story in told:
         assert story.outcome.status == 3, story.outcome.reason
         assert story.end_of_print_s > 0.0
-        assert story.shutdown_s < story.fault_s + 5.0
+        assert story.shutdown_s < story.fault_s + SHUTDOWN_WITHIN_S
 
 
 def test_both_give_the_same_reason(told: tuple[Story, Story]) -> None:
@@ -57,24 +62,30 @@ def test_both_take_the_same_time(told: tuple[Story, Story]) -> None:
 
 
 def test_both_reach_and_hold_the_temperature(told: tuple[Story, Story]) -> None:
-    """25 to 250 °C in closed loop and within 3 °C, all the time after settling and while printing."""
+    """25 to 250 °C in closed loop (200 on the Mega), within 3 °C from settling on, in the print and after it."""
     for story in told:
-        heater = story.outcome.summary["heater"]
-        assert heater["targets"][0]["reach_s"] < 5.0
+        heater, target_c = story.outcome.summary["heater"], story.case.target_c
+        assert heater["targets"][0]["target_c"] == target_c
+        assert heater["targets"][0]["reach_s"] < HEAT_WITHIN_S[story.case.heater]
         assert heater["settled_max_error_c"] < 3.0
-        assert all(abs(c - 250.0) < 3.0 for c in story.held_c)
+        assert len(story.held_c) > 5 and all(abs(c - target_c) < 3.0 for c in story.held_c)
     times = [story.outcome.summary["heater"]["time_to_heat_s"] for story in told]
-    assert times[0] == pytest.approx(times[1], abs=0.2)
+    assert times[0] == pytest.approx(times[1], rel=0.01, abs=0.1)
 
 
 def test_no_heat_after_the_shutdown(told: tuple[Story, Story]) -> None:
+    """Counted from the last look before it, a quarter of a second earlier."""
     for story in told:
-        assert story.energy_after_j < 5.0  # what flowed until the guard saw it: tens of milliseconds at 81 W
+        assert story.energy_after_j < 0.3 * 81.3
 
 
 def test_the_chip_lost_nothing_on_the_way(told: tuple[Story, Story]) -> None:
     counters = told[1].counters
     assert counters["console_overruns"] == counters["samples_lost"] == counters["resets"] == 0
-    assert counters["console_baud"] == 250000
+    assert counters["console_baud"] == pytest.approx(250000, rel=0.02)
+
+
+def test_the_stack_keeps_a_quarter_free(told: tuple[Story, Story]) -> None:
+    counters = told[1].counters
     used = counters["stack_top"] - counters["stack_low"]
-    assert used < 0.75 * (counters["stack_top"] - counters["stack_limit"])
+    assert 0 < used < 0.75 * (counters["stack_top"] - counters["stack_limit"])

@@ -71,7 +71,8 @@ class Result:
     settle_s: float  # 25 -> 250, last time outside +-3 degC
     optimal_s: float
     overshoot_c: float
-    ripple_c: float  # peak to peak over the last second of the hold
+    hold_c: float  # worst error over the last second of the hold
+    ripple_c: float  # peak to peak over that second
     flow_deviation_c: float
     flow_steady_c: float  # |mean error| over the last 0.3 s with flow
     step_s: float  # +25 degC, last time outside +-3 degC
@@ -162,8 +163,8 @@ def run(controller: str, plant_name: str, link: Link = GOOD, seed: int = 5, plan
     preset, changes = PLANTS[plant_name]
     rig = make_rig(controller, plant_name, link, seed)
     rig.run(IDLE_S)
-    rig.set_target(TARGET_C)
     heat_s = rig.now_s
+    rig.set_target(TARGET_C)
     optimal_s = least_s(preset, changes, START_C, TARGET_C)
     rig.run(optimal_s + HOLD_S)
     held_s = rig.now_s
@@ -172,8 +173,8 @@ def run(controller: str, plant_name: str, link: Link = GOOD, seed: int = 5, plan
         rig.set_flow(flow, planned)
         rig.run(FLOW_S)
         flow_ends.append(rig.now_s)
-    rig.set_target(TARGET_C + STEP_C)
     step_at_s = rig.now_s
+    rig.set_target(TARGET_C + STEP_C)
     rig.run(STEP_S)
     t_s, skin_c = rig.skin()
 
@@ -189,7 +190,8 @@ def run(controller: str, plant_name: str, link: Link = GOOD, seed: int = 5, plan
         link.name,
         _settled(t_s, skin_c, heat_s, held_s, TARGET_C),
         optimal_s,
-        float(part(heat_s, held_s).max()),
+        max(0.0, float(part(heat_s, held_s).max())),
+        float(np.abs(part(held_s - 1.0, held_s)).max()),
         float(np.ptp(part(held_s - 1.0, held_s))),
         float(np.abs(part(held_s, flow_ends[1])).max()),
         float(abs(part(flow_ends[0] - 0.3, flow_ends[0]).mean())),

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from extras import tmc_uart
-from simulation.runner import BAD_INPUT, PRINTED, RunOptions, Simulation
+from simulation.runner import BAD_INPUT, PRINTED, SHUT_DOWN, RunOptions, Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config" / "sim-induction.cfg"
@@ -112,16 +112,18 @@ class Driver:
     """A TMC2209 at the other end of the wire."""
 
     def __init__(self) -> None:
-        self.registers = {0x02: 0}
+        self.registers = {0x02: 0, 0x01: 1}  # GSTAT: it has just been switched on
         self.log: list[tuple[int, int]] = []
 
     def transfer(self, datagram: bytes) -> bytes:
         assert datagram[-1] == tmc_uart.crc8(datagram[:-1]) and datagram[0] == 0x05
         register = datagram[2] & 0x7F
         if datagram[2] & 0x80:
-            self.registers[register] = int.from_bytes(datagram[3:7], "big")
+            value = int.from_bytes(datagram[3:7], "big")
+            # GSTAT is cleared by ones
+            self.registers[register] = value if register != 0x01 else self.registers.get(1, 0) & ~value
             self.registers[0x02] = (self.registers[0x02] + 1) & 0xFF
-            self.log.append((register, self.registers[register]))
+            self.log.append((register, value))
             return b""
         answer = bytes([0x05, 0xFF, register]) + self.registers.get(register, 0).to_bytes(4, "big")
         return tmc_uart.to_bits(answer + bytes([tmc_uart.crc8(answer)]))
@@ -139,6 +141,26 @@ def test_a_stall_is_an_endstop(sim, monkeypatch: pytest.MonkeyPatch) -> None:
     assert thresholds == [0, 0xFFFFF, 0, 0xFFFFF, 0]
     assert driver.registers[0x40] == 90
     assert driver.registers[0x00] & 4, "back to SpreadCycle"
+
+
+@pytest.mark.parametrize(
+    ("register", "value", "text"),
+    [(0x6F, 1 << 1, "too hot"), (0x6F, 1 << 2, "short of coil A to ground"), (0x01, 1, "lost its settings")],
+)
+def test_a_fault_of_the_driver_stops_the_printer(
+    sim, monkeypatch: pytest.MonkeyPatch, register: int, value: int, text: str
+) -> None:
+    driver = Driver()
+
+    def transfer(wire: tmc_uart.Wire, datagram: bytes, count: int) -> bytes:
+        if (0x14, 0xFFFFF) in driver.log:  # while homing, with the motor on
+            driver.registers[register] = value
+        return driver.transfer(datagram)
+
+    monkeypatch.setattr(tmc_uart.Wire, "transfer", transfer)
+    status, reason, _ = sim("G28\nG1 X50 Y60 Z5 F600\nM400\n", TMC)
+    assert status == SHUT_DOWN
+    assert "The driver of 'stepper_x' " in reason and text in reason
 
 
 def test_a_silent_driver_is_named(sim) -> None:

@@ -190,5 +190,6 @@ def test_files_a_page_names_are_there(page: Path) -> None:
         r"(?<![\w/~.-])((?:config|scripts|docs|klippy|src|test)/[\w./-]*\w\.(?:py|md|cfg|sh|csv|c|h|json|png))\b",
         text,
     )
-    missing = sorted({name for name in names if not (ROOT / name).exists()} - OF_THE_DATA_FOLDER)
+    real = {name for name in names if not re.search(r"/[A-Z]+/", name)}  # src/PORT/... stands for many
+    missing = sorted({name for name in real if not (ROOT / name).exists()} - OF_THE_DATA_FOLDER)
     assert not missing, f"{page.name} names files that are not there: {missing}"

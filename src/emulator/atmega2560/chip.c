@@ -7,6 +7,7 @@
 #include <string.h>
 
 enum {
+    OPCODE_WDR = 0x95a8,
     ENTRY_CYCLES = 5,        /* of an interrupt, with a 22-bit program counter: datasheet 7.8.1; simavr takes none */
     PAINT = 0xa5,            /* RAM after power-on holds anything but zero */
     WORDS = 128 * 1024,
@@ -122,9 +123,9 @@ write_mcusr(uint16_t address, uint8_t value)
 static void
 install_registers(void)
 {
-    /* The processor's own and the watchdog stay simavr's. */
+    /* The processor's own stay simavr's. */
     static const uint16_t plain[] = { REG_ACSR, REG_SMCR, REG_PRR0, REG_PRR1, REG_DIDR0, REG_DIDR2, 0x3e, 0x4a, 0x4b };
-    static const uint16_t untouched[] = { REG_RAMPZ, REG_EIND, REG_SPL, REG_SPH, REG_SREG, REG_WDTCSR };
+    static const uint16_t untouched[] = { REG_RAMPZ, REG_EIND, REG_SPL, REG_SPH, REG_SREG };
     for (uint16_t address = 32; address <= REG_LAST; address++) {
         int keep = 0;
         for (unsigned i = 0; i < sizeof untouched / sizeof untouched[0]; i++)
@@ -143,6 +144,7 @@ install_registers(void)
     usart_init();
     analog_init();
     spi_init();
+    watchdog_init();
 }
 
 /****************************************************************
@@ -246,6 +248,8 @@ one_instruction(void)
         counters.spent[me.vector[me.depth - 1]]++;
         me.own[me.depth - 1]++;
     }
+    if ((chip->flash[chip->pc] | chip->flash[chip->pc + 1] << 8) == OPCODE_WDR)
+        watchdog_fed();
     chip->run_cycle_count = 1;
     chip->pc = avr_run_one(chip);
     me.busy_ticks += chip->cycle - before;
@@ -254,6 +258,13 @@ one_instruction(void)
     if (chip->interrupts.running_ptr < me.depth)
         left_interrupt();
     look_at_stack();
+}
+
+void
+chip_watchdog_reset(void)
+{
+    me.reset_asked = me.after_watchdog = 1;
+    counters.resets++;
 }
 
 static void
@@ -270,7 +281,6 @@ sleep_until(uint64_t target)
 static void
 run_to(uint64_t target)
 {
-    avr_run_t run = chip->run;
     while (!me.faulted && !me.reset_asked) {
         if (chip->state == cpu_Running)
             one_instruction();
@@ -279,12 +289,6 @@ run_to(uint64_t target)
         else
             chip_fault("the processor has stopped: a wrong instruction, or a jump out of the program");
         avr_cycle_timer_process(chip);
-        if (chip->run != run) { /* simavr's way to say that the watchdog has bitten */
-            me.reset_asked = 1;
-            me.after_watchdog = 1;
-            counters.resets++;
-            return;
-        }
         if (chip->interrupt_state) {
             avr_service_interrupts(chip);
             if (chip->interrupts.running_ptr > me.depth)
@@ -325,6 +329,7 @@ sim_mcu_boot(const struct sim_board *outside, uint64_t clock)
     usart_reset();
     analog_reset();
     spi_reset();
+    watchdog_reset(me.after_watchdog);
     me.powered = 1;
     me.reset_asked = me.after_watchdog = 0;
 }

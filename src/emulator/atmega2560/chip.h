@@ -1,6 +1,6 @@
 /* What the files of the ATmega2560's emulator share.
  *
- * simavr supplies the processor: instructions and their cycles, memory, interrupt order, the watchdog.  The peripherals are
+ * simavr supplies the processor: instructions and their cycles, memory, the order of interrupts.  The peripherals are
  * modelled here, after the datasheet, in place of simavr's own: exact to the cycle, and strict.
  * Time is counted in cycles since the chip last began to run; to the world outside in ticks of its clock.
  */
@@ -72,6 +72,10 @@ void analog_init(void);
 void analog_reset(void);
 void spi_init(void);
 void spi_reset(void);
+void watchdog_init(void);
+void watchdog_reset(int by_watchdog);
+void watchdog_fed(void);
+void chip_watchdog_reset(void);         /* the watchdog has not been fed */
 
 /* image.c */
 const char *image_load(const char *path, uint8_t *flash, uint32_t flash_size);
