@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-api bench-thermometer bench-motion bench-firmware fuzz clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-api bench-thermometer bench-motion bench-firmware bench-plan fuzz clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -23,6 +23,7 @@ help:
 	@echo "make bench-motion       moves a second in batch mode (PEER=\"CMD\": a peer beside it; QUICK=1)"
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
 	@echo "make bench-firmware     cost of samples, steps, commands on the STM32F334 image (QUICK=1)"
+	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it"
 	@echo "make fuzz    fuzz the firmware's message parser (FUZZ_SECONDS=600)"
 	@echo "make sim     build the simulated MCU and the world it lives in"
 	@echo "make menuconfig     choose a chip and its options; then make, make flash, make size"
@@ -68,6 +69,9 @@ bench-thermometer: setup-test sim chelper
 
 bench-api: setup sim chelper
 	@$(PYTHON) scripts/bench_api.py --json $(OUT)/bench/api.json $(if $(QUICK),--seconds 60)
+
+bench-plan: setup sim chelper
+	@$(PYTHON) scripts/bench_plan.py --out $(OUT)/bench/plan
 
 bench-motion: setup chelper
 	@$(PYTHON) scripts/bench_motion.py $(if $(QUICK),--quick) $(if $(PEER),--peer "$(PEER)")

@@ -15,15 +15,16 @@ C_WARNINGS := -std=gnu11 -Wall -Wextra -Werror
 
 # sched and basecmd first: their DECL_INIT functions run first.
 FIRMWARE_CORE := src/sched.c src/basecmd.c src/command.c src/wire.c src/debugcmds.c
-FIRMWARE_GLUE := $(wildcard src/timed_output.c src/gpiocmds.c src/pwmcmds.c src/adccmds.c) \
-	src/trsync.c src/stepper.c src/endstop.c $(wildcard src/inductioncmds.c)
+FIRMWARE_GLUE := src/timed_output.c src/gpiocmds.c src/pwmcmds.c src/adccmds.c \
+	src/trsync.c src/stepper.c src/endstop.c
+# The induction heater; needs board/bridge_pwm.h and board/sync_adc.h.
+FIRMWARE_INDUCTION := src/oversample.c src/phase.c src/guard.c src/filters.c src/inductioncmds.c
 # Buses and pin peripherals.  A port takes what it has room and hardware for; *_hardware needs board/spi.h, board/i2c.h.
 FIRMWARE_BUS := src/spicmds.c src/spi_software.c src/thermocouple.c src/i2ccmds.c src/i2c_software.c
 FIRMWARE_BUS_HARDWARE := src/spi_hardware.c src/i2c_hardware.c
 FIRMWARE_PINS := src/buttons.c src/pulse_counter.c src/neopixel.c src/tmcuart.c
 FIRMWARE_EXTRAS := $(FIRMWARE_BUS) $(FIRMWARE_BUS_HARDWARE) $(FIRMWARE_PINS)
-FIRMWARE_PURE := $(wildcard src/oversample.c src/phase.c src/guard.c src/filters.c)
-FIRMWARE_SOURCES := $(FIRMWARE_CORE) $(FIRMWARE_PURE) $(FIRMWARE_GLUE)
+FIRMWARE_SOURCES := $(FIRMWARE_CORE) $(FIRMWARE_GLUE) $(FIRMWARE_INDUCTION)
 FIRMWARE_HEADERS := $(wildcard src/*.h src/board/*.h)
 
 SIM_DIR := $(OUT)/simulator

@@ -1,4 +1,4 @@
-"""Where the head is right now, from the planned motion: printer object 'motion_report'."""
+"""Where the head is right now, from the planned motion: printer object 'motion_report'. Streams: motion_dump.py."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ from typing import Any
 
 import chelper
 from toolhead import Coord
+
+from . import motion_dump
 
 # Plans are looked up no more often than this: status is asked for many objects at once.
 REFRESH_S = 0.050
@@ -21,6 +23,7 @@ class MotionReport:
         self._position = self._ffi.new("double[3]")
         self._velocity = self._ffi.new("double *")
         self._next_time = 0.0
+        self._trapq_names: list[str] = []
         self._status = {
             "live_position": Coord(0.0, 0.0, 0.0, 0.0),
             "live_velocity": 0.0,
@@ -28,6 +31,19 @@ class MotionReport:
             "steppers": [],
             "trapq": [],
         }
+        printer.register_event_handler("klippy:connect", self._register_streams)
+
+    def _register_streams(self) -> None:
+        toolhead = self.printer.lookup_object("toolhead", None)
+        if toolhead is None:
+            return
+        trapqs = {"toolhead": toolhead.get_trapq()}
+        for name, thing in self.printer.lookup_objects():
+            if name.startswith("extruder") and hasattr(thing, "get_trapq"):
+                trapqs[name] = thing.get_trapq()
+        self._status["steppers"], self._status["trapq"] = sorted(self.steppers), sorted(trapqs)
+        self._trapq_names = sorted(trapqs)
+        motion_dump.register(self.printer, self.steppers, trapqs)
 
     def register_stepper(self, config: Any, mcu_stepper: Any) -> None:
         self.steppers[mcu_stepper.get_name()] = mcu_stepper
@@ -64,8 +80,8 @@ class MotionReport:
             "live_position": Coord(x, y, z, e),
             "live_velocity": speed,
             "live_extruder_velocity": e_speed,
-            "steppers": list(self.steppers),
-            "trapq": ["toolhead", *([extruder.get_name()] if extruder.get_name() else [])],
+            "steppers": sorted(self.steppers),
+            "trapq": self._trapq_names,
         }
         return self._status
 

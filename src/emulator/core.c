@@ -690,10 +690,12 @@ int emulator_peek(const char *what, uint32_t *value)
 
 int64_t emulator_profile(const char *symbol)
 {
-    uint32_t address = symbol_address(symbol) & ~1u;
+    uint32_t address = symbol[0] == '0' ? (uint32_t)strtoul(symbol, NULL, 16) : symbol_address(symbol) & ~1u;
     int i = address ? region_of(address, 2) : -1;
     if (i < 0)
         return -1;
+    if (symbol[0] == '0')
+        return (int64_t)core.spent[i][(address - chip_regions[i].base) >> 1];
     uint64_t sum = 0;
     uint32_t end = chip_regions[i].base + chip_regions[i].size;
     for (uint32_t a = address; a < end && !strcmp(symbol_at(a), symbol); a += 2)

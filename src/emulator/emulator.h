@@ -52,7 +52,7 @@ SIM_EXPORT int emulator_mutate(const char *what, uint32_t value);
 /* Registers as they stand, by the model's own names ("hrtim.phase", "hrtim.outputs", ...), or "=name": the word of a
  * variable of the image. 0 and *value, or -1. */
 SIM_EXPORT int emulator_peek(const char *what, uint32_t *value);
-/* Instructions spent in the function `symbol` itself since load: counted by block start address. -1: no such function. */
+/* Instructions spent in the function `symbol` itself since load, or in the basic block at "0xADDRESS". -1: no such function. */
 SIM_EXPORT int64_t emulator_profile(const char *symbol);
 
 #ifdef __cplusplus

@@ -18,11 +18,11 @@ EMULATOR_STM32F334         := $(EMULATOR_OUT)/libferrite_stm32f334.so
 .PHONY: emulator
 emulator: $(EMULATOR_STM32F334)
 
-# Calls within the library stay within it (-Bsymbolic): several copies are loaded side by side.
+# Calls within the library stay within it (-Bsymbolic): several copies are loaded side by side. Put in place whole: another
+# make may be at the same, or an emulator may have the old one open.
 $(EMULATOR_STM32F334): $(EMULATOR_STM32F334_SOURCES) $(EMULATOR_HEADERS) $(EMULATOR_DIR)/emulator.mk
 	@mkdir -p $(@D)
-	$(CC) $(EMULATOR_CFLAGS) $(UNICORN_CFLAGS) -flto -shared -Wl,-Bsymbolic -o $@.new $(EMULATOR_STM32F334_SOURCES) \
-		$(UNICORN_LIBS)
-	@mv $@.new $@
+	$(CC) $(EMULATOR_CFLAGS) $(UNICORN_CFLAGS) -flto -shared -Wl,-Bsymbolic -o $@.$$$$ $(EMULATOR_STM32F334_SOURCES) \
+		$(UNICORN_LIBS) && mv $@.$$$$ $@
 
 -include $(EMULATOR_DIR)/atmega2560/atmega2560.mk

@@ -15,6 +15,7 @@
  * outputs are switched on only after the same look once more: clock tree, delay line, ADC, fault line, supply.
  */
 #include "board/bridge_pwm.h"
+#include "board/delay.h"
 #include "board/irq.h"
 #include "command.h"
 #include "internal.h"
@@ -112,6 +113,14 @@ objection_to_clock(void)
     return SHUTDOWN_NONE;
 }
 
+static uint8_t
+counts(uint32_t leg)
+{
+    uint32_t count = HRTIM_TIM_CNT(leg);
+    delay_ticks(2);
+    return HRTIM_TIM_CNT(leg) != count;
+}
+
 static enum shutdown_reason
 objection_inside(void)
 {
@@ -122,6 +131,8 @@ objection_inside(void)
         HRTIM_TIM_CMP1(LEG_A) != bridge.period_steps / 2 || HRTIM_TIM_CMP4(LEG_A) != SAMPLE_STEPS ||
         HRTIM_ADC1R != HRTIM_ADC1R_AD1TAC4 || HRTIM_FLTINR1 != fault_input_word)
         return SHUTDOWN_BRIDGE_REGISTERS;
+    if (!counts(LEG_A) || !counts(LEG_B))
+        return SHUTDOWN_BRIDGE_CLOCK;
     if (HRTIM_ISR & FAULTS || pin_level(PIN_FAULT) == CONFIG_FAULT_ACTIVE_HIGH)
         return SHUTDOWN_BRIDGE_FAULT_AT_START;
     return SHUTDOWN_NONE;

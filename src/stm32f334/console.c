@@ -48,7 +48,7 @@ console_start(void)
     pin_set_function(PIN_A + 2, 7);
     pin_set_pull(PIN_A + 3, 1); /* an open line is an idle one */
     pin_set_function(PIN_A + 3, 7);
-    uint32_t pclk1 = clock_hz() > 36000000 ? clock_hz() / 2 : clock_hz();
+    uint32_t pclk1 = clock_hz() / 2; /* clock.c divides it whatever the source */
     USART_BRR(USART) = (pclk1 + CONFIG_SERIAL_BAUD / 2) / CONFIG_SERIAL_BAUD;
     USART_CR2(USART) = USART_CR2_ADD4(BLOCK_END >> 4) | USART_CR2_ADD0(BLOCK_END);
     USART_CR3(USART) = USART_CR3_DMAR | USART_CR3_DMAT | USART_CR3_OVRDIS;

@@ -96,9 +96,12 @@ gpio_out_setup(uint32_t pin, uint8_t value)
     return g;
 }
 
+/* An object whose set-up ended in a shutdown has no pin yet, and its DECL_SHUTDOWN function writes all the same. */
 void
 gpio_out_write(struct gpio_out g, uint8_t value)
 {
+    if (!g.set_reset)
+        return;
     *g.set_reset = value ? g.mask : g.mask << 16;
 }
 

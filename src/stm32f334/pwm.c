@@ -80,8 +80,11 @@ pwm_setup(uint32_t pin, uint32_t cycle_ticks, uint32_t value)
     return p;
 }
 
+/* An object whose set-up ended in a shutdown has no output yet, and its DECL_SHUTDOWN function writes all the same. */
 void
 pwm_write(struct pwm_out p, uint32_t value)
 {
+    if (!p.compare)
+        return;
     *p.compare = value > PORT_PWM_MAX ? PORT_PWM_MAX : value;
 }

@@ -83,7 +83,7 @@ class StepCost:
 
 
 def step_cost(steppers: int) -> StepCost:
-    """Steps on both edges, all motors at the same clocks. Cycles from the difference of two counts: the rest cancels."""
+    """Steps on both edges, all motors at the same clocks. Cycles from the difference of two counts."""
     interval = 4000
     spent = []
     for count in (200, 1200):

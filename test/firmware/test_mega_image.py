@@ -51,7 +51,15 @@ def test_two_builds_in_two_places_give_one_hash(tmp_path: Path) -> None:
     hashes = []
     for name in ("one", "other place"):
         folder = tmp_path / name.replace(" ", "/")
-        command = ["make", "-s", "PORT=atmega2560", f"OUT={folder}", "FERRITE_VERSION=test", "firmware"]
+        command = [
+            "make",
+            "-s",
+            "-j2",
+            "PORT=atmega2560",
+            f"OUT={folder}",
+            "FERRITE_VERSION=test",
+            "firmware",
+        ]
         subprocess.run(command, cwd=ROOT, check=True, capture_output=True)
         built = folder / "atmega2560"
         hashes.append(

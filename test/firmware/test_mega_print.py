@@ -1,4 +1,4 @@
-"""A part printed on the ATmega2560's image through the product's own host: thermistor, cartridge heater, no induction."""
+"""A part printed on the ATmega2560's image through the product's own host: cartridge heater, thermistor."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ def test_part_is_printed_held_and_a_broken_sensor_ends_it(tmp_path: Path) -> Non
     # host tells in the end), and no energy from there on
     assert "ADC out of range" in " ".join([*story.outcome.summary["faults"], story.outcome.reason])
     assert story.shutdown_s - story.fault_s < 3.5
-    assert story.energy_after_j < 1.0
+    # (what the four groups and the last look before the end have cost; holding on would be 13 W for 30 s)
+    assert story.energy_after_j < 20.0
     counters = story.counters
     assert counters["console_overruns"] == 0 and counters["resets"] == 0
     space = counters["stack_top"] - counters["stack_limit"]

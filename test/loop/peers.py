@@ -64,13 +64,13 @@ class MpcLike:
 
     power_max_w: float = 81.3
     period_s: float = 0.25
-    reach_s: float = 0.5
+    reach_s: float = 0.3  # of 0.3, 0.5, 1, 2 s the best on this plant
     drag: float = 0.25  # share of the difference taken over at each reading
     heat_j_k: float = 0.44
     loss_w_k: float = 0.0205  # 4.7 W at 250 degC
     ambient_c: float = 20.0
     melt_j_mm3_k: float = 2.1e-3
-    trim: float = 1.0  # of the ambient temperature per degree the reading differs, once near the target
+    trim: float = 0.3  # of the ambient temperature per degree the reading differs, once near the target
     _block_c: float = math.nan
     _power_w: float = 0.0
     _flow: float = 0.0

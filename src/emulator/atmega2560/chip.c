@@ -316,6 +316,9 @@ sim_mcu_boot(const struct sim_board *outside, uint64_t clock)
     for (int i = 0; i < VECTOR_COUNT; i++)
         me.lines[i].avr.pending = 0;
     chip->cycle = 0;
+    memset(chip->data + 32, 0, RAM_START - 32); /* simavr's own peripherals have left marks */
+    chip->data[REG_SPL] = RAM_END & 0xff;
+    chip->data[REG_SPH] = RAM_END >> 8;
     chip->data[ALWAYS_SET] = 1;
     chip->interrupts.running_ptr = 0;
     me.depth = 0;
@@ -382,7 +385,7 @@ hear_simavr(avr_t *avr, const int level, const char *format, va_list args)
     char text[200];
     vsnprintf(text, sizeof text, format, args);
     text[strcspn(text, "\n")] = 0;
-    if (!strstr(text, "watchdog"))
+    if (!strstr(text, "crashed")) /* that shows in the processor's state */
         chip_fault("%s", text);
 }
 
