@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-api bench-thermometer bench-motion bench-firmware bench-plan fuzz clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-api bench-thermometer bench-control bench-motion bench-firmware bench-plan fuzz clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -20,6 +20,7 @@ help:
 	@echo "make check   the checks only: lint, types, layers, message formats, cross compilation"
 	@echo "make bench   print the 5 MB benchy in closed loop and report speed and memory (QUICK=1: the short file)"
 	@echo "make bench-thermometer  accuracy and latency of the estimate, beside the published chain"
+	@echo "make bench-control      every control law on the same plants, table and plots (QUICK=1)"
 	@echo "make bench-motion       moves a second in batch mode (PEER=\"CMD\": a peer beside it; QUICK=1)"
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
 	@echo "make bench-firmware     cost of samples, steps, commands on the STM32F334 image (QUICK=1)"
@@ -72,6 +73,9 @@ bench-api: setup sim chelper
 
 bench-plan: setup sim chelper
 	@$(PYTHON) scripts/bench_plan.py --out $(OUT)/bench/plan
+
+bench-control: setup-test sim chelper
+	@$(PYTHON) scripts/bench_control.py --out $(OUT)/bench $(if $(QUICK),--quick)
 
 bench-motion: setup chelper
 	@$(PYTHON) scripts/bench_motion.py $(if $(QUICK),--quick) $(if $(PEER),--peer "$(PEER)")

@@ -212,6 +212,16 @@ class MCU_adc:
     def get_mcu(self) -> MCU:
         return self._mcu
 
+    def get_oid(self) -> int:
+        """The oid, for units on the MCU that listen to this input; valid from the config callbacks on."""
+        if self._oid < 0:
+            self._oid = self._mcu.create_oid()
+        return self._oid
+
+    def get_full_scale(self) -> float:
+        """What a value of 1.0 is on the wire."""
+        return self._mcu.get_constant_float("ADC_MAX") * max(1, self._sample_count)
+
     def setup_adc_sample(
         self, sample_time: float, sample_count: int, minval: float = 0.0, maxval: float = 1.0,
         range_check_count: int = 0,
@@ -238,7 +248,7 @@ class MCU_adc:
             raise pins.error(
                 f"Pin {self._pin}: the sum of {self._sample_count} samples does not fit 16 bits."
             )
-        self._oid = oid = mcu.create_oid()
+        oid = self.get_oid()
         mcu.add_config_cmd(f"config_analog_in oid={oid} pin={self._pin}")
         self._report_ticks = mcu.seconds_to_clock(self._report_time_s)
         low = max(0, min(0xFFFF, int(self._range[0] * self._full_scale)))

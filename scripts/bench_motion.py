@@ -2,14 +2,15 @@
 """Throughput of batch mode: many short moves through the whole host to /dev/null (`make bench-motion`).
 
 A generated file (0.5 mm chords: round perimeters, zigzag infill, travels, retracts, relative extrusion) is run by
-klippy.py as a process of its own, at 16 and 64 microsteps, without and with pressure advance. Beside the time of
-the whole run stands that of an otherwise equal run of a file that only homes, so that moves/s are those of moves.
+klippy.py as a process of its own, at 16 and 64 microsteps, cartesian and corexy, without and with pressure advance and
+input shaper. Beside the time of the whole run stands that of an otherwise equal run of a file that only homes, so that moves/s are those of moves.
 Time is processor time of the process (with --wall: by the clock), which other work on the machine disturbs little.
-The stages are told apart by further runs: one whose steppers are a thousand times coarser (almost no steps).
+The stages are told apart by further runs: one whose steppers are a thousand times coarser (almost no steps), and one of
+a file with as many lines, as long, that go nowhere (reading only).
 
 --peer "COMMAND" runs another host on the same files in the same turn; CONFIG, GCODE, OUT and DICT in it are
 replaced, e.g. --peer "kalico CONFIG -i GCODE -o OUT -d DICT". A host that needs other messages than the built-in
-dictionary has gets the file after -d itself.
+dictionary has gets the file after -d itself. Goal: three times the peer's moves/s.
 """
 
 from __future__ import annotations
@@ -105,6 +106,11 @@ min_temp: 0
 max_temp: 300
 pressure_advance: {advance}
 """
+SHAPER = """[input_shaper]
+shaper_freq_x: 48
+shaper_freq_y: 40
+shaper_type: mzv
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,11 +119,11 @@ class Case:
 
     kinematics: str
     microsteps: int
-    advance: float  # s
+    smooth: bool  # pressure advance and input shaper
 
     @property
     def title(self) -> str:
-        return f"{self.kinematics}, 1/{self.microsteps}, pressure advance {'on' if self.advance else 'off'}"
+        return f"{self.kinematics}, 1/{self.microsteps}, advance and shaper {'on' if self.smooth else 'off'}"
 
     def config(self, coarse: bool = False) -> str:
         factor = COARSE if coarse else 1.0
@@ -129,8 +135,8 @@ class Case:
         )
         return CONFIG.format(
             kinematics=self.kinematics, microsteps=self.microsteps, rails=rails, e_rotation=7.6 * factor,
-            advance=self.advance,
-        )  # fmt: skip
+            advance=0.05 if self.smooth else 0.0,
+        ) + (SHAPER if self.smooth else "")  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,6 +225,14 @@ def write_gcode(path: Path, moves: int) -> None:
                 return
 
 
+def write_still(path: Path, moves: int) -> None:
+    """As many lines, as long as those of moves, that go nowhere: only reading them takes time."""
+    with path.open("w") as out:
+        out.write("G28\nM83\nG91\nG1 F6000\n")
+        for _ in range(moves):
+            out.write("G1 X000.000 Y000.000 E0.00000\n")
+
+
 def run(command: Sequence[str], by_clock: bool) -> Cost:
     """Run a process to its end and measure it: its processor time, or by the clock."""
     begin = time.monotonic()
@@ -248,6 +262,7 @@ class Bench:
         (folder / "bench.dict").write_text(json.dumps(dictionary()))
         write_gcode(folder / "moves.gcode", moves)
         write_gcode(folder / "home.gcode", 0)
+        write_still(folder / "still.gcode", moves)
 
     def cost(self, template: Sequence[str], config: str, gcode: str, out: str = os.devnull) -> Cost:
         """One run of a host."""
@@ -266,11 +281,13 @@ class Bench:
         busy = min(cost.time_s for cost in costs) - idle
         return self.moves / busy, max(cost.peak_mb for cost in costs)
 
-    def planning_us(self, case: Case) -> float:
-        """Time of a move without its steps (µs)."""
-        idle = self.cost(self.own, case.config(coarse=True), "home").time_s
-        busy = self.cost(self.own, case.config(coarse=True), "moves").time_s
-        return (busy - idle) / self.moves * 1e6
+    def stages_us(self, case: Case) -> tuple[float, float]:
+        """(time of reading a move's line, of planning it) without its steps (µs)."""
+        idle, still, busy = (
+            self.cost(self.own, case.config(coarse=True), gcode).time_s
+            for gcode in ("home", "still", "moves")
+        )
+        return (still - idle) / self.moves * 1e6, (busy - still) / self.moves * 1e6
 
     def steps(self, case: Case) -> int:
         """Steps of the whole file, all steppers (counted from the commands)."""
@@ -296,10 +313,12 @@ class Bench:
 
 
 def cases(quick: bool) -> list[Case]:
-    names = ["cartesian"]
-    if (ROOT / "klippy" / "kinematics" / "corexy.py").exists():
-        names.append("corexy")
-    everything = [Case(name, micro, pa) for name in names for micro in (16, 64) for pa in (0.0, 0.05)]
+    everything = [
+        Case(name, micro, smooth)
+        for name in ("cartesian", "corexy")
+        for micro in (16, 64)
+        for smooth in (False, True)
+    ]
     return everything[:1] if quick else everything
 
 
@@ -317,7 +336,8 @@ def main(argv: list[str] | None = None) -> int:
         "case",
         "moves/s",
         "k steps/s",
-        "µs/move: plan",
+        "µs/move: read",
+        "plan",
         "steps",
         "peak MB",
         "peer moves/s",
@@ -332,10 +352,10 @@ def main(argv: list[str] | None = None) -> int:
         try:
             for case in cases(options.quick):
                 rate, peak_mb = bench.moves_per_s(bench.own, case, options.repeat)
-                plan_us = bench.planning_us(case)
+                read_us, plan_us = bench.stages_us(case)
                 steps_per_move = bench.steps(case) / options.moves
-                row = [case.title, f"{rate:,.0f}", f"{rate * steps_per_move / 1e3:,.0f}", f"{plan_us:.1f}"]
-                row += [f"{max(0.0, 1e6 / rate - plan_us):.1f}", f"{peak_mb:.0f}"]
+                row = [case.title, f"{rate:,.0f}", f"{rate * steps_per_move / 1e3:,.0f}", f"{read_us:.1f}"]
+                row += [f"{plan_us:.1f}", f"{max(0.0, 1e6 / rate - read_us - plan_us):.1f}", f"{peak_mb:.0f}"]
                 if bench.peer:
                     other, _ = bench.moves_per_s(bench.peer, case, options.repeat)
                     row += [f"{other:,.0f}", f"{rate / other:.2f}"]

@@ -47,6 +47,7 @@ FILES = {  # kind, file of pyGCodeDecode's examples
 # The files are sliced for PLA; what is printed here is ABS, with the targets of ABS.
 SECTION = {"material": "ABS", "bed_temp": "100", "chamber_temp": "40", "melt_min": "205", "melt_max": "265"}
 NOZZLE_C, BED_C = 245, 100
+WIDER = "[stepper_x]\nposition_max: 200\n"  # the flat part reaches X 190
 UA_W_K, HEAT_MJ_M3K, INLET_C = 0.0276, 2.1, 25.0  # of the reference plant
 LEAST_FLOW_MM3_S = 0.3
 AVERAGE_S = 0.5
@@ -137,7 +138,7 @@ def simulate(
     section = "[temperature_plan]\n" + "".join(f"{k}: {v}\n" for k, v in {**SECTION, **options}.items())
     record = folder / f"{name}-plan.csv"
     config, trace = folder / f"{name}.cfg", folder / f"{name}.csv"
-    text = f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n"
+    text = f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n{WIDER}"
     config.write_text(text + (f"{section}record: {record}\n" if plan else ""))
     command = [ROOT / "scripts" / "simulate.py", config, gcode, "--trace", trace, "--until", seconds]
     done = subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True, check=False)
@@ -160,6 +161,12 @@ def clock_offset_s(run: Table) -> float:
         )
 
     return min(np.arange(-0.5, 0.5, 0.01), key=off)
+
+
+def first_flow_s(run: Table) -> float:
+    """When the first road begins, time of the trace."""
+    trace = run["trace"]
+    return float(trace["t_s"][np.argmax(trace["flow_mm3_s"] > 1.0)])
 
 
 def tracking(run: Table, plan: Any, offset_s: float) -> Tracking:
@@ -197,10 +204,14 @@ def compare(
     border = simulate(gcode, folder, f"{name}-border", seconds, {**options, "preview": "no"}, plan=True)
     fixed = simulate(gcode, folder, f"{name}-fixed", seconds, options, plan=False)
     plan = planned["plan"]
+
+    def shifted(run: Table) -> float:  # waiting for the first temperature takes another time in each run
+        return offset_s + first_flow_s(planned) - first_flow_s(run)
+
     return {
         "planned": tracking(planned, plan, offset_s),
-        "set at the border": tracking(border, plan, offset_s),
-        "one fixed target": tracking(fixed, plan, offset_s),
+        "set at the border": tracking(border, plan, shifted(border)),
+        "one fixed target": tracking(fixed, plan, shifted(fixed)),
     }
 
 

@@ -14,6 +14,7 @@
  */
 #include <string.h>
 
+#include "analog_in.h"
 #include "basecmd.h"
 #include "board/adc.h"
 #include "board/irq.h"
@@ -28,6 +29,7 @@ enum { REPORT_BYTES_MAX = 48 };
 
 struct analog_in {
     struct timer timer;
+    struct analog_listener *listener;
     struct adc_in pin;
     uint32_t group_clock;                  /* of the first sample of the group under way, or of the next */
     uint32_t sample_ticks, rest_ticks;
@@ -95,6 +97,8 @@ analog_event(struct timer *t)
         return SF_RESCHEDULE;
     }
     check_range(a);
+    if (a->listener)
+        a->listener->on_value(a->listener, a->sum);
     a->group_clock += a->rest_ticks;
     store_value(a);
     a->sum = a->samples_taken = 0;
@@ -110,6 +114,15 @@ command_config_analog_in(const struct command_args *args)
     a->timer.func = analog_event;
 }
 DECL_COMMAND(command_config_analog_in, "config_analog_in oid=%c pin=%u");
+
+void
+analog_in_listen(uint8_t oid, struct analog_listener *l)
+{
+    struct analog_in *a = oid_lookup(oid, command_config_analog_in);
+    irqstatus_t flag = irq_save();
+    a->listener = l;
+    irq_restore(flag);
+}
 
 void
 command_query_analog_in(const struct command_args *args)

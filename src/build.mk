@@ -15,7 +15,7 @@ C_WARNINGS := -std=gnu11 -Wall -Wextra -Werror
 
 # sched and basecmd first: their DECL_INIT functions run first.
 FIRMWARE_CORE := src/sched.c src/basecmd.c src/command.c src/wire.c src/debugcmds.c
-FIRMWARE_GLUE := src/timed_output.c src/gpiocmds.c src/pwmcmds.c src/adccmds.c \
+FIRMWARE_GLUE := src/timed_output.c src/gpiocmds.c src/pwmcmds.c src/adccmds.c src/onoffcmds.c \
 	src/trsync.c src/stepper.c src/endstop.c
 # The induction heater; needs board/bridge_pwm.h and board/sync_adc.h.
 FIRMWARE_INDUCTION := src/oversample.c src/phase.c src/guard.c src/filters.c src/inductioncmds.c
@@ -64,7 +64,7 @@ $(SIM_MCU_SANITIZED): $(SIM_DIR)/dictionary.stamp
 # --- the portable files on other compilers -------------------------------------------------------
 # One stamp a compiler.  Missing cross compilers are an error here: `make check` promises them.
 CROSS_DIR := $(OUT)/compile-check
-CROSS_SOURCES := $(FIRMWARE_SOURCES) $(FIRMWARE_EXTRAS)
+CROSS_SOURCES := $(FIRMWARE_SOURCES) $(FIRMWARE_EXTRAS) src/template/port.c
 CROSS_COMPILERS := clang arm-none-eabi-gcc avr-gcc
 CROSS_FLAGS_clang :=
 CROSS_FLAGS_arm-none-eabi-gcc := -mcpu=cortex-m4 -mthumb

@@ -1,8 +1,6 @@
 /* Theory, formats and contexts: oversample.h. */
 #include "oversample.h"
 
-#include "oversample_kernel.h"
-
 static uint16_t
 saturating_add(uint16_t a, uint32_t b)
 {
@@ -12,10 +10,8 @@ saturating_add(uint16_t a, uint32_t b)
 static void
 begin_block(struct oversample *o)
 {
-    o->sum = 0;
     o->count = 0;
-    o->min = UINT16_MAX;
-    o->max = 0;
+    reduction_begin(&o->reduction);
 }
 
 uint8_t
@@ -37,17 +33,17 @@ oversample_init(struct oversample *o, struct oversample_config config)
 static void
 finish_block(struct oversample *o, struct oversample_block *block)
 {
-    uint32_t value = o->sum >> o->config.y;
-    if (o->count == o->block_len)
+    uint32_t value = o->reduction.sum >> o->config.y;
+    if (o->config.ema_shift && o->count == o->block_len)
         value = ema_update(&o->ema, value);
     *block = (struct oversample_block){
         .first = o->first,
         .value = value,
-        .sum = o->sum,
+        .sum = o->reduction.sum,
         .count = o->count,
         .phase = o->phase,
-        .min = o->min,
-        .max = o->max,
+        .min = reduction_min(&o->reduction),
+        .max = reduction_max(&o->reduction),
         .discarded = o->discarded,
         .lost = o->lost,
     };
@@ -110,7 +106,7 @@ oversample_feed(struct oversample *o, const uint16_t *samples, uint16_t count, u
         return 0;
     if (!o->count)
         o->first = first + settling;
-    o->sum += oversample_reduce(samples + settling, (uint16_t)use, &o->min, &o->max);
+    reduction_add(&o->reduction, samples + settling, (uint16_t)use);
     o->count = (uint16_t)(o->count + use);
     if (use < room)
         return 0;

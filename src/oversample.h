@@ -18,7 +18,7 @@
  * down, u23.  discarded and lost saturate at 65535.  Sample indices run modulo 2^32.
  *
  * Contexts: oversample_feed is called from the ADC's interrupt, once per run of one phase (1 to a few per half buffer).
- * Cost: oversample_reduce over the run plus about 60 cycles per run; no division.
+ * Cost: reduction_add over the run plus about 60 cycles per run; no division.
  */
 #ifndef OVERSAMPLE_H
 #define OVERSAMPLE_H
@@ -26,6 +26,7 @@
 #include <stdint.h>
 
 #include "filters.h"
+#include "oversample_kernel.h"
 
 enum { OVERSAMPLE_Y_MIN = 3, OVERSAMPLE_Y_MAX = 7, OVERSAMPLE_CUT_SHIFT = 4 /* shortest cut block: block_len / 16 */ };
 
@@ -51,8 +52,9 @@ struct oversample {
     struct oversample_config config;
     uint16_t block_len, cut_len;
     /* the block being summed */
-    uint32_t sum, first;
-    uint16_t count, min, max;
+    struct reduction reduction;
+    uint32_t first;
+    uint16_t count;
     /* between blocks */
     uint16_t phase, settle_left, discarded, lost;
     struct ema ema;

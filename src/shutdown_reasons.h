@@ -49,6 +49,8 @@
     X(SHUTDOWN_THERMOCOUPLE_TYPE, "Invalid thermocouple chip type") \
     X(SHUTDOWN_THERMOCOUPLE_FAULT, "Thermocouple reader fault") \
     X(SHUTDOWN_TMCUART_SIZE, "tmcuart data too large") \
+    X(SHUTDOWN_ONOFF_TIMEOUT, "Missed renewal of on-off set point") \
+    X(SHUTDOWN_ONOFF_SILENT, "On-off heater without readings") \
     /* induction heater */ \
     X(SHUTDOWN_INDUCTION_CONFIG, "Invalid induction configuration") \
     X(SHUTDOWN_INDUCTION_PHASE, "Induction phase out of range") \

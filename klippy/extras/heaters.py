@@ -1,38 +1,26 @@
 """Heaters and temperature sensors as the rest of the printer knows them.
 
 `PrinterHeaters` (object "heaters") is the registry: sensor types by name, heaters by name, M105 ids, and the
-commands that address any heater. `Heater` is the ordinary one: an ADC sensor in, a PWM pin out, a control law
-of `thermal/control.py` between. The induction nozzle brings its own heater (`induction_heater.py`) and
-registers here under the name of the extruder it serves; everything that speaks to heaters uses only the
-`AnyHeater` role below.
-
-Time line of an ordinary heater, once per sensor report (0.3 s):
-
-    sample ── report ── control law ── PWM set for sample + PWM_DELAY_S  (fixed delay, no jitter)
-
-Safety without the host: the pin's max_duration turns it off MAX_HEAT_TIME_S after the last command.
+commands that address any heater. Ordinary heaters are heater_ordinary.py's, or heater_onoff.py's where the MCU
+switches by itself. The induction nozzle brings its own (`induction_heater.py`) and registers here under the name of
+the extruder it serves; everything that speaks to heaters uses only the `AnyHeater` role below.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from thermal import control
+from . import heater_onoff, sensor_types
+from .heater_laws import read_law
+from .heater_ordinary import MAX_HEAT_TIME_S, AnySensor, Heater, is_batch, range_error, read_settings
 
-from . import sensor_types
+__all__ = ["AnyHeater", "AnySensor", "Heater", "PrinterHeaters", "is_batch", "load_config", "range_error"]
 
-PWM_DELAY_S = 0.300  # from sample to PWM change; at least one report interval, so it is always in the future
-MAX_HEAT_TIME_S = 3.0  # the MCU turns the pin off after this long without a command
-PWM_HOLD_S = 2.0  # small PWM changes are held back this long, well inside MAX_HEAT_TIME_S
-PWM_HOLD_DELTA = 0.05  # "small"
-QUELL_STALE_S = 5.0  # a reading older than this no longer counts as the temperature
-AMBIENT_C = 25.0  # starting point of the smoothed value before the first reading
 WAIT_POLL_S = 1.0
-
-PID_BUSY_C = 1.0  # M109 returns when this near to the target ...
-PID_BUSY_SLOPE_C_S = 0.1  # ... and changing slower than this
+# What is tuned by command: loaded with the first heater.
+TUNING = ("pid_calibrate", "heater_profile")
 
 
 class AnyHeater(Protocol):
@@ -47,263 +35,29 @@ class AnyHeater(Protocol):
     def stats(self, eventtime: float) -> tuple[bool, str]: ...
 
 
-class AnySensor(Protocol):
-    """What a temperature sensor offers its heater."""
-
-    def setup_minmax(self, min_temp: float, max_temp: float) -> None: ...
-    def setup_callback(self, temperature_callback: Callable[[float, float], None]) -> None: ...
-    def get_report_time_delta(self) -> float: ...
-
-
 SensorFactory = Callable[[Any], AnySensor]
-
-
-def range_error(degrees: float, min_temp: float, max_temp: float) -> str:
-    """Text for a target outside the heater's range."""
-    return f"Requested temperature ({degrees:.1f}) out of range ({min_temp:.1f}:{max_temp:.1f})"
-
-
-######################################################################
-# Control laws of ordinary heaters
-######################################################################
-
-
-class ControlLaw(Protocol):
-    """One heater's control law with its memory; duty is PWM 0..1."""
-
-    def decide(self, time_s: float, temp_c: float, target_c: float) -> float: ...
-    def is_busy(self, smoothed_c: float, target_c: float) -> bool: ...
-
-
-class PidLaw:
-    """PID with Klipper's documented gains (duty = (Kp e + Ki integral - Kd slope) / 255)."""
-
-    def __init__(self, parameters: control.PidParameters) -> None:
-        self.parameters = parameters
-        self.state = control.PidState()
-
-    def decide(self, time_s: float, temp_c: float, target_c: float) -> float:
-        if target_c <= 0.0:
-            self.state = replace(self.state, integral=0.0)
-        inputs = control.ControlInput(target_c, temp_c)
-        output, self.state = control.pid_step(self.parameters, self.state, inputs, time_s)
-        return output.value if target_c > 0.0 else 0.0
-
-    def is_busy(self, smoothed_c: float, target_c: float) -> bool:
-        slope = abs(self.state.slope_c_s)
-        return abs(target_c - smoothed_c) > PID_BUSY_C or slope > PID_BUSY_SLOPE_C_S
-
-
-class WatermarkLaw:
-    """On-off control around the target."""
-
-    def __init__(self, parameters: control.WatermarkParameters) -> None:
-        self.parameters = parameters
-        self.state = control.WatermarkState()
-
-    def decide(self, time_s: float, temp_c: float, target_c: float) -> float:
-        if target_c <= 0.0:
-            self.state = control.WatermarkState()
-            return 0.0
-        inputs = control.ControlInput(target_c, temp_c)
-        output, self.state = control.watermark_step(self.parameters, self.state, inputs, time_s)
-        return output.value
-
-    def is_busy(self, smoothed_c: float, target_c: float) -> bool:
-        return smoothed_c < target_c - self.parameters.max_delta_c
-
-
-def read_pid_law(config: Any, max_power: float, smooth_time_s: float) -> ControlLaw:
-    """`control: pid` of an ordinary heater."""
-    pid_kp = config.getfloat("pid_Kp", above=0.0)
-    pid_ki, pid_kd = (config.getfloat(option, minval=0.0) for option in ("pid_Ki", "pid_Kd"))
-    return PidLaw(control.klipper_pid(pid_kp, pid_ki, pid_kd, max_power, smooth_time_s))
-
-
-def read_watermark_law(config: Any, max_power: float, smooth_time_s: float) -> ControlLaw:
-    """`control: watermark`; smoothing plays no part."""
-    max_delta_c = config.getfloat("max_delta", 2.0, above=0.0)
-    return WatermarkLaw(control.WatermarkParameters(max_delta_c, max_power))
-
-
-CONTROL_LAWS: dict[str, Callable[[Any, float, float], ControlLaw]] = {
-    "pid": read_pid_law,
-    "watermark": read_watermark_law,
-}
-
-
-######################################################################
-# The ordinary heater
-######################################################################
-
-
-@dataclass(frozen=True, slots=True)
-class HeaterSettings:
-    """Plain values of one heater section."""
-
-    name: str  # full section name
-    min_temp_c: float
-    max_temp_c: float
-    max_power: float  # duty 0..1
-    smooth_time_s: float
-    min_extrude_c: float
-    pwm_cycle_s: float
-
-
-def read_settings(config: Any) -> HeaterSettings:
-    """HeaterSettings of a section; raises the config's error on a missing or wrong option."""
-    min_temp_c = config.getfloat("min_temp", minval=-273.15)
-    max_temp_c = config.getfloat("max_temp", above=min_temp_c)
-    return HeaterSettings(
-        config.get_name(),
-        min_temp_c,
-        max_temp_c,
-        config.getfloat("max_power", 1.0, above=0.0, maxval=1.0),
-        config.getfloat("smooth_time", 1.0, above=0.0),
-        config.getfloat("min_extrude_temp", 170.0, minval=min_temp_c, maxval=max_temp_c),
-        config.getfloat("pwm_cycle_time", 0.100, above=0.0, maxval=0.3),
-    )
-
-
-class Heater:
-    """An ordinary heater: sensor reports in, PWM out."""
-
-    def __init__(
-        self, printer: Any, settings: HeaterSettings, sensor: AnySensor, law: ControlLaw, pwm: Any
-    ) -> None:
-        self.printer = printer
-        self.settings = settings
-        self.name = settings.name.split()[-1]
-        self.sensor = sensor
-        self.law = law
-        self.pwm = pwm
-        self.min_temp = settings.min_temp_c
-        self.max_temp = settings.max_temp_c
-        self.can_extrude = settings.min_extrude_c <= 0.0 or is_batch(printer)
-        self._target_c = 0.0
-        self._temp_c = 0.0
-        self._smoothed_c = 0.0
-        self._read_s = 0.0  # print time of the newest reading
-        self._duty = 0.0
-        self._duty_due_s = 0.0  # print time from which an unchanged duty is repeated
-        self._stopped = False
-        sensor.setup_minmax(settings.min_temp_c, settings.max_temp_c)
-        sensor.setup_callback(self._on_reading)
-        printer.register_event_handler("klippy:shutdown", self._on_shutdown)
-
-    # The control path, once per sensor report
-
-    def _on_reading(self, read_time_s: float, temp_c: float) -> None:
-        since_s = read_time_s - self._read_s
-        self._temp_c = temp_c
-        self._read_s = read_time_s
-        target_c = 0.0 if self._stopped else self._target_c
-        duty = self.law.decide(read_time_s, temp_c, target_c)
-        self._apply(read_time_s, duty, target_c)
-        share = min(1.0, since_s / self.settings.smooth_time_s)
-        self._smoothed_c += (temp_c - self._smoothed_c) * share
-        self.can_extrude = self._smoothed_c >= self.settings.min_extrude_c or is_batch(self.printer)
-
-    def _apply(self, read_time_s: float, duty: float, target_c: float) -> None:
-        """Send the duty, unless the pin nearly does it already and need not be reminded yet."""
-        if target_c <= 0.0:
-            duty = 0.0
-        small = abs(duty - self._duty) < PWM_HOLD_DELTA and (duty > 0.0) == (self._duty > 0.0)
-        if small and (read_time_s < self._duty_due_s or not duty):
-            return
-        at_s = read_time_s + PWM_DELAY_S + self.sensor.get_report_time_delta()
-        self._duty_due_s = read_time_s + PWM_HOLD_S
-        self._duty = duty
-        self.pwm.set_pwm(at_s, duty)
-
-    def _on_shutdown(self) -> None:
-        self._stopped = True
-
-    # The outward interface
-
-    def set_temp(self, degrees: float) -> None:
-        """New target in degC, 0 = off. Raises the printer's command_error if out of range."""
-        if degrees and not self.min_temp <= degrees <= self.max_temp:
-            raise self.printer.command_error(range_error(degrees, self.min_temp, self.max_temp))
-        self._target_c = degrees
-
-    def alter_target(self, target_temp: float) -> None:
-        """Move the target without an error, limited to the range; 0 stays off."""
-        if target_temp:
-            target_temp = max(self.min_temp, min(self.max_temp, target_temp))
-        self._target_c = target_temp
-
-    def get_temp(self, eventtime: float) -> tuple[float, float]:
-        """(smoothed temperature, target) in degC; (0, target) if readings have stopped."""
-        now_s = self.pwm.get_mcu().estimated_print_time(eventtime)
-        if self._read_s < now_s - QUELL_STALE_S:
-            return 0.0, self._target_c
-        return self._smoothed_c, self._target_c
-
-    def check_busy(self, eventtime: float) -> bool:
-        """Still on the way to the target?"""
-        return self.law.is_busy(self._smoothed_c, self._target_c)
-
-    def set_control(self, law: ControlLaw) -> ControlLaw:
-        """Swap the control law, target off; returns the one before."""
-        before, self.law = self.law, law
-        self._target_c = 0.0
-        return before
-
-    def set_pwm(self, read_time: float, value: float) -> None:
-        """Drive the pin from outside the control law (calibration); obeys shutdown and target."""
-        self._apply(read_time, value, 0.0 if self._stopped else self._target_c)
-
-    def get_pwm_delay(self) -> float:
-        """Seconds from a sensor report to the PWM change it causes."""
-        return PWM_DELAY_S + self.sensor.get_report_time_delta()
-
-    def get_max_power(self) -> float:
-        return self.settings.max_power
-
-    def get_smooth_time(self) -> float:
-        return self.settings.smooth_time_s
-
-    def get_status(self, eventtime: float) -> dict[str, Any]:
-        return {
-            "temperature": round(self._smoothed_c, 2),
-            "target": self._target_c,
-            "power": self._duty,
-        }
-
-    def stats(self, eventtime: float) -> tuple[bool, str]:
-        active = self._target_c > 0.0 or self._temp_c > 50.0
-        return (
-            active,
-            f"{self.name}: target={self._target_c:.0f} temp={self._temp_c:.1f} pwm={self._duty:.3f}",
-        )
 
 
 def build_heater(config: Any, sensor: AnySensor) -> Heater:
     """Heater of a section with heater_pin; loads its verify_heater watch."""
     printer = config.get_printer()
     settings = read_settings(config)
-    law_name = config.getchoice("control", {name: name for name in CONTROL_LAWS})
-    law = CONTROL_LAWS[law_name](config, settings.max_power, settings.smooth_time_s)
+    law = read_law(config, settings.max_power, settings.smooth_time_s)
+    if law.name == "mcu_onoff":
+        return finish_heater(config, heater_onoff.build(config, settings, sensor, law))
     pwm = printer.lookup_object("pins").setup_pin("pwm", config.get("heater_pin"))
     pwm.setup_cycle_time(settings.pwm_cycle_s)
     pwm.setup_max_duration(MAX_HEAT_TIME_S)
-    heater = Heater(printer, settings, sensor, law, pwm)
-    printer.load_object(config, f"verify_heater {heater.name}")
+    return finish_heater(config, Heater(printer, settings, sensor, law, pwm))
+
+
+def finish_heater(config: Any, heater: Heater) -> Heater:
+    """Its watch, and what flows through it."""
+    config.get_printer().load_object(config, f"verify_heater {heater.name}")
+    if config.get_name().startswith("extruder"):
+        diameter_mm = config.getfloat("filament_diameter", 1.75, above=0.0, note_valid=False)
+        heater.melts(math.pi * 0.25 * diameter_mm**2)
     return heater
-
-
-def is_batch(printer: Any) -> bool:
-    """Writing commands to a file, with nothing to measure.
-
-    Waits return at once, cold extrusion is allowed.
-    """
-    return printer.get_start_args().get("debugoutput") is not None
-
-
-######################################################################
-# The registry
-######################################################################
 
 
 class PrinterHeaters:
@@ -501,4 +255,6 @@ class PrinterHeaters:
 def load_config(config: Any) -> PrinterHeaters:
     heaters = PrinterHeaters(config.get_printer())
     heaters.register()
+    for module in TUNING:
+        config.get_printer().load_object(config, module)
     return heaters

@@ -57,6 +57,7 @@ class InductionHeater:
         self.smooth_time_s = smooth_time_s
         self.batch = heater_registry.is_batch(printer)
         self.served_by = ""
+        self.config: Any = None  # of the section, for tunings given by option (heater_tuning.py)
         self._reactor = printer.get_reactor()
         self._timer: Any = None
         self._driver: Driver | None = None
@@ -356,6 +357,7 @@ def load_config_prefix(config: Any) -> InductionSection:
         ),
         config.getfloat("smooth_time", 0.050, minval=0.0, maxval=5.0),
     )
+    heater.config = config
     section = InductionSection(config, heater)
     section.register()
     folder = config.get("calibration_folder", "~/printer_data/logs")

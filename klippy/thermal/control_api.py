@@ -76,6 +76,8 @@ class Schedule:
     before: float = 0.0
 
     def at(self, time_s: float) -> float:
+        if not self.times_s:
+            return self.before
         after = bisect_right(self.times_s, time_s)
         return self.values[after - 1] if after else self.before
 

@@ -33,6 +33,8 @@ __all__ = ["NOT_COMMANDED", "Approach", "Control", "InductionLoop", "LoopParamet
 
 BALANCE_S = 0.1
 PROMPT_S = 0.005  # to the MCU, when it matters more that a command comes soon than that it comes in time
+QUIET_C = 1.0  # nearer than this to the target a step of the model may wait for the next command's turn
+SAMPLES_MOST = 15  # 25 ms
 STEP_FRACTION = 0.1  # of p = (phase/45000)^2: a step of the drive that may move the reading
 USUAL_S = 0.1  # memory of the usual p
 DOUBT_C = 40.0  # 1 sigma of the law's error per unit of p away from it; C1 +0.1 % makes it 17 to 29 degC
@@ -309,6 +311,8 @@ class InductionLoop:
             state.request = PowerRequest(now_s, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             return
         if parameters.control.models:
+            if apart_s > 0.0 and self._can_wait(news, now_s):
+                return
             inputs = self._model_input(news, now_s, apart_s)
         else:
             inputs = self._plain_input(news, phase_before)
@@ -336,6 +340,15 @@ class InductionLoop:
             self._limit_w(state.target_c - news.temp_c),
             abs(step) > parameters.approach.rebase_fraction,
         )
+
+    def _can_wait(self, news: TempEstimate, now_s: float) -> bool:
+        """The next command is said already and nothing is amiss: the blocks are kept for the next step."""
+        state = self.state
+        quiet = abs(news.temp_c - state.target_c) < QUIET_C or state.target_c <= 0.0
+        if not quiet or state.horizon or len(state.samples) > SAMPLES_MOST or self.reference is not None:
+            return False
+        at_s = self._slot(now_s, math.inf)
+        return state.target_c <= 0.0 or (at_s is not None and state.line.at(at_s) is not None)
 
     def _model_input(self, news: TempEstimate, now_s: float, apart_s: float) -> control_api.ControlInput:
         """For the model law: all that was measured since the step before, what is pending, what lies ahead."""

@@ -23,7 +23,6 @@ The horizon: the same choice again from the predicted state, `ahead` times, shou
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 from .control_api import ControlInput, ControlOutput, Law, Planned, Sample
 from .model_filter import ModelState, observe
@@ -168,7 +167,7 @@ def model_step(
     if not state.known or inputs.reference_c <= 0.0:
         off = Planned(apply_s, 0.0)
         sent = _remembered(state, time_s, off) if own else ()
-        return ControlOutput(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), replace(state, output=0.0, sent=sent)
+        return ControlOutput(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), state._replace(output=0.0, sent=sent)
     future = _Future(p, state, inputs, state.time_s)
     future.follow(state.sent if inputs.pending is None else inputs.pending, samples[-1].output, apply_s)
     at = future.nodes
@@ -183,12 +182,12 @@ def model_step(
         value, unlimited, unlimited - loss - learned, learned, 0.0, loss, at.temp_c, horizon
     )
     sent = _remembered(state, time_s, Planned(apply_s, value)) if own else ()
-    return output, replace(state, output=value, sent=sent)
+    return output, state._replace(output=value, sent=sent)
 
 
 def model_follow(p: ModelParameters, state: ModelState, inputs: ControlInput, output: float) -> ModelState:
     """Somebody else's output: noted, so that prediction and slew rate start from it. Nothing is to be re-based."""
-    return replace(state, output=output)
+    return state._replace(output=output)
 
 
 MODEL: Law[ModelParameters, ModelState] = Law("model", model_step, ModelState(), model_follow)

@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from functools import cache
 from typing import NamedTuple
 
@@ -46,9 +45,8 @@ Matrix = tuple[tuple[float, ...], ...]
 UNKNOWN = Nodes(math.nan, math.nan, math.nan, math.nan, math.nan, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class ModelState:
-    """Memory of the model law."""
+class ModelState(NamedTuple):
+    """Memory of the model law. A tuple: one is made at every step."""
 
     time_s: float = math.nan  # what the nodes belong to; NaN: nothing known yet
     nodes: Nodes = UNKNOWN
@@ -211,11 +209,14 @@ def _walk(
     weight = pulled = passed = 0.0
     rebased_c, driven = 0.0, state.driven
     offset_c, offset_output = state.offset_c, state.offset_output
-    for sample in samples:
+    last = len(samples) - 1
+    for i, sample in enumerate(samples):
         surroundings = flow.at(now_s), fan.at(now_s)
         drive = sample.output, state.gain, state.disturbance_w
         middle_s = min(max(sample.time_s, now_s), sample.end_s)
         nodes = advance(p, nodes, drive, surroundings, middle_s - now_s)
+        passed += sample.output * max(0.0, middle_s - now_s)
+        now_s = max(now_s, middle_s)
         if sample.temp_c == sample.temp_c:
             sigma_c = sample.sigma_c if sample.sigma_c > 0.0 else p.sigma_c
             share = 1.0 / (sigma_c * sigma_c)
@@ -230,7 +231,9 @@ def _walk(
             weight += share
             pulled += share * off_c
             heard_s, driven = sample.time_s, sample.output
-        nodes = advance(p, nodes, drive, surroundings, sample.end_s - middle_s)
+        if i != last and samples[i + 1].output == sample.output:
+            continue  # on to the next one's middle in one step
+        nodes = advance(p, nodes, drive, surroundings, sample.end_s - now_s)
         passed += sample.output * max(0.0, sample.end_s - now_s)
         now_s = max(now_s, sample.end_s)
     elapsed_s = now_s - state.time_s
@@ -272,7 +275,7 @@ def observe(
     rows = _spread(p, places, [list(row) for row in state.covariance], slopes, run.time_s - state.time_s)
     if not run.weight:
         covariance = tuple(map(tuple, rows))
-        return replace(state, time_s=run.time_s, nodes=run.nodes, covariance=covariance)
+        return state._replace(time_s=run.time_s, nodes=run.nodes, covariance=covariance)
     m = places.measured
     jumped = abs(run.innovation_c) > JUMP_C + JUMP_SIGMA * math.sqrt(rows[m][m] + 1.0 / run.weight)
     loose_c = max(run.rebased_c, JUMPED_C if jumped else 0.0)

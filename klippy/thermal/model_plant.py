@@ -71,6 +71,7 @@ class ModelParameters:
     temp_walk_c: float = 0.02  # of each node, within a second
     gap_s: float = 5.0  # nothing heard for so long: begin anew
     step_s: float = field(init=False, default=LONGEST_STEP_S)  # of the integration
+    air_k4: float = field(init=False, default=0.0)  # fourth power of the air's absolute temperature
 
     def __post_init__(self) -> None:
         self._check()
@@ -81,6 +82,7 @@ class ModelParameters:
         if self.second_j_k:
             lags.append(self.second_j_k / (self.link_w_k + self.second_loss_w_k))
         shortest = min((lag for lag in lags if lag > 0.0), default=math.inf)
+        object.__setattr__(self, "air_k4", (self.ambient_c + ZERO_CELSIUS_K) ** 4)
         object.__setattr__(self, "step_s", min(LONGEST_STEP_S, shortest / STEPS_PER_LAG))
 
     def _check(self) -> None:
@@ -163,10 +165,6 @@ def heat_per_output_w(p: ModelParameters, temp_c: float) -> float:
     return p.output_w * (1.0 + p.output_slope_per_k * (temp_c - 25.0))
 
 
-def _faded(lag_s: float, dt_s: float) -> float:
-    return math.exp(-dt_s / lag_s) if lag_s > 0.0 else 0.0
-
-
 def advance(
     p: ModelParameters,
     nodes: Nodes,
@@ -183,11 +181,12 @@ def advance(
     element_c, temp_c, second_c, sensor_c, bore_c, flow = nodes
     h = dt_s / steps
     air_w_k = p.loss_w_k + fan * p.fan_w_k
-    cold_k4 = (p.ambient_c + ZERO_CELSIUS_K) ** 4
-    radiation = STEFAN_BOLTZMANN * p.radiation_m2
-    bore_fade, sensor_fade, flow_fade = _faded(p.bore_s, h), _faded(p.sensor_s, h), _faded(p.flow_s, h)
+    ambient_c, cold_k4, radiation = p.ambient_c, p.air_k4, STEFAN_BOLTZMANN * p.radiation_m2
+    bore_fade = math.exp(-h / p.bore_s) if p.bore_s else 0.0
+    sensor_fade = math.exp(-h / p.sensor_s) if p.sensor_s else 0.0
     for _ in range(steps):
-        flow = flow_in + (flow - flow_in) * flow_fade
+        if flow != flow_in:
+            flow = flow_in + (flow - flow_in) * (math.exp(-h / p.flow_s) if p.flow_s else 0.0)
         heat = gain * output * p.output_w * (1.0 + p.output_slope_per_k * (temp_c - 25.0))
         if p.element_j_k:
             passed = p.element_w_k * (element_c - temp_c)
@@ -195,12 +194,12 @@ def advance(
             heat = passed
         link = p.link_w_k * (temp_c - second_c)
         hot_k = temp_c + ZERO_CELSIUS_K
-        net = heat + disturbance_w - link - air_w_k * (temp_c - p.ambient_c)
+        net = heat + disturbance_w - link - air_w_k * (temp_c - ambient_c)
         net -= radiation * (hot_k * hot_k * hot_k * hot_k - cold_k4)
         if flow > 1e-9:
             net -= melt_w_k(p, flow) * (bore_c - p.melt_in_c)
         if p.second_j_k:
-            second_c += h * (link - p.second_loss_w_k * (second_c - p.ambient_c)) / p.second_j_k
+            second_c += h * (link - p.second_loss_w_k * (second_c - ambient_c)) / p.second_j_k
         before_c = temp_c
         temp_c += h * net / (p.heat_j_k * (1.0 + p.heat_slope_per_k * (temp_c - 25.0)))
         middle_c = 0.5 * (before_c + temp_c)

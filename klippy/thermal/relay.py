@@ -22,6 +22,7 @@ import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
+from itertools import pairwise
 from typing import NamedTuple
 
 
@@ -111,8 +112,8 @@ class RelayRun:
             self._gain = time_s, temp_c
         elif time_s - start_s > plan.gain_s:
             self.abort(
-                f"the temperature went from {start_c:.1f} to {temp_c:.1f} C in {plan.gain_s:.0f} s of heating: heater or"
-                " sensor is broken, or they are not on the same part"
+                f"the temperature went from {start_c:.1f} to {temp_c:.1f} C in {plan.gain_s:.0f} s of heating: heater"
+                " or sensor is broken, or they are not on the same part"
             )
         if temp_c > plan.target_c + plan.lost_c:
             self.abort(
@@ -152,7 +153,7 @@ def _harmonic(points: Sequence[Point], omega: float) -> tuple[complex, complex]:
     """First harmonics of temperature (straight lines between readings) and output (held from each reading on)."""
     temp, output = 0j, 0j
     mean_c = statistics.fmean(p.temp_c for p in points)
-    for a, b in zip(points, points[1:], strict=False):
+    for a, b in pairwise(points):
         dt_s = b.time_s - a.time_s
         middle = cmath.exp(-1j * omega * 0.5 * (a.time_s + b.time_s))
         temp += (0.5 * (a.temp_c + b.temp_c) - mean_c) * middle * dt_s

@@ -17,6 +17,8 @@ from .records import PhaseCommand
 
 TIME_SLACK_S = 1e-7  # rounding of print times against clocks, far below a bridge period
 
+KEEP_S = 0.25  # a block comes this late at most before the loop counts as blind
+
 NOT_COMMANDED = PhaseCommand(-math.inf, 0, 0.0)
 
 
@@ -57,9 +59,7 @@ class Timeline:
         self.head = commands[0]
         start_s = commands[0].time_s - TIME_SLACK_S
         kept = [c for c in self.commands if c.time_s < start_s]
-        past = sum(
-            1 for c in kept if c.time_s <= now_s - 1.0
-        )  # blocks may still be asked about the last second
+        past = sum(1 for c in kept if c.time_s <= now_s - KEEP_S)
         self.commands = kept[max(0, past - 1) :] + commands
 
     def last_before(self, time_s: float) -> PhaseCommand:

@@ -34,6 +34,7 @@ _STALL_S = 5.0  # a client that took nothing for so long is dropped
 _BACKLOG_LIMIT = 32 * 1024 * 1024
 _SUBSCRIPTION_PERIOD_S = 0.25
 _SHORTEST_PERIOD_S = 0.02
+_FAREWELL_S = 3.0  # when the host ends, clients have so long to close their side
 _SCRIPT_SLICE_S = 0.01  # a script of many lines lets others run so often
 
 
@@ -128,12 +129,27 @@ class ClientConnection:
         self._backlog = bytearray()
         self._stalled_since = 0.0
         self.closed = False
+        self._ending = False
         self._handle = self._reactor.register_fd(sock.fileno(), self._receive, self._flush)
         self._stall_timer = self._reactor.register_timer(self._check_stall)
 
     def is_closed(self) -> bool:
-        """Whether the client is gone."""
-        return self.closed
+        """Whether the client is gone, or is told to go."""
+        return self.closed or self._ending
+
+    def end(self) -> None:
+        """Say good-bye: the client reads an end of file. What it still sends is read and dropped.
+
+        Closing at once would make a request that is just being written fail at the client's.
+        """
+        if self.closed:
+            return
+        self._flush()
+        self._ending = True
+        try:
+            self._sock.shutdown(socket.SHUT_WR)
+        except OSError:
+            self.close()
 
     def close(self) -> None:
         """Drop the client."""
@@ -155,6 +171,8 @@ class ClientConnection:
             data = b""
         if not data:
             self.close()
+            return
+        if self._ending:
             return
         self._received += data
         if END in data:
@@ -214,7 +232,7 @@ class ClientConnection:
     # --- answers ---
     def send(self, data: Any) -> None:
         """Queue one message; drops the client if it takes nothing."""
-        if not self.closed:
+        if not self.is_closed():
             self.send_encoded(encode(data))
 
     def send_encoded(self, data: bytes) -> None:
@@ -223,7 +241,7 @@ class ClientConnection:
         self._flush()
 
     def _flush(self, eventtime: float | None = None) -> None:
-        if self.closed:
+        if self.is_closed():
             return
         waited = bool(self._stalled_since)
         try:
@@ -289,14 +307,20 @@ class ServerSocket:
         self.clients.pop(client.uid, None)
 
     def _close(self) -> None:
-        for client in list(self.clients.values()):
-            client.close()
+        """The path goes first, so that nobody comes; then the clients, in good order if they can."""
         self.reactor.unregister_fd(self._handle)
         self._sock.close()
         try:
             os.unlink(self._path)
         except OSError:
             pass
+        for client in list(self.clients.values()):
+            client.end()
+        deadline = self.reactor.monotonic() + _FAREWELL_S
+        while self.clients and self.reactor.monotonic() < deadline:
+            self.reactor.pause(self.reactor.monotonic() + 0.01)
+        for client in list(self.clients.values()):
+            client.close()
 
 
 class WebHooks:

@@ -12,12 +12,12 @@
 DECL_CONSTANT_STR("MCU", "atmega2560");
 DECL_CONSTANT("CLOCK_FREQ", PORT_CLOCK_HZ);
 
-extern uint8_t __heap_start[];  /* linker: the first byte after .bss */
+extern uint8_t arena_start[], arena_end[];  /* port.mk: from the end of .bss to the deepest place of the stack */
 int main(void);
 void reset_watchdog_off(void);
 
-/* After a reset by the watchdog it goes on running, at its shortest time (datasheet 12.4.1): off with it before the memory
- * is set up, which takes longer.  WDE cannot be cleared while WDRF is set. */
+/* After a reset by the watchdog it goes on running, at its shortest time (datasheet 12.4.1): off with it, so that the way to
+ * watchdog_start() may take its time.  WDE cannot be cleared while WDRF is set. */
 void __attribute__((naked, used, section(".init3")))
 reset_watchdog_off(void)
 {
@@ -75,8 +75,8 @@ board_reset(void)
 size_t
 board_arena(void **start)
 {
-    *start = __heap_start;
-    return (uint16_t)(RAMEND + 1 - CONFIG_STACK_SIZE) - (uint16_t)(uintptr_t)__heap_start;
+    *start = arena_start;
+    return (size_t)(arena_end - arena_start);
 }
 
 uint32_t

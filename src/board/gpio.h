@@ -5,7 +5,8 @@
  *
  *   gpio_out_setup   task context; drives the pin to `value` without a glitch to the other level first;
  *                    shuts down with SHUTDOWN_NOT_OUTPUT_PIN on a pin that cannot
- *   gpio_out_write   any context, interrupts may be enabled or not
+ *   gpio_out_write   any context, interrupts may be enabled or not; nothing on a struct of zeros (the DECL_SHUTDOWN function
+ *                    of an object whose set-up has just shut down)
  *   gpio_out_toggle  the same; used by steppers, so it should be a few instructions
  *   gpio_in_setup    pull: 1 pull-up, 0 none, -1 pull-down; shuts down with SHUTDOWN_NOT_INPUT_PIN
  *   gpio_in_read     0 or 1; any context

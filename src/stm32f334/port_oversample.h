@@ -14,13 +14,10 @@
 
 #include <stdint.h>
 
-/* What has been seen so far, two of each (even and odd samples). */
-struct pair_state {
-    uint32_t sum, low, high;
-};
+/* low and high of a struct reduction are two each: of the even and of the odd samples. */
 
 static inline void
-pair_single(struct pair_state *s, uint32_t sample)
+pair_single(struct reduction *s, uint32_t sample)
 {
     uint32_t other = sample | 0xffff0000u;
     __asm__("usub16 %2, %0, %3\n\tsel %0, %3, %0\n\tusub16 %2, %1, %4\n\tsel %1, %1, %4"
@@ -44,7 +41,7 @@ pair_single(struct pair_state *s, uint32_t sample)
 
 /* USUB16 a, b sets the flags where a >= b; SEL takes its first operand there. */
 static inline const uint16_t *
-pair_sixteens(struct pair_state *s, const uint16_t *at, const uint16_t *end)
+pair_sixteens(struct reduction *s, const uint16_t *at, const uint16_t *end)
 {
     uint32_t x;
     __asm__ volatile("1:\n\t" PAIRS_OF_EIGHT PAIRS_OF_EIGHT "cmp %[at], %[end]\n\tbne 1b"
@@ -55,7 +52,7 @@ pair_sixteens(struct pair_state *s, const uint16_t *at, const uint16_t *end)
 }
 
 static inline const uint16_t *
-pair_eight(struct pair_state *s, const uint16_t *at)
+pair_eight(struct reduction *s, const uint16_t *at)
 {
     uint32_t x;
     __asm__ volatile(PAIRS_OF_EIGHT
@@ -67,7 +64,7 @@ pair_eight(struct pair_state *s, const uint16_t *at)
 
 /* Two at a time, what is left of less than 8. */
 static inline const uint16_t *
-pair_twos(struct pair_state *s, const uint16_t *at, const uint16_t *end)
+pair_twos(struct reduction *s, const uint16_t *at, const uint16_t *end)
 {
     uint32_t x, y;
     __asm__ volatile("1: ldr %[x], [%[at]], #4\n\t"
@@ -81,27 +78,43 @@ pair_twos(struct pair_state *s, const uint16_t *at, const uint16_t *end)
     return at;
 }
 
-static inline uint32_t
-oversample_reduce(const uint16_t *samples, uint16_t count, uint16_t *min, uint16_t *max)
+static inline void
+reduction_begin(struct reduction *r)
 {
-    struct pair_state s = { 0, *min | (uint32_t)*min << 16, *max | (uint32_t)*max << 16 };
+    *r = (struct reduction){0, 0xffffffffu, 0};
+}
+
+static inline void
+reduction_add(struct reduction *r, const uint16_t *samples, uint32_t count)
+{
+    struct reduction s = *r;
     const uint16_t *end = samples + count;
     if ((uintptr_t)samples & 2u && count)
         pair_single(&s, *samples++);
-    uint32_t sixteens = (uint32_t)(end - samples) & ~15u;
-    if (sixteens)
-        samples = pair_sixteens(&s, samples, samples + sixteens);
-    if ((uint32_t)(end - samples) & 8u)
+    uint32_t left = (uint32_t)(end - samples);
+    if (left & ~15u)
+        samples = pair_sixteens(&s, samples, samples + (left & ~15u));
+    if (left & 8u)
         samples = pair_eight(&s, samples);
-    uint32_t twos = (uint32_t)(end - samples) & ~1u;
-    if (twos)
-        samples = pair_twos(&s, samples, samples + twos);
-    if (samples < end)
+    if (left & 6u)
+        samples = pair_twos(&s, samples, samples + (left & 6u));
+    if (left & 1u)
         pair_single(&s, *samples);
-    uint32_t low = s.low >> 16, high = s.high >> 16;
-    *min = (uint16_t)(low < (s.low & 0xffffu) ? low : s.low);
-    *max = (uint16_t)(high > (s.high & 0xffffu) ? high : s.high);
-    return s.sum;
+    *r = s;
+}
+
+static inline uint16_t
+reduction_min(const struct reduction *r)
+{
+    uint32_t odd = r->low >> 16, even = r->low & 0xffffu;
+    return (uint16_t)(odd < even ? odd : even);
+}
+
+static inline uint16_t
+reduction_max(const struct reduction *r)
+{
+    uint32_t odd = r->high >> 16, even = r->high & 0xffffu;
+    return (uint16_t)(odd > even ? odd : even);
 }
 
 #endif

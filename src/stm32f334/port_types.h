@@ -9,9 +9,9 @@
 #define PORT_MOVE_COUNT_MAX 1024
 #define PORT_PWM_MAX 255
 
-/* Samples in a half of the bridge ADC's buffer: what an interrupt costs is shared by so many.  As many as the usual block has
- * (docs/Induction.md). */
-#define PORT_SYNC_HALF_LEN 192
+/* Samples in a half of the bridge ADC's buffer, two blocks of the usual length: what an interrupt costs is shared by so many.
+ * Fewer make it shorter (steps wait for it) and dearer; the figures are in docs/STM32F334.md. */
+#define PORT_SYNC_HALF_LEN 384
 
 struct gpio_out {
     volatile uint32_t *set_reset;  /* GPIOx_BSRR */

@@ -23,7 +23,7 @@ enum {
     TRIGGER_HRTIM_1 = 7,        /* EXTSEL (RM0364) */
     RISING = 1,
     EDGE_CLEAR_TICKS = 150,     /* sync_adc_start() keeps so far from period edges */
-    HALVES_LATE_MAX = 4,
+    HALVES_LATE_MAX = 2,
     SPIN_LIMIT = 20000,
 };
 #define DMA DMA_CHANNEL(CHANNEL)
@@ -137,7 +137,6 @@ sync_adc_start(struct sync_adc a)
     return sync.base_clock;
 }
 
-/* Of the present half's first sample on; interrupts disabled or in one. */
 static uint32_t
 position_now(uint32_t now)
 {
@@ -151,9 +150,11 @@ sync_adc_position(struct sync_adc a)
     (void)a;
     if (!sync.running)
         return 0;
-    irqstatus_t flag = irq_save();
-    uint32_t position = position_now(timer_read_time());
-    irq_restore(flag);
+    uint32_t position, base;
+    do { /* again if samples_irq() came between */
+        base = *(volatile uint32_t *)&sync.base_index;
+        position = position_now(timer_read_time());
+    } while (base != *(volatile uint32_t *)&sync.base_index);
     return position;
 }
 
@@ -185,6 +186,13 @@ tell_stopped(void *unused)
     try_shutdown(SHUTDOWN_SAMPLES_STOPPED);
 }
 
+static void
+next_half(void)
+{
+    sync.base_clock += sync.half_ticks;
+    sync.base_index += sync.half_len;
+}
+
 void
 samples_irq(void)
 {
@@ -193,20 +201,18 @@ samples_irq(void)
     DMA1_IFCR = arrived;
     if (!sync.running || !arrived)
         return;
-    /* The newest complete half's last sample has been taken. */
-    uint32_t now = timer_read_time() + sync.period_ticks;
-    do {
-        sync.base_clock += sync.half_ticks;
-        sync.base_index += sync.half_len;
-    } while ((int32_t)(now - sync.base_clock) >= (int32_t)sync.half_ticks);
     uint16_t *first = sync.buffer, *second = sync.buffer + sync.half_len;
+    next_half();
     if (arrived == half) {
         sched_guarded(give_half, first);
     } else if (arrived == whole) {
         sched_guarded(give_half, second);
     } else if (arrived & error) {
         sched_guarded(tell_stopped, 0);
-    } else { /* both: this interrupt comes late; the older one first */
+    } else { /* both: this interrupt comes late, by one half or more; the older one first */
+        uint32_t now = timer_read_time() + sync.period_ticks;
+        while ((int32_t)(now - sync.base_clock) >= (int32_t)sync.half_ticks)
+            next_half();
         uint8_t filling_first = DMA_CNDTR(DMA) > sync.half_len;
         sched_guarded(give_half, filling_first ? first : second);
         sched_guarded(give_half, filling_first ? second : first);

@@ -1,8 +1,7 @@
 /* The smallest set of types that satisfies the board contract: a new port starts from a copy of this file.
  *
  * As it stands it is what `make compile-check` compiles the portable files with, to show that they need nothing but the
- * contract.  A port also supplies the bodies of the functions in src/board/, a main() that calls sched_main(), and a timer
- * interrupt that calls sched_timer_dispatch(); src/simulator/ is a complete example.
+ * contract; port.c beside it has a body for each of its functions.
  */
 #ifndef PORT_TYPES_H
 #define PORT_TYPES_H

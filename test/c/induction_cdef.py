@@ -16,8 +16,8 @@ struct oversample_block {
 struct oversample {
     struct oversample_config config;
     uint16_t block_len, cut_len;
-    uint32_t sum, first;
-    uint16_t count, min, max;
+    uint32_t sum, low, high, first;
+    uint16_t count;
     uint16_t phase, settle_left, discarded, lost;
     struct ema ema;
 };

@@ -9,6 +9,7 @@ from measure import PERIOD, TRAVEL, Sampling, run_sampling
 SECONDS = 1.5  # ten in scripts/bench_firmware.py
 SAMPLES_IRQ = 16 + 11  # DMA1 channel 1
 BLOCK, Y = 192, 5
+MOST_PER_SAMPLE = 4.0  # a plain loop over the samples is 4.5 alone
 
 
 @pytest.fixture(scope="module")
@@ -60,9 +61,9 @@ def test_the_phases_in_the_compare_registers_are_those_commanded(run: Sampling) 
         assert abs(told - asked) <= 2  # a step is 2.3 units of the phase
 
 
-def test_a_sample_costs_at_most_four_instructions(run: Sampling) -> None:
-    """All of the interrupt: entry, sums, blocks, guard, exit; a plain loop over the samples needs 4.5 alone."""
-    assert run.spent(SAMPLES_IRQ) / run.samples <= 4.0
+def test_a_sample_costs_few_instructions(run: Sampling) -> None:
+    """All of the interrupt: entry, sums, extremes, blocks, guard, exit."""
+    assert run.spent(SAMPLES_IRQ) / run.samples <= MOST_PER_SAMPLE
 
 
 def test_no_interrupt_takes_a_tenth_of_a_millisecond(run: Sampling) -> None:

@@ -50,6 +50,40 @@ def test_alarms_before_at_and_after_the_counter_s_wrap_are_heard() -> None:
     assert min(delays) >= 0 and max(delays) < LATENESS
 
 
+def test_clock_is_right_also_in_the_very_cycles_of_an_overflow() -> None:
+    mega = Mega()
+    start = mega.now
+    way = (
+        mega.ask("get_clock")["clock"] - mega.chip_clock(start)
+    ) & 0xFFFF  # from the first byte to the reading
+    for i in range(-60, 60):
+        ahead = (-(mega.chip_clock(mega.now) + way) + i) % 65536
+        mega.run_to(mega.now + ahead)
+        sent = mega.now
+        delay = late(mega, sent + way, mega.ask("get_clock")["clock"])
+        assert (
+            abs(delay) < 400
+        )  # an overflow's interrupt may come before the reading; a mistake would be 65536
+
+
+@pytest.mark.parametrize("phase", range(6))
+def test_an_output_may_be_asked_for_at_the_last_moment(phase: int) -> None:
+    """Nearer and nearer, until it is in the past: on time, or refused; never a round of the counter late."""
+    mega = Mega()
+    lamp = {"oid": 0, "pin": PB4, "value": 0, "default_value": 0, "max_duration": 0}
+    mega.configure(1, ("config_digital_out", lamp))
+    ahead = 10300 + phase  # the message itself takes some 10000 on the line
+    while not mega.shutdown_reason():
+        before, clock = len(mega.edges(PB4)), mega.clock_in(ahead / MEGA_HZ)
+        mega.send("queue_digital_out", oid=0, clock=clock, on_ticks=before % 2)
+        mega.run(0.006 + phase * 1e-6)
+        if len(mega.edges(PB4)) > before:
+            # the command itself may hold the interrupt up for its own time
+            assert 0 <= late(mega, mega.edges(PB4)[-1][0], clock) < LATENESS + 200
+        ahead -= 3
+    assert mega.shutdown_reason() == "Timer too close" and 10000 < ahead < 10250
+
+
 def test_pulses_last_as_configured_and_direction_is_set_before() -> None:
     mega = stepping(1, invert_step=0, pulse_ticks=64)
     clock = mega.clock_in(0.1)

@@ -8,6 +8,8 @@ from __future__ import annotations
 import pytest
 from scenario import Case, Story, play
 
+from simulation.builds import make_build
+
 # A chip takes time to compute, the simulator port does not: orders of the host reach the pins alike (they are
 # stamped), but the moment a switch is seen, and when the host hears of it, differ by some tens of microseconds.
 CASES = {
@@ -83,6 +85,13 @@ def test_the_chip_lost_nothing_on_the_way(told: tuple[Story, Story]) -> None:
     counters = told[1].counters
     assert counters["console_overruns"] == counters["samples_lost"] == counters["resets"] == 0
     assert counters["console_baud"] == pytest.approx(250000, rel=0.02)
+
+
+def test_no_interrupt_takes_a_tenth_of_a_millisecond(told: tuple[Story, Story]) -> None:
+    """The whole story, with the guard's trip and shutdown inside an interrupt; the Mega is 4.5 times slower."""
+    build = make_build(told[1].case.build)
+    limit_s = 100e-6 if build.clock_hz > 20e6 else 1e-3
+    assert max(told[1].counters["longest_ticks"].values()) / build.clock_hz < limit_s
 
 
 def test_the_stack_keeps_a_quarter_free(told: tuple[Story, Story]) -> None:

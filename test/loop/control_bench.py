@@ -8,7 +8,7 @@ All temperatures are the C plant's true skin. The law of the thermometer is the 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -138,6 +138,11 @@ def build_rig(controller: str, preset: str, changes: Mapping[str, float], link: 
         return PeerRig(plant, MpcLike(power_w), power_w, seed)
     parameters = default_parameters(law=true_law(), control=controller, power_full_w=power_w)
     return OurRig(plant, parameters, seed, link)
+
+
+def replaced(parameters: Any, chosen: Any, law: Any) -> Any:
+    """Loop parameters with another law in the place of the chosen one."""
+    return replace(parameters, control=replace(chosen, law=law))
 
 
 def least_s(preset: str, changes: Mapping[str, float], start_c: float, target_c: float) -> float:

@@ -30,12 +30,10 @@ microsteps: 16
 rotation_distance: 7.6
 nozzle_diameter: 0.4
 filament_diameter: 1.75
-heater_pin: board:PA2
-sensor_type: Generic 3950
-sensor_pin: board:PA3
-control: watermark
-min_temp: 0
-max_temp: 250
+heater: nozzle
+[induction_heater nozzle]
+sense_pin: board:PA2
+max_temp: 300
 """
 
 # Sections that only tests, simulations or other sections read.

@@ -83,6 +83,20 @@ def test_every_documented_command_exists(printers: list[Loaded]) -> None:
     assert not unknown, f"docs/G-Codes.md has commands the program does not know: {unknown}"
 
 
+def test_every_parameter_of_a_command_is_documented() -> None:
+    """On the commands' page or on that of their subject."""
+    text = "\n".join(page.read_text(encoding="utf-8") for page in pages())
+    words = set(re.findall(r"[A-Z][A-Z0-9_]+", text))
+    asked = re.compile(r"gcmd\.get\w*\(\s*\"([A-Z][A-Z0-9_]+)\"")
+    missing = {
+        f"{name} ({path.relative_to(HOST)})"
+        for path in HOST.rglob("*.py")
+        for name in asked.findall(path.read_text(encoding="utf-8"))
+        if name not in words
+    }
+    assert not missing, f"parameters of commands missing in docs/: {sorted(missing)}"
+
+
 # ---- status ----------------------------------------------------------------------------------------------------
 
 

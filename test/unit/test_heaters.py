@@ -347,7 +347,7 @@ def test_blocks_become_temperature_and_phase_commands_ahead_of_time() -> None:
     clocks = [clock for _, clock, _ in printer.mcu.sent]
     assert clocks == sorted(clocks)  # a plan may take the place of one for the same instant
     assert struct.unpack("<HH", printer.mcu.sent[-1][2][:4]) == (0, 45000)
-    assert clocks[-1] > 100.0 * 72e6 + 0.010 * 72e6
+    assert clocks[-1] > 100.0 * 72e6 + 0.004 * 72e6
     detail = printer.lookup_object("induction_heater nozzle").get_status(100.0)
     assert detail["estimate"] == pytest.approx(200.0, abs=0.1)
     assert detail["blocks_lost"] == 0

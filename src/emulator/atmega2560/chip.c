@@ -405,12 +405,12 @@ emulator_load(const char *elf_path)
     const char *error = image_load(elf_path, chip->flash, chip->flashend + 1);
     if (error)
         return error;
-    uint32_t stack_size, ignored;
+    uint32_t limit, ignored;
     memset(&counters, 0, sizeof counters);
     memset(me.profile, 0, sizeof me.profile);
     counters.stack_top = counters.stack_low = RAM_END + 1;
-    if (!image_symbol("ferrite_stack_size", &stack_size, &ignored))
-        counters.stack_limit = RAM_END + 1 - stack_size;
+    if (!image_symbol("stack_limit", &limit, &ignored))
+        counters.stack_limit = limit & 0xffff;
     chip->codeend = chip->flashend;
     me.busy_ticks = me.interrupt_ticks = 0;
     me.loaded = 1;

@@ -1,0 +1,129 @@
+"""HEATER_PROFILE: named tunings of any heater, whatever its `control:`.
+
+    HEATER_PROFILE HEATER=extruder SAVE=fast        keep the tuning in use under a name
+    HEATER_PROFILE HEATER=extruder LOAD=fast        work with it from now on, until the next restart
+    HEATER_PROFILE HEATER=extruder USE=fast         the same, and make it the heater's own
+    HEATER_PROFILE HEATER=extruder REMOVE=fast
+    HEATER_PROFILE [HEATER=extruder] LIST=1
+
+SAVE_CONFIG writes what SAVE, USE and REMOVE changed: a profile is a section [heater_profile HEATER NAME] whose options
+are those of the tuning. Switching keeps the target and continues at the present output.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+from . import heater_laws, heater_tuning
+
+SECTION = "heater_profile"
+NAME = re.compile(r"[A-Za-z0-9_.-]+")
+VERBS = ("SAVE", "LOAD", "USE", "REMOVE")
+
+
+class HeaterProfiles:
+    """All profiles of all heaters."""
+
+    def __init__(self, printer: Any) -> None:
+        self.printer = printer
+        self.profiles: dict[tuple[str, str], dict[str, str]] = {}  # (heater, profile) → tuning
+        self.loaded: dict[str, str] = {}  # heater → profile in use
+
+    def register(self) -> None:
+        self.printer.lookup_object("gcode").register_command(
+            "HEATER_PROFILE",
+            self.cmd_HEATER_PROFILE,
+            desc="Save, load, use, list or remove tunings of a heater",
+        )
+
+    def read(self, config: Any) -> None:
+        """One section [heater_profile HEATER NAME]."""
+        words = config.get_name().split()
+        if len(words) != 3:
+            raise config.error(f"Section '{config.get_name()}' must be named [{SECTION} HEATER NAME]")
+        names = {*heater_tuning.INDUCTION_OPTIONS, *(n for o in heater_laws.OPTIONS.values() for n in o)}
+        texts = {name: config.get(name, None) for name in sorted(names | {"control"})}
+        self.profiles[words[1], words[2]] = {name: text for name, text in texts.items() if text is not None}
+
+    def cmd_HEATER_PROFILE(self, gcmd: Any) -> None:
+        verbs = [verb for verb in VERBS if gcmd.get(verb, None) is not None]
+        if gcmd.get("LIST", None) is not None and not verbs:
+            self._list(gcmd)
+            return
+        if len(verbs) != 1:
+            raise gcmd.error("HEATER_PROFILE needs one of SAVE=, LOAD=, USE=, REMOVE= with a name, or LIST=1")
+        heater = self.printer.lookup_object("heaters").lookup_heater(gcmd.get("HEATER"))
+        name = gcmd.get(verbs[0])
+        if not NAME.fullmatch(name):
+            raise gcmd.error(f"'{name}' is no profile name: letters, digits, '_', '-' and '.' only")
+        if verbs[0] == "SAVE":
+            self._save(gcmd, heater, name)
+            return
+        tuning = self.profiles.get((heater.name, name))
+        if tuning is None:
+            known = ", ".join(sorted(n for h, n in self.profiles if h == heater.name)) or "none"
+            raise gcmd.error(f"Heater '{heater.name}' has no profile '{name}' (known: {known})")
+        if verbs[0] == "REMOVE":
+            self._remove(gcmd, heater, name)
+        else:
+            self._load(gcmd, heater, name, tuning, keep=verbs[0] == "USE")
+
+    def _list(self, gcmd: Any) -> None:
+        wanted = gcmd.get("HEATER", None)
+        lines = []
+        for (heater, name), tuning in sorted(self.profiles.items()):
+            if wanted in (None, heater):
+                mark = " (in use)" if self.loaded.get(heater) == name else ""
+                lines.append(f"{heater} {name}{mark}: " + " ".join(f"{k}={v}" for k, v in tuning.items()))
+        gcmd.respond_info("\n".join(lines) or "There are no heater profiles")
+
+    def _save(self, gcmd: Any, heater: Any, name: str) -> None:
+        tuning = dict(heater_tuning.options_of(heater))
+        configfile = self.printer.lookup_object("configfile")
+        section = f"{SECTION} {heater.name} {name}"
+        configfile.remove_section(section)
+        for option, value in tuning.items():
+            configfile.set(section, option, value)
+        self.profiles[heater.name, name] = tuning
+        self.loaded[heater.name] = name
+        gcmd.respond_info(
+            f"Profile '{name}' of heater '{heater.name}' saved; SAVE_CONFIG writes it to the file"
+        )
+
+    def _load(self, gcmd: Any, heater: Any, name: str, tuning: dict[str, str], keep: bool) -> None:
+        heater_tuning.use(self.printer, heater, tuning)
+        self.loaded[heater.name] = name
+        if keep:
+            heater_tuning.stage(self.printer, heater, tuning)
+        end = "; SAVE_CONFIG makes it the heater's own" if keep else " until the next restart"
+        gcmd.respond_info(f"Heater '{heater.name}' works with profile '{name}'{end}")
+
+    def _remove(self, gcmd: Any, heater: Any, name: str) -> None:
+        del self.profiles[heater.name, name]
+        if self.loaded.get(heater.name) == name:
+            del self.loaded[heater.name]
+        self.printer.lookup_object("configfile").remove_section(f"{SECTION} {heater.name} {name}")
+        gcmd.respond_info(
+            f"Profile '{name}' of heater '{heater.name}' removed; SAVE_CONFIG removes it from the file"
+        )
+
+    def get_status(self, eventtime: float) -> dict[str, Any]:
+        names: dict[str, list[str]] = {}
+        for heater, name in sorted(self.profiles):
+            names.setdefault(heater, []).append(name)
+        return {"profiles": names, "loaded": dict(self.loaded)}
+
+
+def load_config(config: Any) -> HeaterProfiles:
+    profiles = HeaterProfiles(config.get_printer())
+    profiles.register()
+    for section in config.get_prefix_sections(f"{SECTION} "):
+        profiles.read(section)
+    return profiles
+
+
+def load_config_prefix(config: Any) -> HeaterProfiles:
+    """A profile is read with all the others."""
+    profiles: HeaterProfiles = config.get_printer().load_object(config, SECTION)
+    return profiles

@@ -1,0 +1,110 @@
+"""PID_CALIBRATE HEATER= TARGET= [WRITE_FILE=] [WAIT=]: a PID for any heater, from its swings around the target.
+
+The run and its evaluation are thermal/relay.py. Ordinary heaters get pid_Kp, pid_Ki, pid_Kd (duty, per 255), induction
+nozzles pid_kp_w_per_k, pid_ki_w_per_k_s, pid_kd_w_s_per_k. They are in use at once; SAVE_CONFIG keeps them.
+"""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+from thermal import control, relay
+
+from . import heater_run, heater_tuning
+
+TRACE = Path("/tmp/heattest.txt")  # where Klipper's users look for it
+BAND_C, INDUCTION_BAND_C = 0.5, 1.0
+LEAST_ABOVE_C = 10.0
+# The nozzle swings within a fraction of a second.
+INDUCTION_TIMES = {"swing_s": 20.0, "heat_s": 60.0, "gain_s": 5.0, "lost_c": 60.0, "cycles": 12}
+
+
+class PidCalibrate:
+    """The command."""
+
+    def __init__(self, printer: Any) -> None:
+        self.printer = printer
+
+    def register(self) -> None:
+        self.printer.lookup_object("gcode").register_command(
+            "PID_CALIBRATE",
+            self.cmd_PID_CALIBRATE,
+            desc="Find a heater's PID gains by swinging around TARGET",
+        )
+
+    def cmd_PID_CALIBRATE(self, gcmd: Any) -> None:
+        heater = self.printer.lookup_object("heaters").lookup_heater(gcmd.get("HEATER"))
+        target_c = gcmd.get_float("TARGET", minval=heater.min_temp, maxval=heater.max_temp)
+        session = heater_run.Session(self.printer, heater, "PID_CALIBRATE")
+        now_c = session.check_sensor(gcmd)
+        if target_c < now_c + LEAST_ABOVE_C:
+            raise gcmd.error(
+                f"PID_CALIBRATE: heater '{heater.name}' is at {now_c:.1f} C; TARGET must be {LEAST_ABOVE_C:.0f} C above"
+                " that, or the way there says nothing"
+            )
+        if session.induction:
+            plan = relay.RelayPlan(target_c, session.seat.most, INDUCTION_BAND_C, **INDUCTION_TIMES)  # type: ignore[arg-type]
+        else:
+            plan = relay.RelayPlan(
+                target_c, session.seat.most, BAND_C, lost_c=heater.max_temp - target_c + 20.0
+            )
+        run = relay.RelayRun(plan)
+        write = gcmd.get_int("WRITE_FILE", 0)
+        wait = gcmd.get_int("WAIT", 1)
+        session.start(run, lambda: self._finish(session, run, bool(write)))
+        session.say(f"PID_CALIBRATE: heater '{heater.name}' will swing around {target_c:.0f} C")
+        if wait:
+            session.wait()
+
+    def _finish(self, session: heater_run.Session, run: relay.RelayRun, write: bool) -> None:
+        if write:
+            self._write(session, run)
+        try:
+            result = relay.evaluate(run)
+        except relay.CalibrationError as e:
+            session.say(f"PID_CALIBRATE ended: {e}. Nothing was changed.")
+            return
+        heater = session.heater
+        tuning = _tuning(result, session.induction)
+        if not session.induction:
+            heater.set_control(heater_tuning.check(self.printer, heater, tuning))
+        else:
+            heater_tuning.use(self.printer, heater, tuning)
+        heater_tuning.stage(self.printer, heater, tuning)
+        unit = "W" if session.induction else "of duty"
+        gains = " ".join(f"{name}={value}" for name, value in tuning.items() if name != "control")
+        session.say(
+            f"PID parameters: {gains}\n"
+            f"  integrator {result.gain_per_s:.4g} +- {result.gain_sigma:.2g} C/s per {unit}, delay"
+            f" {result.delay_s:.3g} +- {result.delay_sigma_s:.2g} s; swing {result.swing_c:.1f} C"
+            f" in {result.period_s:.3g} s\n"
+            "The new gains are in use. SAVE_CONFIG keeps them and restarts the printer."
+        )
+
+    def _write(self, session: heater_run.Session, run: relay.RelayRun) -> None:
+        try:
+            TRACE.write_text(
+                "".join(f"{p.time_s:.4f} {p.temp_c:.3f} {p.output:.4f}\n" for p in run.points),
+                encoding="utf-8",
+            )
+        except OSError as e:
+            logging.warning("PID_CALIBRATE: %s: %s", TRACE, e)
+            session.say(f"The trace cannot be written to {TRACE}: {e.strerror}")
+
+
+def _tuning(result: relay.RelayResult, induction: bool) -> heater_tuning.Tuning:
+    if induction:
+        names, scale = ("pid_kp_w_per_k", "pid_ki_w_per_k_s", "pid_kd_w_s_per_k"), 1.0
+    else:
+        names, scale = ("pid_kp", "pid_ki", "pid_kd"), control.PID_SCALE
+    gains = (result.kp, result.ki, result.kd)
+    values = {name: f"{scale * gain:.5g}" for name, gain in zip(names, gains, strict=True)}
+    return heater_tuning.Tuning(control="pid", **values)
+
+
+def load_config(config: Any) -> PidCalibrate:
+    command = PidCalibrate(config.get_printer())
+    command.register()
+    return command

@@ -1,0 +1,261 @@
+#!/usr/bin/env python3
+"""Temperature control compared: every law on the same plants, one programme, one run; a table, plots, limits.
+
+    scripts/bench_control.py [--out out/bench] [--quick]
+
+Plants are the simulator's C code, never a controller's own model; temperatures are the true ones. Beside our laws run
+two designs the field ships (test/loop/peers.py, from their documentation). The time-optimal climb is full power with
+perfect knowledge, simulated on the same plant. The host's cost is measured last, on this machine. Exit status 1 if
+`model` misses a limit.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT / "klippy"))
+sys.path.insert(0, str(ROOT / "test"))
+
+from loop import control_bench as bench  # type: ignore[import-not-found]  # noqa: E402
+from loop import hotend_bench as hotend  # type: ignore[import-not-found]  # noqa: E402
+from thermal.model_control import MODEL  # noqa: E402
+
+# What `model` must reach: name, figure, limit on the reference plant, limit on every other.
+LIMITS: tuple[tuple[str, Callable[[Any], float], float, float], ...] = (
+    ("settle / optimal", lambda r: r.settle_ratio, 1.15, 1.15),
+    ("overshoot degC", lambda r: r.overshoot_c, 1.0, 3.0),
+    ("step over minimum s", lambda r: r.step_over_s, 0.10, 0.10),
+    ("flow deviation degC", lambda r: r.flow_deviation_c, 0.6, 0.6),
+    ("flow steady degC", lambda r: r.flow_steady_c, 0.1, 0.1),
+    ("ripple degC p-p", lambda r: r.ripple_c, 0.3, 0.3),
+)
+LATE_ALLOWANCE = 1.5  # a late host and a slow link may cost less than half as much again
+STEP_COST_US, HOST_SHARE = 100.0, 0.05
+COLUMNS: tuple[tuple[str, Callable[[Any], str]], ...] = (
+    ("settle s", lambda r: f"{r.settle_s:.3f}"),
+    ("/ optimal", lambda r: f"{r.settle_ratio:.3f}"),
+    ("over", lambda r: f"{r.overshoot_c:.2f}"),
+    ("hold", lambda r: f"{r.hold_c:.2f}"),
+    ("ripple", lambda r: f"{r.ripple_c:.2f}"),
+    ("flow dev", lambda r: f"{r.flow_deviation_c:.2f}"),
+    ("flow steady", lambda r: f"{r.flow_steady_c:.2f}"),
+    ("+step s", lambda r: f"{r.step_s:.3f}"),
+    ("least", lambda r: f"{r.step_least_s:.3f}"),
+)
+# Rows of the comparison: how many times as large as model's.
+FACTORS: tuple[tuple[str, Callable[[Any], float], float], ...] = (
+    ("settle beyond optimal", lambda r: r.settle_s - r.optimal_s, 0.002),
+    ("overshoot", lambda r: r.overshoot_c, 0.02),
+    ("hold error", lambda r: r.hold_c, 0.02),
+    ("ripple", lambda r: r.ripple_c, 0.02),
+    ("flow deviation", lambda r: r.flow_deviation_c, 0.02),
+    ("flow steady", lambda r: r.flow_steady_c, 0.02),
+    ("step", lambda r: r.step_s, 0.002),
+)
+console = Console(width=150)
+
+
+def show(title: str, results: Sequence[Any]) -> None:
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 1))
+    for name in ("law", "plant", "link", *(name for name, _ in COLUMNS), "trips"):
+        table.add_column(name, justify="left" if name in ("law", "plant", "link") else "right", no_wrap=True)
+    for r in results:
+        cells = [text(r) for _, text in COLUMNS]
+        table.add_row(
+            r.controller, r.plant, r.link, *cells, str(r.trips) + (" " + r.fault if r.fault else "")
+        )
+    console.print(table, "")
+
+
+def show_factors(title: str, results: Sequence[Any]) -> list[dict[str, Any]]:
+    """How many times better `model` is, row by row; the floor of a figure is what its noise is worth."""
+    ours = next(r for r in results if r.controller == "model")
+    table = Table(title=title, title_justify="left", box=None, padding=(0, 1))
+    table.add_column("model is better by")
+    others = [r for r in results if r is not ours]
+    rows = []
+    for r in others:
+        table.add_column(r.controller, justify="right")
+    for name, figure, floor in FACTORS:
+        factors = {r.controller: max(floor, figure(r)) / max(floor, figure(ours)) for r in others}
+        rows.append({"figure": name, **factors})
+        table.add_row(name, *(f"{f:.1f} x" for f in factors.values()))
+    console.print(table, "")
+    return rows
+
+
+def missed(results: Sequence[Any]) -> list[str]:
+    """Limits of `model` that do not hold, in words."""
+    texts = []
+    for r in results:
+        for name, figure, nominal, other in LIMITS:
+            limit = nominal if r.plant == "reference" else other
+            if r.link != bench.GOOD.name:
+                limit *= LATE_ALLOWANCE
+            if not figure(r) <= limit:
+                texts.append(f"{r.plant}, {r.link}: {name} {figure(r):.3f}, limit {limit:.3f}")
+        if r.trips or r.fault:
+            texts.append(f"{r.plant}, {r.link}: tripped ({r.trips}) {r.fault}")
+    return texts
+
+
+def step_cost_us() -> float:
+    """Mean time of one step of the model law while it holds a nozzle, in this process."""
+    rig = bench.make_rig("model", "reference", bench.GOOD)
+    calls: list[tuple[Any, ...]] = []
+
+    def recorded(*args: Any) -> Any:
+        calls.append(args)
+        return MODEL.step(*args)
+
+    chosen = rig.loop.parameters.control
+    rig.run(bench.IDLE_S)
+    rig.set_target(bench.TARGET_C)
+    rig.run(2.0)
+    law = type(MODEL)(MODEL.name, recorded, MODEL.start, MODEL.follow)
+    rig.loop.parameters = bench.replaced(rig.loop.parameters, chosen, law)
+    rig.run(2.0)
+    best = float("inf")
+    for _ in range(5):
+        start = time.process_time()
+        for args in calls:
+            MODEL.step(*args)
+        best = min(best, (time.process_time() - start) / len(calls))
+    return 1e6 * best
+
+
+def host_share(hold_s: float) -> float:
+    """CPU of the whole simulated printer's host a second of holding 250 degC, by the difference of two runs."""
+    with tempfile.TemporaryDirectory() as folder:
+
+        def cpu_s(seconds: float) -> float:
+            path = Path(folder) / "hold.gcode"
+            path.write_text(f"M104 S250\nG4 P{seconds * 1000:.0f}\n", encoding="utf-8")
+            summary = Path(folder) / "summary.json"
+            command = [sys.executable, str(ROOT / "scripts" / "simulate.py")]
+            command += [
+                str(ROOT / "config" / "sim-induction.cfg"),
+                str(path),
+                "--quiet",
+                "--summary",
+                str(summary),
+            ]
+            import resource
+
+            before = resource.getrusage(resource.RUSAGE_CHILDREN)
+            subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+            after = resource.getrusage(resource.RUSAGE_CHILDREN)
+            return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+        return (cpu_s(hold_s + 5.0) - cpu_s(5.0)) / hold_s
+
+
+def plot(path: Path, title: str, results: Sequence[Any], span_s: tuple[float, float], zoom_c: float) -> None:
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (whole, near) = plt.subplots(2, 1, figsize=(10, 8), sharex=True, layout="constrained")
+    for r in results:
+        t_s, temp_c = r.trace
+        select = (t_s >= span_s[0]) & (t_s <= span_s[1])
+        for axes in (whole, near):
+            axes.plot(
+                t_s[select],
+                temp_c[select],
+                label=r.controller,
+                linewidth=1.4 if r.controller == "model" else 0.9,
+            )
+    target_c = bench.TARGET_C if results[0].link != "report 0.3 s" else hotend.TARGET_C
+    near.set_ylim(target_c - zoom_c, target_c + zoom_c)
+    near.axhline(target_c, color="0.6", linewidth=0.6)
+    whole.set_title(title)
+    whole.legend()
+    near.set_xlabel("s since the target was set")
+    for axes in (whole, near):
+        axes.set_ylabel("degC, true")
+        axes.grid(alpha=0.3)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def main(argv: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(description="Compare the temperature control laws.")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "bench")
+    parser.add_argument("--quick", action="store_true", help="fewer plants, no host cost")
+    options = parser.parse_args(argv)
+    laws = (*bench.OURS, *bench.PEERS)
+    record: dict[str, Any] = {}
+    judged = []
+    for preset in ("reference", "strong"):
+        results = [bench.run(law, preset) for law in laws]
+        show(f"Induction nozzle, {preset} plant, 25 -> 250 degC, flow 0-25-0 mm3/s, +25 degC", results)
+        record[f"factors {preset}"] = show_factors("", results)
+        plot(options.out / f"control-{preset}.png", f"Induction nozzle, {preset}", results, (-0.1, 8.0), 6.0)
+        judged.append(results[0])
+        record[preset] = results
+    names = list(bench.PLANTS)[2:] if not options.quick else list(bench.PLANTS)[2:4]
+    others = [bench.run("model", name) for name in names]
+    show("model on plants it was not told of", others)
+    late = [
+        bench.run("model", name, link)
+        for name in ("reference", "strong")
+        for link in (bench.JITTERY, bench.SLOW)
+    ]
+    show("model with a late host, a slow link", late)
+    unplanned = [bench.run("model", "reference", planned=False)]
+    show("model, flow it was not told of (for information)", unplanned)
+    judged += others + late
+    record.update(others=others, late=late, unplanned=unplanned)
+    hot = [hotend.run(law, "hotend") for law in hotend.LAWS]
+    show("Conventional hotend, 25 -> 220 degC, flow 0-10-0 mm3/s, +20 degC", hot)
+    record["factors hotend"] = show_factors("", hot)
+    plot(options.out / "control-hotend.png", "Conventional hotend", hot, (-2.0, 400.0), 12.0)
+    hot_others = [hotend.run("model", name) for name in list(hotend.PLANTS)[1:]]
+    show("model on hotends it was not told of", hot_others)
+    record.update(hotend=hot, hotend_others=hot_others)
+    texts = missed(judged)
+    cost_us = step_cost_us()
+    console.print(f"model: {cost_us:.0f} us a step (limit {STEP_COST_US:.0f})")
+    if cost_us > STEP_COST_US:
+        texts.append(f"a step of the model law takes {cost_us:.0f} us")
+    if not options.quick:
+        share = host_share(60.0)
+        record["host_share"] = share
+        console.print(
+            f"whole host with the simulated world, holding one nozzle: {100 * share:.1f} % of a core"
+            f" (limit for the host {100 * HOST_SHARE:.0f} %)"
+        )
+        if share > HOST_SHARE:
+            texts.append(f"host and world take {100 * share:.1f} % of a core")
+    record["step_us"] = cost_us
+    options.out.mkdir(parents=True, exist_ok=True)
+    text = json.dumps(
+        record, default=lambda r: {k: v for k, v in asdict(r).items() if k != "trace"}, indent=1
+    )
+    (options.out / "control.json").write_text(text + "\n", encoding="utf-8")
+    for text in texts:
+        console.print(f"MISSED: {text}", markup=False)
+    console.print(
+        "all limits hold" if not texts else f"{len(texts)} limits missed", f"- plots in {options.out}"
+    )
+    return 1 if texts else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
