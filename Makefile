@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-api bench-thermometer bench-control bench-motion bench-firmware bench-plan fuzz clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-plan fuzz clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -22,6 +22,7 @@ help:
 	@echo "make bench-thermometer  accuracy and latency of the estimate, beside the published chain"
 	@echo "make bench-control      every control law on the same plants, table and plots (QUICK=1)"
 	@echo "make bench-motion       moves a second in batch mode (PEER=\"CMD\": a peer beside it; QUICK=1)"
+	@echo "make bench-steady       printing in real time beside a busy computer; memory of ten hours (QUICK=1)"
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
 	@echo "make bench-firmware     cost of samples, steps, commands on the STM32F334 image (QUICK=1)"
 	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it"
@@ -80,6 +81,9 @@ bench-control: setup-test sim chelper
 bench-motion: setup chelper
 	@$(PYTHON) scripts/bench_motion.py $(if $(QUICK),--quick) $(if $(PEER),--peer "$(PEER)")
 
+bench-steady: setup sim chelper
+	@$(PYTHON) scripts/bench_steady.py $(if $(QUICK),--seconds 30 --hours 1)
+
 bench-firmware: setup-test sim chelper
 	@$(PYTHON) scripts/bench_firmware.py --json $(OUT)/bench/firmware.json $(if $(QUICK),--quick)
 
@@ -111,7 +115,8 @@ check-types:
 check-c:
 	for compiler in gcc clang; do \
 	    $$compiler $(STRICT_C) -Iklippy/chelper klippy/chelper/*.c && \
-	    $$compiler $(STRICT_C) -D_GNU_SOURCE -Isrc -Isrc/simulator src/simulator/*.c || exit 1; done
+	    $$compiler $(STRICT_C) -D_GNU_SOURCE -Isrc -Isrc/simulator src/simulator/*.c && \
+	    $$compiler $(STRICT_C) $(UNICORN_CFLAGS) -Isrc -Isrc/simulator $(EMULATOR_STM32F334_SOURCES) || exit 1; done
 	cppcheck --quiet --std=c11 --error-exitcode=1 --inline-suppr -j $(JOBS) \
 	    --enable=warning,performance,portability --suppress=missingIncludeSystem \
 	    -U DICTIONARY_PASS -U OVERSAMPLE_KERNEL '-D_Noreturn=__attribute__((noreturn))' \

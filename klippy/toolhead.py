@@ -39,6 +39,7 @@ GATHER_S = 0.100
 STEP_BATCH_S = 0.200
 # A stop forced by a low buffer followed by a new move within this time counts as a stall.
 STALL_WINDOW_S = 1.0
+STALL_REPORT_S = 60.0
 # Homing: how far the steps run ahead of the MCU, so that little has to be thrown away at the trigger.
 DRIP_AHEAD_S = 0.100
 DRIP_STEP_S = 0.050
@@ -85,6 +86,7 @@ class ToolHead:
         self._drip_done = 0.0  # print_time before which steps are out already after a drip move
         self._others_end = 0.0  # print_time up to which others move beside the head
         self.print_stall = 0
+        self._next_stall_report = 0.0
         self._watch_timer = self.reactor.register_timer(self._watch)
         self._watching = False
 
@@ -151,6 +153,7 @@ class ToolHead:
             earliest += now
             if self._forced_stop and 0.0 < now - self.print_time < STALL_WINDOW_S:
                 self.print_stall += 1
+                self._report_stall(now)
         self._forced_stop = False
         if self._others_end:  # their steps may be worked out farther than the head's last motion
             earliest = max(earliest, self._streams.done_time)
@@ -159,6 +162,17 @@ class ToolHead:
             self.printer.send_event(
                 "toolhead:sync_print_time", self.reactor.monotonic(), earliest, self.print_time
             )
+
+    def _report_stall(self, now: float) -> None:
+        """Tell the user, not too often, that the head had to stop in mid-print, and what helps."""
+        if now < self._next_stall_report:
+            return
+        self._next_stall_report = now + STALL_REPORT_S
+        self.printer.lookup_object("gcode").respond_info(
+            f"The head had to stop because the next moves came too late (stall {self.print_stall}). The computer is "
+            "too busy, or what sends the G-code is too slow. Print from the printer's own storage (virtual_sdcard), "
+            "end other programs, or use fewer and longer lines or a lower speed (M220)."
+        )
 
     def _go_on(self) -> None:
         """Motion comes: print_time is where it may begin."""

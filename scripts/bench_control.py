@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import resource
 import subprocess
 import sys
 import tempfile
@@ -30,7 +31,7 @@ sys.path.insert(0, str(ROOT / "klippy"))
 sys.path.insert(0, str(ROOT / "test"))
 
 from loop import control_bench as bench  # type: ignore[import-not-found]  # noqa: E402
-from loop import hotend_bench as hotend  # type: ignore[import-not-found]  # noqa: E402
+from loop import hotend_bench as hotend  # noqa: E402
 from thermal.model_control import MODEL  # noqa: E402
 
 # What `model` must reach: name, figure, limit on the reference plant, limit on every other.
@@ -153,8 +154,6 @@ def host_share(hold_s: float) -> float:
                 "--summary",
                 str(summary),
             ]
-            import resource
-
             before = resource.getrusage(resource.RUSAGE_CHILDREN)
             subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
             after = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -2,14 +2,14 @@
 """Throughput of batch mode: many short moves through the whole host to /dev/null (`make bench-motion`).
 
 A generated file (0.5 mm chords: round perimeters, zigzag infill, travels, retracts, relative extrusion) is run by
-klippy.py as a process of its own, at 16 and 64 microsteps, cartesian and corexy, without and with pressure advance and
-input shaper. Beside the time of the whole run stands that of an otherwise equal run of a file that only homes, so that moves/s are those of moves.
-Time is processor time of the process (with --wall: by the clock), which other work on the machine disturbs little.
-The stages are told apart by further runs: one whose steppers are a thousand times coarser (almost no steps), and one of
-a file with as many lines, as long, that go nowhere (reading only).
+klippy.py as a process of its own, at 16 and 64 microsteps, cartesian and corexy, without and with pressure advance
+and input shaper. Beside the time of the whole run stands that of an otherwise equal run of a file that only homes, so
+that moves/s are those of moves. Time is processor time of the process (with --wall: by the clock), which other work
+on the machine disturbs little. The stages are told apart by further runs: one whose steppers are a thousand times
+coarser (almost no steps), and one of a file with as many lines, as long, that go nowhere (reading only).
 
---peer "COMMAND" runs another host on the same files in the same turn; CONFIG, GCODE, OUT and DICT in it are
-replaced, e.g. --peer "kalico CONFIG -i GCODE -o OUT -d DICT". A host that needs other messages than the built-in
+--peer "COMMAND" runs another host on the same files in the same turn; CONFIG, GCODE, OUT and DICT in it are replaced,
+e.g. --peer "kalico CONFIG -i GCODE -o OUT -d DICT". A host that needs other messages than the built-in
 dictionary has gets the file after -d itself. Goal: three times the peer's moves/s.
 """
 
@@ -327,6 +327,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--moves", type=int, default=300_000)
     parser.add_argument("--repeat", type=int, default=1, help="best of so many runs")
     parser.add_argument("--quick", action="store_true", help="the first case only")
+    parser.add_argument("--only", default="", metavar="TEXT", help="the cases whose title has this")
     parser.add_argument("--wall", action="store_true", help="measure by the clock, not by processor time")
     parser.add_argument("--peer", help="command of another host; CONFIG GCODE OUT DICT are replaced")
     parser.add_argument("--keep", type=Path, help="folder for the files, kept")
@@ -351,6 +352,8 @@ def main(argv: list[str] | None = None) -> int:
         bench = Bench(folder, options.moves, options.peer, options.wall)
         try:
             for case in cases(options.quick):
+                if options.only not in case.title:
+                    continue
                 rate, peak_mb = bench.moves_per_s(bench.own, case, options.repeat)
                 read_us, plan_us = bench.stages_us(case)
                 steps_per_move = bench.steps(case) / options.moves

@@ -47,7 +47,7 @@ PURE_C = (
     "simulator/thermal_load",
 )
 FORBIDDEN_IN_PURE_C = re.compile(r"^(board/|sched\.h$|command\.h$|basecmd\.h$)")
-PORTS = ("avr", "stm32", "simulator")
+PORTS = ("atmega2560", "stm32f334", "simulator", "template")
 
 INCLUDE = re.compile(r'^\s*#\s*include\s*(["<])([^">]+)[">]')
 

@@ -5,6 +5,7 @@
 #include "board/misc.h"
 #include "board/timer.h"
 #include "command.h"
+#include "flash_data.h"
 #include "sched.h"
 
 DECL_RESPONSE(response_config, "config is_config=%c crc=%u is_shutdown=%c move_count=%hu");

@@ -17,6 +17,7 @@
 #include "board/console.h"
 #include "board/irq.h"
 #include "command.h"
+#include "flash_data.h"
 #include "sched.h"
 #include "wire.h"
 

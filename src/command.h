@@ -21,8 +21,6 @@
 
 #include <stdint.h>
 
-#include "flash_data.h"
-
 enum { COMMAND_ARGS_MAX = 10, COMMAND_NO_BUFFER = 0xff };
 
 /* What a handler is given.  val[i] is the i-th parameter that is not a byte string, in the order of the format;

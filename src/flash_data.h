@@ -2,6 +2,7 @@
  *
  * FLASH_DATA goes to the definition.  Such data are read with flash_byte() and flash_copy() only: a pointer to them looks
  * like any other, and means something else.  (GCC's __flash qualifier would tell them apart; version 5.4 loses it in loops.)
+ * A port with such a memory defines PORT_FLASH_DATA in its port_types.h, and there the three.
  */
 #ifndef FLASH_DATA_H
 #define FLASH_DATA_H
@@ -9,31 +10,22 @@
 #include <stdint.h>
 #include <string.h>
 
-#ifdef __AVR__
-#include <avr/pgmspace.h>
-#define FLASH_DATA PROGMEM
-#else
+#include "port_types.h"
+
+#ifndef PORT_FLASH_DATA
 #define FLASH_DATA
-#endif
 
 static inline uint8_t
 flash_byte(const void *at)
 {
-#ifdef __AVR__
-    return pgm_read_byte(at);
-#else
     return *(const uint8_t *)at;
-#endif
 }
 
 static inline void
 flash_copy(void *to, const void *from, uint8_t size)
 {
-#ifdef __AVR__
-    memcpy_P(to, from, size);
-#else
     memcpy(to, from, size);
-#endif
 }
+#endif
 
 #endif

@@ -242,12 +242,12 @@ def read_law(config: Any, max_power: float, smooth_time_s: float) -> HeaterLaw:
         text = config.get(option, None, note_valid=False)
         if text is not None:
             options[option] = text
-    _let_be(config)
+    _let_be(config, name)
     return kind(law, parameters, options)
 
 
-def _let_be(config: Any) -> None:
+def _let_be(config: Any, own: str) -> None:
     """Options of the other laws are no mistake: changing `control` is no reason to delete a tuning."""
-    for options in OPTIONS.values():
-        for option in options:
+    for law, options in OPTIONS.items():
+        for option in options if law != own else ():
             config.get(option, None)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Protocol
 
-from thermal import control_api, loop
+from thermal import control_api, drill, loop
 
 from . import heater_tuning
 
@@ -20,7 +20,7 @@ POLL_S = 0.1
 PROGRESS_S = 10.0
 FRESH_S = 3.0
 SENSOR_LEAST_C = 0.0
-QUIET_S = 30.0  # neither a reading nor a block for so long: the sensor is gone
+QUIET_S = 10.0  # no reading for so long: the sensor is gone
 
 
 class Run(Protocol):
@@ -47,6 +47,8 @@ class OrdinarySeat:
     def reading(self, eventtime: float) -> tuple[float, float]:
         """(age in s, degC)."""
         read_s, temp_c = self.heater.reading
+        if not read_s:
+            return math.inf, math.nan
         return self.heater.pwm.get_mcu().estimated_print_time(eventtime) - read_s, temp_c
 
     def take(self, run: Run) -> None:
@@ -67,6 +69,7 @@ class InductionSeat:
         self.most = float(heater.parameters.control.power_max_w)
         self._before: loop.LoopParameters = heater.parameters
         self._taken = False
+        self._told_c = 0.0
 
     def reading(self, eventtime: float) -> tuple[float, float]:
         news = self.heater.loop.state.estimate
@@ -79,18 +82,17 @@ class InductionSeat:
         self._before = heater.parameters
         law = control_api.Law("calibration", _stepper(run, self.most), 0, lambda p, state, inputs, out: state)
         heater.use(replace(heater.parameters, control=loop.Control(law, None, self.most, models=True)))
-        heater.set_temp(run.target_c)
+        self._told_c = run.target_c
+        heater.set_temp(self._told_c)
         self._taken = True
 
     def keep(self, run: Run) -> None:
         """The loop's target follows the run's; one set from outside ends it."""
-        target_c = self.heater.loop.state.target_c
-        wanted_c = run.target_c
-        if wanted_c != target_c:
-            if not target_c and wanted_c:
-                run.abort("the heater was turned off")
-                return
-            self.heater.set_temp(wanted_c)
+        if self.heater.loop.state.target_c != self._told_c:
+            run.abort("somebody else set the heater's target")
+        elif run.target_c != self._told_c:
+            self._told_c = run.target_c
+            self.heater.set_temp(self._told_c)
 
     def leave(self) -> None:
         if self._taken:
@@ -105,6 +107,8 @@ def _stepper(run: Run, most: float) -> Callable[..., tuple[control_api.ControlOu
         parameters: None, state: int, inputs: control_api.ControlInput, time_s: float
     ) -> tuple[control_api.ControlOutput, int]:
         seen = [s for s in inputs.samples if s.temp_c == s.temp_c and not s.rebased]
+        if isinstance(run, drill.Drill):
+            run.heard(inputs.samples)
         temp_c = math.fsum(s.temp_c for s in seen) / len(seen) if seen else math.nan
         at_s = math.fsum(s.time_s for s in seen) / len(seen) if seen else time_s
         power = max(0.0, min(most, inputs.limit, run.decide(at_s, temp_c, min(most, inputs.limit))))
@@ -128,12 +132,17 @@ class Session:
         self._run: Run | None = None
         self._done: Callable[[], None] = lambda: None
         self._each: Callable[[], None] = lambda: None
-        self._told_s = 0.0
+        self._told_s = self._heard_s = 0.0
         self.active = False
 
     def check_sensor(self, gcmd: Any) -> float:
         """Temperature now; an error for a sensor that is silent or reads what no room has."""
-        age_s, temp_c = self.seat.reading(self._reactor.monotonic())
+        eventtime = self._reactor.monotonic()
+        until_s = eventtime + FRESH_S
+        age_s, temp_c = self.seat.reading(eventtime)
+        while not age_s < FRESH_S and eventtime < until_s:  # just started: the first reading is on its way
+            eventtime = self._reactor.pause(eventtime + POLL_S)
+            age_s, temp_c = self.seat.reading(eventtime)
         if not age_s < FRESH_S or not math.isfinite(temp_c):
             raise gcmd.error(
                 f"{self.what}: heater '{self.heater.name}' has no fresh reading; check its temperature sensor"
@@ -147,13 +156,15 @@ class Session:
 
     def start(self, run: Run, done: Callable[[], None], each: Callable[[], None] | None = None) -> None:
         """Take the heater; `done` when the run is over, the heater off and given back; `each` every 0.1 s before."""
-        if "ABORT" in self.gcode.get_command_help():
+        running = self.gcode.register_command("ABORT", None)
+        if running is not None:
+            self.gcode.register_command("ABORT", running)
             raise self.printer.command_error("Another calibration is running; ABORT ends it")
         self.seat.take(run)
         self._run, self._done, self._each = run, done, each or (lambda: None)
         self.active = True
         self.gcode.register_command("ABORT", self._cmd_abort, desc="End the calibration")
-        self._told_s = self._reactor.monotonic()
+        self._told_s = self._heard_s = self._reactor.monotonic()
         self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
 
     def wait(self) -> None:
@@ -176,8 +187,10 @@ class Session:
         if self.printer.is_shutdown():
             run.abort("the printer stopped")
         age_s, temp_c = self.seat.reading(eventtime)
-        if not run.over and age_s > QUIET_S:
-            run.abort(f"no reading for {age_s:.0f} s")
+        if age_s < FRESH_S:
+            self._heard_s = eventtime
+        elif not run.over and eventtime - self._heard_s > QUIET_S:
+            run.abort(f"no reading for {QUIET_S:.0f} s")
         if not run.over:
             self.seat.keep(run)
             self._each()

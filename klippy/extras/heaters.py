@@ -20,7 +20,7 @@ __all__ = ["AnyHeater", "AnySensor", "Heater", "PrinterHeaters", "is_batch", "lo
 
 WAIT_POLL_S = 1.0
 # What is tuned by command: loaded with the first heater.
-TUNING = ("pid_calibrate", "heater_profile")
+TUNING = ("pid_calibrate", "model_calibrate", "heater_profile")
 
 
 class AnyHeater(Protocol):

@@ -256,7 +256,11 @@ class Homing:
         self, info: Any, endstops: Any, startpos: list[float], homepos: list[float]
     ) -> HomingMove:
         """Back off and come again at the second speed."""
-        start, home = self._fill_coord(startpos), self._fill_coord(homepos)
+        start, home = list(startpos), list(homepos)
+        # motors that turn several axes do not halt at the same step: the other axes stay where that has put them
+        for axis, place in enumerate(self.toolhead.get_position()[:3]):
+            if start[axis] == home[axis]:
+                start[axis] = home[axis] = place
         axes_d = [h - s for h, s in zip(home, start, strict=True)]
         move_d = math.dist(home[:3], start[:3])
         share = min(1.0, info.retract_dist / move_d)
@@ -295,8 +299,7 @@ class Homing:
             for s in kin.get_steppers()
         }
         place = kin.calc_position(spos)
-        for axis in homing_axes:
-            homed[axis] = place[axis]
+        homed[:3] = [was if new is None else new for new, was in zip(place, homed[:3], strict=False)]
         self.toolhead.set_position(homed, homing_axes=homing_axes)
 
 

@@ -205,6 +205,7 @@ class InductionHeater:
 
     def use(self, parameters: loop.LoopParameters) -> None:
         """Work with other parameters from now on (a new calibration); the MCU's own limits stay as configured."""
+        parameters = settings.remodelled(parameters)
         self.parameters = parameters
         self.loop.use(parameters)
         self.loop.state.estimate = loop.NOT_MEASURED

@@ -147,6 +147,16 @@ def _control(
     return loop.Control(model_control.MODEL, held, power_max_w, models=True)
 
 
+def remodelled(parameters: loop.LoopParameters) -> loop.LoopParameters:
+    """The same with the model law told what the heat balance knows now: a calibration measures both at once."""
+    chosen = parameters.control
+    if not chosen.models:
+        return parameters
+    balance = parameters.plausible
+    held = model_nozzle.nozzle_model(balance.heat, balance.loss, chosen.power_max_w, parameters.timing)
+    return replace(parameters, control=replace(chosen, parameters=held))
+
+
 def approach_for(law: laws.Law, drive: actuator.DriveLaw) -> loop.Approach:
     """How a nozzle with this law may arrive at its target."""
     default = CALIBRATED_APPROACH if isinstance(law, laws.TankLaw) else loop.Approach()

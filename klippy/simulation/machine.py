@@ -44,6 +44,15 @@ _T = TypeVar("_T")
 _PIN = re.compile(r"^(?P<marks>[!^~ ]*)(?:(?P<mcu>[^:]+):)? *(?P<name>\w+)$")
 _ROLES = {"x": "X", "y": "Y", "z": "Z", "extruder": "E"}
 _SLACK_MM = 2.0  # how far the frame lets an axis go beyond what the host thinks possible
+_TOWER_MM = 600.0  # way of a delta's carriage below its switch
+# Frames in which a carriage goes by a mix of two motors' ways: kinematics → axis → (partner, own share, its share)
+_FRAMES: dict[str, dict[str, tuple[str, float, float]]] = {
+    "corexy": {"x": ("y", 0.5, 0.5), "y": ("x", -0.5, 0.5)},
+    "corexz": {"x": ("z", 0.5, 0.5), "z": ("x", -0.5, 0.5)},
+    "hybrid_corexy": {"x": ("y", 1.0, 1.0)},
+    "hybrid_corexz": {"x": ("z", 1.0, 1.0)},
+}
+_TOWERS = ("a", "b", "c")  # each with a switch at its top
 
 
 @dataclass(slots=True)
@@ -72,6 +81,7 @@ def assemble(
     _add_mcus(machine, {mcu.name: mcu for mcu in _of(things, McuSettings)}, config, builds or {})
     for axis in _of(things, AxisSettings):
         machine.axes[axis.name] = _add_axis(machine, axis, config)
+    _couple_axes(machine, config)
     for fan in _of(things, FanSettings):
         pin = _pin(machine, fan.pin, config, fan.section, "pin", f"simulator fan {fan.name}")
         machine.fans[fan.name] = world.add_fan(pin, fan.spin_up_s)
@@ -157,6 +167,8 @@ def _add_axis(machine: Machine, axis: AxisSettings, config: Config) -> int:
     mm_per_step = axis.mm_per_step or _mm_per_step(belief, where)
     if role == "E":
         return machine.world.add_axis(role, step, dir_pin, mm_per_step, both_edges=axis.both_edges)
+    if _kinematics(config) == "delta" and axis.name in _TOWERS:
+        belief = _tower_belief(belief, config, where)
     low = _first(axis.position_min_mm, _number(belief, "position_min", 0.0, where) - _SLACK_MM)
     high = _first(axis.position_max_mm, _number(belief, "position_max", 200.0, where) + _SLACK_MM)
     if not low < high:
@@ -177,6 +189,25 @@ def _add_axis(machine: Machine, axis: AxisSettings, config: Config) -> int:
         endstop_at_max=endstop_mm > 0.5 * (low + high),
         both_edges=axis.both_edges,
     )
+
+
+def _kinematics(config: Config) -> str:
+    return config.get("printer", {}).get("kinematics", "")
+
+
+def _couple_axes(machine: Machine, config: Config) -> None:
+    """Belts that join two motors, as the kinematics says."""
+    for name, (partner, own_share, partner_share) in _FRAMES.get(_kinematics(config), {}).items():
+        if name in machine.axes and partner in machine.axes:
+            machine.world.couple_axes(machine.axes[name], machine.axes[partner], own_share, partner_share)
+
+
+def _tower_belief(belief: Mapping[str, str], config: Config, where: str) -> Mapping[str, str]:
+    """A delta's carriage, its place counted so that it meets its switch at the tower's position_endstop."""
+    first = config.get("stepper_a", {})
+    top_mm = _number({**first, **belief}, "position_endstop", 200.0, where)
+    way = {"position_endstop": top_mm, "position_min": top_mm - _TOWER_MM, "position_max": top_mm}
+    return {**first, **belief, **{option: str(value) for option, value in way.items()}}
 
 
 def _first(value: float | None, default: float) -> float:

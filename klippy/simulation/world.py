@@ -184,6 +184,10 @@ class World:
         options.min_mm, options.max_mm = limits_mm or (start_mm, start_mm)
         return self._index(self.lib.world_add_axis(self.pointer, options))
 
+    def couple_axes(self, axis: int, partner: int, own_share: float, partner_share: float) -> None:
+        """The carriage of `axis` goes by shares of its motor's way and that of the motor of `partner`."""
+        self._index(self.lib.world_couple_axes(self.pointer, axis, partner, own_share, partner_share))
+
     def add_fan(self, pin: Pin, spin_up_s: float) -> int:
         """Returns its index."""
         return self._index(self.lib.world_add_fan(self.pointer, self.pin(pin), spin_up_s))

@@ -202,6 +202,37 @@ class _Run(NamedTuple):
     offset_output: float
 
 
+def _grouped(p: ModelParameters, samples: Sequence[Sample]) -> list[Sample]:
+    """Neighbours under one output as one sample at their weighted middle: the slope between them is a line."""
+    groups: list[Sample] = []
+    end_s, output = math.nan, math.nan
+    weight = heat = moment = 0.0
+
+    def close() -> None:
+        if weight:
+            groups.append(Sample(moment / weight, end_s, heat / weight, weight**-0.5, output))
+        elif not math.isnan(end_s):
+            groups.append(Sample(end_s, end_s, math.nan, 0.0, output))
+
+    for sample in samples:
+        if sample.output != output or sample.rebased:
+            close()
+            weight = heat = moment = 0.0
+            end_s, output = math.nan, sample.output
+            if sample.rebased:
+                groups.append(sample)
+                continue
+        end_s = sample.end_s
+        if sample.temp_c == sample.temp_c:
+            sigma_c = sample.sigma_c or p.sigma_c
+            share = 1.0 / (sigma_c * sigma_c)
+            weight += share
+            heat += share * sample.temp_c
+            moment += share * sample.time_s
+    close()
+    return groups
+
+
 def _walk(
     p: ModelParameters, state: ModelState, samples: Sequence[Sample], flow: Schedule, fan: Schedule
 ) -> _Run:
@@ -209,8 +240,7 @@ def _walk(
     weight = pulled = passed = 0.0
     rebased_c, driven = 0.0, state.driven
     offset_c, offset_output = state.offset_c, state.offset_output
-    last = len(samples) - 1
-    for i, sample in enumerate(samples):
+    for sample in _grouped(p, samples):
         surroundings = flow.at(now_s), fan.at(now_s)
         drive = sample.output, state.gain, state.disturbance_w
         middle_s = min(max(sample.time_s, now_s), sample.end_s)
@@ -231,8 +261,6 @@ def _walk(
             weight += share
             pulled += share * off_c
             heard_s, driven = sample.time_s, sample.output
-        if i != last and samples[i + 1].output == sample.output:
-            continue  # on to the next one's middle in one step
         nodes = advance(p, nodes, drive, surroundings, sample.end_s - now_s)
         passed += sample.output * max(0.0, sample.end_s - now_s)
         now_s = max(now_s, sample.end_s)

@@ -71,9 +71,9 @@ class Timeline:
 
     def at(self, time_s: float) -> PhaseCommand | None:
         """The command that begins at `time_s`, if one does."""
-        for command in self.commands:
-            if abs(command.time_s - time_s) <= TIME_SLACK_S:
-                return command
+        for command in reversed(self.commands):
+            if command.time_s <= time_s + TIME_SLACK_S:
+                return command if command.time_s >= time_s - TIME_SLACK_S else None
         return None
 
     def pending(self, after_s: float, until_s: float) -> tuple[Planned, ...]:

@@ -3,6 +3,7 @@
 #include "board/gpio.h"
 #include "board/irq.h"
 #include "command.h"
+#include "flash_data.h"
 #include "internal.h"
 #include "sched.h"
 

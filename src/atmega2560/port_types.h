@@ -4,6 +4,7 @@
 
 #include <avr/interrupt.h>
 #include <avr/io.h>
+#include <avr/pgmspace.h>
 #include <stdint.h>
 
 #define PORT_CLOCK_HZ 16000000u
@@ -28,6 +29,20 @@ struct pwm_out {
 struct spi_bus {
     uint8_t control, status;    /* SPCR, SPSR */
 };
+
+/* src/flash_data.h: all such tables lie in the first 64 KiB, where LPM reads them. */
+#define PORT_FLASH_DATA
+#define FLASH_DATA PROGMEM
+static inline uint8_t
+flash_byte(const void *at)
+{
+    return pgm_read_byte(at);
+}
+static inline void
+flash_copy(void *to, const void *from, uint8_t size)
+{
+    memcpy_P(to, from, size);
+}
 
 typedef uint8_t irqstatus_t;
 #define PORT_INLINE_IRQ

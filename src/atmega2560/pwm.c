@@ -6,6 +6,7 @@
 #include "board/irq.h"
 #include "board/pwm.h"
 #include "command.h"
+#include "flash_data.h"
 #include "internal.h"
 #include "sched.h"
 

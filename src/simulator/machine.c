@@ -30,8 +30,7 @@ int machine_add_axis(struct machine *m, const struct world_axis_options *o)
     struct axis *a = &m->axes[m->axis_count];
     memset(a, 0, sizeof *a);
     a->options = *o;
-    a->step_min = llround((o->min_mm - o->start_mm) / o->mm_per_step);
-    a->step_max = llround((o->max_mm - o->start_mm) / o->mm_per_step);
+    a->own_share = 1.0;
     step->role = PIN_STEP;
     step->target = (uint8_t)m->axis_count;
     step->level = (uint8_t)(o->step.inverted != 0); /* idle: no edge when firmware sets its pin up */
@@ -43,26 +42,52 @@ int machine_add_axis(struct machine *m, const struct world_axis_options *o)
     return m->axis_count++;
 }
 
-double axis_position_mm(const struct axis *a)
+int machine_couple_axes(struct machine *m, int axis, int partner, double own_share, double partner_share)
 {
-    return a->options.start_mm + (double)a->step * a->options.mm_per_step;
+    if (axis < 0 || partner < 0 || axis == partner || axis >= m->axis_count || partner >= m->axis_count)
+        return -1;
+    m->axes[axis].partner = &m->axes[partner];
+    m->axes[axis].own_share = own_share;
+    m->axes[axis].partner_share = partner_share;
+    return 0;
 }
 
-static void axis_step(struct axis *a, int forward)
+static double motor_way_mm(const struct axis *a)
 {
-    if (forward) {
-        a->forward++;
-        if (a->options.limited && a->step >= a->step_max)
-            a->lost++;
-        else
-            a->step++;
-    } else {
-        a->backward++;
-        if (a->options.limited && a->step <= a->step_min)
-            a->lost++;
-        else
-            a->step--;
-    }
+    return (double)a->step * a->options.mm_per_step;
+}
+
+double axis_position_mm(const struct axis *a)
+{
+    double way = a->own_share * motor_way_mm(a);
+    if (a->partner)
+        way += a->partner_share * motor_way_mm(a->partner);
+    return a->options.start_mm + way;
+}
+
+/* Does a hard stop keep the carriage from going on by `way_mm`? Half a step of play absorbs rounding. */
+static int is_stopped(const struct axis *a, double way_mm)
+{
+    const struct world_axis_options *o = &a->options;
+    if (!o->limited || way_mm == 0.0)
+        return 0;
+    double position = axis_position_mm(a) + 0.5 * way_mm;
+    return way_mm > 0.0 ? position > o->max_mm : position < o->min_mm;
+}
+
+static void axis_step(struct machine *m, struct axis *a, int forward)
+{
+    double way_mm = forward ? a->options.mm_per_step : -a->options.mm_per_step;
+    int stopped = is_stopped(a, a->own_share * way_mm);
+    for (int i = 0; i < m->axis_count && !stopped; i++) /* carriages that this motor takes part in */
+        if (m->axes[i].partner == a)
+            stopped = is_stopped(&m->axes[i], m->axes[i].partner_share * way_mm);
+    a->forward += forward;
+    a->backward += !forward;
+    if (stopped)
+        a->lost++;
+    else
+        a->step += forward ? 1 : -1;
 }
 
 static void step_pin_changed(struct machine *m, int mcu, const struct machine_pin *pin)
@@ -73,7 +98,7 @@ static void step_pin_changed(struct machine *m, int mcu, const struct machine_pi
     if (!active && !o->both_edges)
         return;
     int dir_level = m->pins[mcu][o->dir.pin].level;
-    axis_step(a, dir_level != (o->dir.inverted != 0));
+    axis_step(m, a, dir_level != (o->dir.inverted != 0));
 }
 
 static uint8_t switch_level(const struct axis *a)

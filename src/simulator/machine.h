@@ -36,10 +36,13 @@ struct machine_pin {
     uint8_t level;  /* last written */
 };
 
+/* A motor and the carriage it is named after. On most machines one moves the other; on a core machine the carriage goes
+ * by a mix of its own motor's way and a partner's. */
 struct axis {
     struct world_axis_options options;
-    int64_t step;               /* position in steps; 0 at start_mm */
-    int64_t step_min, step_max; /* hard stops */
+    int64_t step;               /* of the motor; 0 at the start */
+    struct axis *partner;       /* NULL: none */
+    double own_share, partner_share; /* of the motors' ways in the carriage's */
     int64_t forward, backward, lost;
 };
 
@@ -106,6 +109,7 @@ void machine_init(struct machine *m);
 
 /* Building. All return an index, or -1 if the table is full or a pin is out of range. */
 int machine_add_axis(struct machine *m, const struct world_axis_options *options);
+int machine_couple_axes(struct machine *m, int axis, int partner, double own_share, double partner_share);
 int machine_add_duty(struct machine *m, struct world_pin pin, double now_s);
 int machine_add_fan(struct machine *m, struct world_pin pin, double spin_up_s, double now_s);
 

@@ -108,6 +108,13 @@ int world_add_axis(struct world *w, const struct world_axis_options *options)
     return index >= 0 ? index : world_fail(w, "axis: too many, or a pin or step distance out of range");
 }
 
+int world_couple_axes(struct world *w, int axis, int partner, double own_share, double partner_share)
+{
+    if (machine_couple_axes(&w->machine, axis, partner, own_share, partner_share))
+        return world_fail(w, "there are no two such axes to be coupled");
+    return 0;
+}
+
 int world_add_fan(struct world *w, struct world_pin pin, double spin_up_s)
 {
     int index = machine_add_fan(&w->machine, pin, spin_up_s, w->now_s);

@@ -93,6 +93,8 @@ int world_add_mcu(struct world *w, const char *library, double clock_hz, double 
 /* The image an emulator runs (src/emulator/emulator.h); once, before the first world_advance(). */
 int world_load_image(struct world *w, int mcu, const char *image);
 int world_add_axis(struct world *w, const struct world_axis_options *options);
+/* The carriage of `axis` goes own_share of its motor's way plus partner_share of that of the motor of `partner`. */
+int world_couple_axes(struct world *w, int axis, int partner, double own_share, double partner_share);
 int world_add_fan(struct world *w, struct world_pin pin, double spin_up_s);
 int world_add_nozzle(struct world *w, int mcu, const double *parameters, struct world_feed feed, int fan);
 int world_add_load(struct world *w, const double *parameters, int is_bed, struct world_pin heater,

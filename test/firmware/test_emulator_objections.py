@@ -8,7 +8,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from chip_rig import Tiny
+from chip_rig import Tiny, make_emulator
+
+from simulation import world as world_module
+from simulation.builds import SIMULATOR, Build
+from simulation.world import World, WorldError
 
 READY = "clock_72(); clocks_on();"
 
@@ -189,3 +193,24 @@ def test_samples_arrive_by_dma_exactly_as_given(tmp_path: Path) -> None:
     assert halves > 150
     assert tiny.result() == sum(given[: 32 * halves])
     assert tiny.chip.counters()["samples_lost"] == 0
+
+
+def test_an_objection_ends_the_world_with_its_sentence(tmp_path: Path) -> None:
+    tiny = Tiny(tmp_path, "R(TIM2) = 1;")
+    world_module.build()
+    world = World()
+    world.add_mcu(
+        build=Build("tiny", tiny.build.library, SIMULATOR.dictionary, tiny.image),
+        clock_ppm=50.0,
+        latency_s=0.0,
+    )
+    with pytest.raises(WorldError, match=r"TIM2 .* while its clock is off"):
+        world.advance(world.now + 0.01)
+
+
+def test_an_image_that_is_none_is_refused(tmp_path: Path) -> None:
+    image = tmp_path / "not.elf"
+    image.write_bytes(b"nothing")
+    world_module.build()
+    with pytest.raises(WorldError, match="no 32-bit ARM ELF image"):
+        World().add_mcu(build=Build("none", make_emulator().library, SIMULATOR.dictionary, image))

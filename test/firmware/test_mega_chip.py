@@ -117,6 +117,10 @@ def test_bytes_are_not_lost_while_three_motors_step_as_fast_as_they_can() -> Non
     assert pongs == payloads
     assert mega.chip.counters()["console_overruns"] == 0
     assert [len(mega.edges(pin)) - 1 for pin, _ in STEP_PINS[:3]] == [3000] * 3
+    # the deepest there is: a response being encoded, timers on top of it, a byte's interrupt on top of them
+    counters = mega.chip.counters()
+    space = counters["stack_top"] - counters["stack_limit"]
+    assert space / 2 < counters["stack_top"] - counters["stack_low"] < 0.75 * space
 
 
 def test_cost_of_a_step_and_of_a_command_has_not_grown() -> None:

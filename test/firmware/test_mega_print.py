@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scenario import Case, play
+from scenario import ROOT, Case, play
+
+from simulation.runner import PRINTED, RunOptions, Simulation
 
 STACK_SHARE_MAX = 0.75
 
@@ -25,3 +27,17 @@ def test_part_is_printed_held_and_a_broken_sensor_ends_it(tmp_path: Path) -> Non
     assert counters["console_overruns"] == 0 and counters["resets"] == 0
     space = counters["stack_top"] - counters["stack_limit"]
     assert space > 500 and counters["stack_top"] - counters["stack_low"] < STACK_SHARE_MAX * space
+
+
+def test_a_damaged_line_costs_time_and_nothing_else(tmp_path: Path) -> None:
+    part = tmp_path / "part.gcode"
+    part.write_text("G28\nG90\nG1 X60 Y60 F9000\nG1 X70 Y60 F6000\nG1 X70 Y70\nG1 X60 Y60\n")
+    damage = tuple(("simulator mcu", what, "0.002") for what in ("corrupt", "drop"))
+    run = Simulation(RunOptions(ROOT / "config" / "sim-mega.cfg", part, overrides=damage))
+    outcome = run.run()
+    assert outcome.status == PRINTED, outcome.reason
+    for axis in ("x", "y"):
+        assert abs(outcome.summary["axes"][axis]["position_mm"] - 60.0) < 0.0126  # one step
+        assert outcome.summary["axes"][axis]["steps_lost"] == 0
+    stats = run.printer.lookup_object("mcu").get_status(0.0)["last_stats"]
+    assert stats["bytes_retransmit"] > 300 and stats["bytes_invalid"] > 300

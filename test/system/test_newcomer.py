@@ -18,11 +18,29 @@ from system.test_moonraker import finished_job, square
 PAGE = (ROOT / "docs" / "Getting_Started.md").read_text(encoding="utf-8")
 
 
+# Someone's module: it finds better gains by looking at them, and offers them to SAVE_CONFIG as PID_CALIBRATE does.
+PLUGIN = """
+def load_config(config):
+    printer = config.get_printer()
+    gcode = printer.lookup_object("gcode")
+
+    def tune(gcmd):
+        configfile = printer.lookup_object("configfile")
+        configfile.set("heater_bed", "pid_Kp", "%.3f" % gcmd.get_float("KP", above=0.0))
+        gcmd.respond_info("SAVE_CONFIG keeps it")
+
+    gcode.register_command("TUNE_BED", tune, desc="Better gains for the bed")
+"""
+
+
 @pytest.fixture
 def printer(tmp_path: Path) -> Iterator[SimulatedPrinter]:
     own = tmp_path / "my-printer.cfg"
     example = (ROOT / "config" / "sim-induction.cfg").read_text()
-    own.write_text(example.replace("pid_Kp: 60", "# a bed of my own\npid_Kp: 55  ; found by hand"))
+    example = example.replace("pid_Kp: 60", "# a bed of my own\npid_Kp: 55  ; found by hand")
+    own.write_text(f"{example}\n[plugins]\npath: {tmp_path / 'plugins'}\n[bed_tuner]\n")
+    (tmp_path / "plugins").mkdir()
+    (tmp_path / "plugins" / "bed_tuner.py").write_text(PLUGIN)
     machine = SimulatedPrinter(tmp_path / "data", "--config", str(own), "--speed", "10")
     try:
         machine.wait_start()
@@ -65,7 +83,7 @@ def test_from_the_example_to_a_print_and_a_value_that_stays(printer: SimulatedPr
     restarted(printer, "RESTART")
     assert settings(printer, "heater_bed")["pid_kp"] == 61.0
 
-    # a value the printer finds by itself, SAVE_CONFIG
+    # values the printer finds by itself, SAVE_CONFIG
     saved = check_save_config(printer, config)
 
     # nothing that a client can ask for does harm
@@ -84,21 +102,26 @@ def check_save_config(printer: SimulatedPrinter, config: Path) -> str:
     printer.wait("the nozzle to cool", lambda: printer.query("extruder")["temperature"] < 60.0, 60.0)
     temp_c = printer.query("extruder")["temperature"]
     printer.gcode(f"INDUCTION_ZERO HEATER=nozzle TEMP={temp_c + 5.0:.1f}")
+    printer.gcode("TUNE_BED KP=72.5")
     pending = printer.query("configfile")
     assert pending["save_config_pending"] is True
-    assert list(pending["save_config_pending_items"]) == ["induction_heater nozzle"]
-    changed = pending["save_config_pending_items"]["induction_heater nozzle"]
+    items = pending["save_config_pending_items"]
+    assert set(items) == {"induction_heater nozzle", "heater_bed"}
+    changed = {option.lower() for section in items.values() for option in section}
     restarted(printer, "SAVE_CONFIG")
     after = config.read_text()
     mine, _, block = after.partition("#*# <")
     assert "DO NOT EDIT THIS BLOCK" in block
-    kept = [line for line in before.splitlines() if line.partition(":")[0] not in changed]
-    assert [line for line in mine.rstrip().splitlines() if line in kept] == kept, "comments and order are kept"
+    kept = [line for line in before.splitlines() if line.partition(":")[0].lower() not in changed]
+    assert [line for line in mine.rstrip().splitlines() if line in kept] == kept, (
+        "comments and order are kept"
+    )
     for option in changed:
-        assert f"#{option}:" in mine or f"#*# {option} =" in block
-        assert re.search(rf"(?m)^{option}\s*[:=]", mine) is None, "commented out"
+        assert f"#*# {option} =" in block.lower()
+        assert re.search(rf"(?mi)^{option}\s*[:=]", mine) is None, "commented out"
+    assert "#pid_Kp: 61  ; better" in mine
     assert settings(printer, "induction_heater nozzle")["tank_delta"] != old
-    assert settings(printer, "heater_bed")["pid_kp"] == 61.0
+    assert settings(printer, "heater_bed")["pid_kp"] == 72.5
     backups = [path for path in config.parent.iterdir() if path.name.startswith("printer-")]
     assert [path.read_text() for path in backups] == [before]
     return after

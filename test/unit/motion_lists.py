@@ -59,22 +59,26 @@ class MoveWriter:
         self._go(self.at, 100.0)
 
     def _go(self, to: np.ndarray, speed: float, filament: float | None = None) -> None:
+        """filament: per mm."""
         self.before, self.at = self.at, np.round(np.clip(to, self.low, self.high), 4)
-        e = "" if filament is None else f" E{filament:.5f}"
+        way = float(np.linalg.norm(self.at - self.before))
+        e = "" if filament is None else f" E{filament * way:.5f}"
         self.lines.append("G1 X{:.4f} Y{:.4f} Z{:.4f}".format(*self.at) + f"{e} F{60 * speed:.1f}")
 
     def _speed(self) -> float:
-        return float(self.rng.choice([self.rng.uniform(1.0, 20.0), self.rng.uniform(20.0, 350.0)]))
+        low, high = ((2.0, 20.0), (20.0, 120.0), (100.0, 350.0))[self.rng.choice(3, p=(0.1, 0.3, 0.6))]
+        return float(self.rng.uniform(low, high))
 
     # -- kinds of moves --
 
     def travel(self) -> None:
-        self._go(self.rng.uniform(self.low, self.high), self._speed())
+        near = self.rng.random() < 0.8
+        to = self.at + self.rng.normal(0.0, 15.0, 3) * [1, 1, 0.1] if near else self.rng.uniform(self.low, self.high)
+        self._go(to, max(60.0, self._speed()))
 
     def line(self) -> None:
         way = self.rng.normal(0.0, 12.0, 3) * [1.0, 1.0, 0.02]
-        to = np.clip(self.at + way, self.low, self.high)
-        self._go(to, self._speed(), 0.035 * float(np.linalg.norm(to - self.at)))
+        self._go(self.at + way, self._speed(), 0.035)
 
     def chords(self) -> None:
         """A wriggle of tiny moves."""
@@ -83,7 +87,7 @@ class MoveWriter:
             angle += self.rng.normal(0.0, 0.4)
             length = 10 ** self.rng.uniform(-2.3, 0.0)
             way = length * np.array([math.cos(angle), math.sin(angle), 0.0])
-            self._go(self.at + way, speed, 0.04 * length)
+            self._go(self.at + way, speed, 0.04)
 
     def zigzag(self) -> None:
         """Straight back, again and again."""
@@ -97,7 +101,7 @@ class MoveWriter:
         """Pieces of one line, at different speeds."""
         way = self.rng.normal(0.0, 4.0, 3) * [1, 1, 0]
         for _ in range(int(self.rng.integers(2, 6))):
-            self._go(self.at + way, self._speed(), 0.03 * float(np.linalg.norm(way)))
+            self._go(self.at + way, self._speed(), 0.03)
 
     def lift(self) -> None:
         self._go(self.at + [0.0, 0.0, self.rng.normal(0.0, 1.0)], self._speed())
@@ -125,7 +129,7 @@ class MoveWriter:
         to[2] = min(max(to[2], self.low[2]), self.high[2])
         self.before, self.at = self.at, to
         end = "X{:.4f} Y{:.4f} Z{:.4f}".format(*to)
-        e = 0.04 * radius * turn
+        e = 0.04 * radius * min(turn, 2 * math.pi - turn)  # whichever way round
         self.lines.append(f"G{self.rng.choice([2, 3])} {end} I{i:.4f} J{j:.4f} E{e:.5f} F{60 * self._speed():.0f}")
         return None
 

@@ -105,25 +105,35 @@ class Steps:
         return np.concatenate([[0], self.after])[np.searchsorted(self.times, times, side="right")]
 
 
-def expand(commands: list[dict[str, Any]], sign: int, clock_hz: float = CLOCK_HZ) -> Steps:
-    """Steps of a row of set_next_step_dir, reset_step_clock and queue_step."""
-    base, direction, rows = 0, 0, []
-    for params in commands:
+@dataclass
+class Decoder:
+    """Commands of one motor to steps, as its MCU would make them."""
+
+    base: int = 0
+    direction: int = 0
+    rows: list[tuple[int, int, int, int, int]] = field(default_factory=list)
+
+    def feed(self, params: dict[str, Any], now: int) -> None:
+        """`now`: the last clock of any motor before this command. A new clock base is the one nearest to it, as the
+        MCU only sees 32 bits."""
         if params["#name"] == "set_next_step_dir":
-            direction = 1 if params["dir"] else -1
+            self.direction = 1 if params["dir"] else -1
         elif params["#name"] == "reset_step_clock":
-            base += (params["clock"] - base) & 0xFFFFFFFF
+            near = max(self.base, now - 2**31)
+            self.base = near + ((params["clock"] - near) & 0xFFFFFFFF)
         else:
             interval, count, add = params["interval"], params["count"], params["add"]
-            rows.append((base, interval, count, add, direction))
-            base += interval * count + add * (count * (count - 1) // 2)
-    table = np.array(rows, dtype=np.int64).reshape(-1, 5)
-    many = np.repeat(table, table[:, 2], axis=0)
-    ends = np.cumsum(table[:, 2])
-    k = np.arange(len(many)) - np.repeat(ends - table[:, 2], table[:, 2]) + 1
-    clocks = many[:, 0] + k * many[:, 1] + many[:, 3] * (k * (k - 1) // 2)
-    assert np.all(np.diff(clocks) > 0), "steps out of order"
-    return Steps(clocks / clock_hz, np.cumsum(sign * many[:, 4]))
+            self.rows.append((self.base, interval, count, add, self.direction))
+            self.base += interval * count + add * (count * (count - 1) // 2)
+
+    def steps(self, sign: int, clock_hz: float = CLOCK_HZ) -> Steps:
+        table = np.array(self.rows, dtype=np.int64).reshape(-1, 5)
+        many = np.repeat(table, table[:, 2], axis=0)
+        ends = np.cumsum(table[:, 2])
+        k = np.arange(len(many)) - np.repeat(ends - table[:, 2], table[:, 2]) + 1
+        clocks = many[:, 0] + k * many[:, 1] + many[:, 3] * (k * (k - 1) // 2)
+        assert np.all(np.diff(clocks) > 0), "steps out of order"
+        return Steps(clocks / clock_hz, np.cumsum(sign * many[:, 4]))
 
 
 @dataclass
@@ -134,7 +144,6 @@ class Run:
     recording: Recording
     steps: dict[str, Steps]
     motors: dict[str, Any]
-    commands: dict[str, list[dict[str, Any]]]
     options: configparser.ConfigParser
 
 
@@ -168,15 +177,16 @@ def run_batch(folder: Path, gcode: str, config: str, record: bool = True) -> Run
     blocks = msgproto.BlockReader().feed((folder / "out").read_bytes())
     params = decode([block.content for block in blocks if block is not None])
     motors = {m.get_oid(): m for m in printer.lookup_object("force_move").steppers.values()}
-    rows: dict[str, list[dict[str, Any]]] = {m.get_name(): [] for m in motors.values()}
+    decoders, now = {oid: Decoder() for oid in motors}, 0
     for command in params:
         if command["#name"] in ("queue_step", "set_next_step_dir", "reset_step_clock"):
-            rows[motors[command["oid"]].get_name()].append(command)
-    by_name = {m.get_name(): m for m in motors.values()}
-    steps = {n: expand(rows[n], -1 if by_name[n].is_dir_inverted() else 1) for n in rows}
+            decoder = decoders[command["oid"]]
+            decoder.feed(command, now)
+            now = max(now, decoder.base)
+    steps = {m.get_name(): decoders[oid].steps(-1 if m.is_dir_inverted() else 1) for oid, m in motors.items()}
     options = configparser.ConfigParser(strict=False, interpolation=None)
     options.read_string(config)
-    return Run(printer, recording, steps, by_name, rows, options)
+    return Run(printer, recording, steps, {m.get_name(): m for m in motors.values()}, options)
 
 
 # ---- paths ----
@@ -298,6 +308,11 @@ class Filament:
     path: Ramps
     advance_s: float
     smooth_s: float
+
+    @property
+    def reach_s(self) -> float:
+        """The motor moves this long before and after the filament is planned to."""
+        return 0.5 * self.smooth_s if self.advance_s else 0.0
 
     def motor(self, t: Array) -> Array:
         """s(t) = 1/w^2 * integral of (w - |u|) * p(t + u), p = filament + advance * speed; by moments of p."""
@@ -584,9 +599,9 @@ def _follow_head(
 def _follow_filament(run: Run, rng: np.random.Generator, tally: Tally) -> None:
     epochs = filament_epochs(run.recording.log)
     steps, step_dist = run.steps["extruder"], run.motors["extruder"].get_step_dist()
-    for i, epoch in enumerate(epochs):
-        until = epochs[i + 1].time if i + 1 < len(epochs) else math.inf
+    begins = [epoch.time - epoch.reach_s for epoch in epochs] + [math.inf]
+    for epoch, begin, until in zip(epochs, begins, begins[1:], strict=False):
         follow = Follow("extruder", epoch.motor, steps, step_dist, 0.0)
-        follow.check_times(epoch.time, until, tally)
+        follow.check_times(begin, until, tally)
         times = _sample_times(epoch.path, rng)
         follow.check_places(times[times < until], tally)

@@ -245,3 +245,48 @@ def test_a_client_that_does_not_read_is_dropped(tmp_path: Path, monkeypatch: pyt
         assert other.result("info")["state"] == "ready"
 
     with_client(tmp_path, "[respond]\n", body)
+
+
+@pytest.mark.parametrize("closes", [True, False], ids=["client closes", "client stays"])
+def test_the_end_of_the_host_is_no_error_for_a_client_that_is_writing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, closes: bool
+) -> None:
+    """Moonraker writes a traceback into its log when a write to the socket fails."""
+    import webhooks
+
+    if not closes:
+        monkeypatch.setattr(webhooks, "_FAREWELL_S", 0.1)
+    path = str(tmp_path / "api.sock")
+    session = Session(tmp_path, "[respond]\n", SystemTime(), apiserver=path)
+    connected, told, ended = threading.Event(), threading.Event(), threading.Event()
+    problems: list[OSError] = []
+
+    def client_life() -> None:
+        client = Client(path)
+        client.result("info")
+        connected.set()
+        while client.sock.recv(65536):  # until the host says good-bye
+            pass
+        try:
+            for _ in range(100 if closes else 0):
+                client.send_raw(b'{"id": 1, "method": "info"}\x03')
+        except OSError as e:
+            problems.append(e)
+        told.set()
+        if not closes:
+            ended.wait(10.0)
+        client.sock.close()
+
+    thread = threading.Thread(target=client_life)
+
+    def drive(s: Session) -> None:
+        thread.start()
+        while not connected.is_set():
+            s.sleep(0.005)
+
+    session.run(drive)
+    ended.set()
+    thread.join()
+    assert told.is_set()
+    assert not problems
+    assert not Path(path).exists()

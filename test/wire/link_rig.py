@@ -46,6 +46,7 @@ class LinkSession:
         self.world = World(seed)
         # each MCU drifts differently
         build = make_build(self.BUILD)
+        self.clock_hz = build.clock_hz
         self.mcus = [self.world.add_mcu(clock_ppm=80.0 - 130.0 * n, build=build, **line) for n in range(mcus)]
         self.time = SimTime(self.world)
         self.reactor = Reactor(self.time)

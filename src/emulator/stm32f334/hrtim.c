@@ -1,4 +1,4 @@
-/* HRTIM registers, preload and update, output states and faults (RM0364 chapter 21).
+/* HRTIM registers, preload and update (RM0364 chapter 21); outputs and faults in hrtim_outputs.c.
  *
  * The counters are not stepped: a period edge is an event only while something waits for it. What the model
  * does not have (burst mode, external events, captures, push-pull, chopper, interrupts of the timers) it refuses.
@@ -16,19 +16,11 @@ enum {
     BMCR = 0x20, ADC1R = 0x3c, ADC4R = 0x48, DLLCR = 0x4c, FLTINR1 = 0x50, FLTINR2 = 0x54,
     PREEN = 1u << 27, UPD = 1u << 6, REP = 1u << 4, DLLRDY = 1u << 16, SYSFLT = 1u << 5,
     DLL_TICKS = 1024, /* 14.2 us: 2048 periods of 144 MHz */
-    PHASE_MAX = 45000, FAULTS = 5,
 };
 
 struct hr_timer hr[HR_TIMERS];
 
-static struct {
-    uint32_t cr1, isr, ier, adc[4], dllcr, fltinr[2];
-    uint32_t enabled, faulted; /* outputs, a bit each: in RUN state, in FAULT state */
-    uint64_t dll_at;
-    struct event update;
-    uint16_t phase;            /* last told to the world */
-    int told;
-} h;
+struct hr_common h;
 
 static void update_due(void *arg);
 
@@ -47,65 +39,9 @@ static uint64_t to_clock(uint64_t steps)
     return (steps + steps_per_tick() - 1) / steps_per_tick();
 }
 
-static int dll_ready(void)
+int hr_dll_ready(void)
 {
     return h.dll_at && now() >= h.dll_at && !mutation.no_dll;
-}
-
-static void fault_irq(void)
-{
-    nvic_line(IRQ_HRTIM_FLT, (h.isr & h.ier & 0x3fu) != 0);
-}
-
-/* ---- what the bridge does --------------------------------------------------------------------------- */
-
-static void tell(uint16_t phase)
-{
-    if (h.told && phase == h.phase)
-        return;
-    adc_before_change();
-    h.phase = phase;
-    h.told = 1;
-    counters.phase_writes++;
-    board.bridge_set(board.ctx, phase, now());
-}
-
-static int leg_on(unsigned timer)
-{
-    return (h.enabled >> 2 * (timer - 1) & 3u) == 3u;
-}
-
-static void check_leg(unsigned timer)
-{
-    const struct hr_timer *t = &hr[timer];
-    if (!t->running)
-        fault("HRTIM: outputs of timer %c are on while its counter stands", 'A' + timer - 1);
-    if (!(t->outr & 1u << 8))
-        fault("HRTIM: the two switches of leg %c have no dead time (OUTR.DTEN is 0): shoot-through", 'A' + timer - 1);
-    else if (!(t->active.dead_time & 0x1ffu) || !(t->active.dead_time >> 16 & 0x1ffu))
-        fault("HRTIM: the dead time of leg %c is zero (DTR = 0x%08x)", 'A' + timer - 1, t->active.dead_time);
-    if (t->outr & (1u << 1 | 1u << 17 | 1u << 6 | 1u << 22))
-        fault("HRTIM: inverted or chopped outputs are not modelled (OUTR = 0x%x)", t->outr);
-    if (t->outr & (1u << 3 | 1u << 19))
-        fault("HRTIM: the idle level of leg %c is active (OUTR = 0x%x): switched off it conducts", 'A' + timer - 1, t->outr);
-}
-
-static void evaluate(void)
-{
-    unsigned legs[2], n = 0;
-    for (unsigned t = 1; t < HR_TIMERS; t++)
-        if (leg_on(t) && n < 2)
-            legs[n++] = t;
-    if (n < 2) {
-        tell(0); /* one leg alone drives no current */
-        return;
-    }
-    check_leg(legs[0]);
-    check_leg(legs[1]);
-    uint32_t period;
-    int64_t lag = hr_lag(legs[0], legs[1], &period);
-    if (lag >= 0)
-        tell((uint16_t)((lag * 2 * PHASE_MAX + period / 2) / period));
 }
 
 /* ---- preload and update ---------------------------------------------------------------------------------- */
@@ -174,7 +110,7 @@ static void update_due(void *arg)
     for (unsigned t = 0; t < HR_TIMERS; t++)
         if (planned[t] <= now())
             take_over(t);
-    evaluate();
+    hr_evaluate();
     adc_trigger_changed();
     plan();
 }
@@ -183,7 +119,7 @@ static void changed(unsigned timer)
 {
     if (!(hr[timer].cr & PREEN)) {
         take_over(timer);
-        evaluate();
+        hr_evaluate();
         adc_trigger_changed();
     }
     plan();
@@ -220,101 +156,11 @@ int hrtim_adc_trigger(unsigned number, uint32_t *period_ticks, uint64_t *at)
     return 1;
 }
 
-/* ---- faults ------------------------------------------------------------------------------------------------ */
-
-/* The line of the driver's fault output: pulled up, low when it objects. Only a pin that is set up as a fault input sees it
- * (DS9994): FLT1 PA12, FLT2 PA15, FLT3 PB10, FLT4 PB11 in alternate function 13, FLT5 PC7 in function 3. */
-static const struct { uint8_t pin, function; } FAULT_PINS[FAULTS] = { { 12, 13 }, { 15, 13 }, { 26, 13 }, { 27, 13 }, { 39, 3 } };
-
-int hrtim_is_fault_input(unsigned pin)
-{
-    for (unsigned i = 0; i < FAULTS; i++)
-        if (FAULT_PINS[i].pin == pin && gpio_function(pin) == FAULT_PINS[i].function)
-            return 1;
-    return 0;
-}
-
-static int input_active(unsigned i)
-{
-    uint32_t reg = i < 4 ? h.fltinr[0] >> 8 * i : h.fltinr[1];
-    if (!(reg & 1u) || reg & 4u || !hrtim_is_fault_input(FAULT_PINS[i].pin)) /* bit 2: from a comparator */
-        return 0;
-    int level = !mutation.fault_line;
-    return reg & 2u ? level : !level;
-}
-
-static void faults_off(uint32_t active, int system)
-{
-    uint32_t off = 0;
-    for (unsigned t = 1; t < HR_TIMERS; t++) {
-        if (!system && !(hr[t].fltr & active & 0x1fu))
-            continue;
-        for (unsigned o = 0; o < 2; o++)
-            if (hr[t].outr >> (4 + 16 * o) & 3u) /* FAULTx: 0 means that a fault does nothing to this output */
-                off |= 1u << (2 * (t - 1) + o);
-    }
-    h.faulted |= off & h.enabled;
-    h.enabled &= ~off;
-    if (off)
-        evaluate();
-}
-
-void hrtim_system_fault(void)
-{
-    h.isr |= SYSFLT;
-    fault_irq();
-    faults_off(0, 1);
-}
-
-void hrtim_fault_line(void)
-{
-    uint32_t active = 0;
-    for (unsigned i = 0; i < FAULTS; i++)
-        active |= (uint32_t)input_active(i) << i;
-    int system = mutation.brown_out && pwr_system_fault();
-    h.isr |= active | (system ? SYSFLT : 0);
-    fault_irq();
-    faults_off(active, system);
-}
-
-/* ---- outputs ------------------------------------------------------------------------------------------------- */
-
-static void check_pins(uint32_t outputs)
-{
-    static const struct { uint8_t pin, function; } PINS[HR_OUTPUTS] = {
-        { 8, 13 }, { 9, 13 }, { 10, 13 }, { 11, 13 }, { 28, 13 }, { 29, 13 }, { 30, 13 }, { 31, 13 }, { 40, 3 }, { 41, 3 },
-    };
-    for (unsigned i = 0; i < HR_OUTPUTS; i++)
-        if (outputs >> i & 1u && gpio_function(PINS[i].pin) != PINS[i].function)
-            fault("HRTIM output %c%u is on, and its pin P%c%u is not in alternate function %u", 'A' + i / 2, i % 2 + 1,
-                  'A' + PINS[i].pin / 16, PINS[i].pin % 16u, PINS[i].function);
-}
-
-static void outputs_on(uint32_t value)
-{
-    if (!(value & 0x3ffu))
-        return;
-    if (!dll_ready())
-        fault("HRTIM: outputs are switched on before the delay line is calibrated (DLLRDY is 0)");
-    check_pins(value);
-    h.enabled |= value & 0x3ffu;
-    h.faulted &= ~value;
-    hrtim_fault_line(); /* an active fault takes them off again at once */
-    evaluate();
-}
-
-static void outputs_off(uint32_t value)
-{
-    h.enabled &= ~value;
-    h.faulted &= ~value;
-    evaluate();
-}
-
 /* ---- registers --------------------------------------------------------------------------------------------------- */
 
 static void refresh(void)
 {
-    if (dll_ready())
+    if (hr_dll_ready())
         h.isr |= DLLRDY;
 }
 
@@ -334,7 +180,7 @@ static uint32_t timer_register(unsigned timer, uint32_t offset)
     case CR:
         return t->cr;
     case ISR:
-        return t->isr | (timer && leg_on(timer) ? 3u << 18 : 0);
+        return t->isr | (timer && hr_leg_on(timer) ? 3u << 18 : 0);
     case DIER:
         return t->dier;
     case CNTR:
@@ -375,7 +221,7 @@ static void control_write(unsigned timer, uint32_t value)
             int on = (int)(value >> (16 + i) & 1u);
             if (on && !hr[i].running) {
                 hr[i].zero = hr_now();
-                if (!dll_ready())
+                if (!hr_dll_ready())
                     fault("HRTIM: a counter is started before the delay line is calibrated (DLLRDY is 0; RM0364, 21.3.4)");
                 if (!((i ? hr[i].cr : value) & 8u))
                     fault("HRTIM: single-shot counters are not modelled (CONT is 0)");
@@ -389,7 +235,7 @@ static void control_write(unsigned timer, uint32_t value)
         fault("HRTIM: the prescaler (CKPSC) is changed while the counter runs");
     t->cr = value;
     changed(timer);
-    evaluate();
+    hr_evaluate();
     adc_trigger_changed();
 }
 
@@ -400,7 +246,7 @@ static void output_write(unsigned timer, uint32_t value)
     if (h.enabled >> 2 * (timer - 1) & 3u && (value ^ t->outr) & 1u << 8)
         fault("HRTIM: DTEN is changed while outputs of the timer are on (RM0364, 21.5.35)");
     t->outr = value;
-    evaluate();
+    hr_evaluate();
 }
 
 static void timer_register_write(unsigned timer, uint32_t offset, uint32_t value)
@@ -508,7 +354,7 @@ static void cr2_write(uint32_t value)
         if (value >> (8 + t) & 1u)
             hr[t].zero = hr_now();
     }
-    evaluate();
+    hr_evaluate();
     adc_trigger_changed();
     plan();
 }
@@ -545,13 +391,13 @@ static void common_write(uint32_t offset, uint32_t value)
         h.ier = value;
         if (value & ~0x3fu)
             fault("HRTIM: only fault interrupts are modelled (IER = 0x%x)", value);
-        fault_irq();
+        hr_fault_irq();
         return;
     case OENR:
-        outputs_on(value);
+        hr_outputs_on(value);
         return;
     case ODISR:
-        outputs_off(value);
+        hr_outputs_off(value);
         return;
     case DLLCR:
         if (!h.dll_at && value & 3u)
@@ -618,7 +464,7 @@ int hrtim_peek(const char *what, uint32_t *value)
         *value = h.told ? h.phase : 0;
     else if (!strcmp(what, "period"))
         *value = hr[1].active.per;
-    else if (!strcmp(what, "lag") && leg_on(1) && leg_on(2))
+    else if (!strcmp(what, "lag") && hr_leg_on(1) && hr_leg_on(2))
         *value = (uint32_t)hr_lag(1, 2, &period);
     else
         return -1;

@@ -2,7 +2,7 @@
 #ifndef EMULATOR_HRTIM_H
 #define EMULATOR_HRTIM_H
 
-#include <stdint.h>
+#include "../core.h"
 
 enum { HR_MASTER, HR_TIMERS = 6, HR_OUTPUTS = 10 };
 
@@ -22,6 +22,24 @@ struct hr_timer {
 struct hr_pulse { uint32_t on, length; };
 
 extern struct hr_timer hr[HR_TIMERS];
+
+struct hr_common {
+    uint32_t cr1, isr, ier, adc[4], dllcr, fltinr[2];
+    uint32_t enabled, faulted; /* outputs, a bit each: in RUN state, in FAULT state */
+    uint64_t dll_at;
+    struct event update;
+    uint16_t phase;            /* last told to the world */
+    int told;
+};
+extern struct hr_common h;
+
+/* hrtim_outputs.c */
+int hr_leg_on(unsigned timer);
+void hr_evaluate(void);             /* what the bridge does now goes to the world */
+void hr_outputs_on(uint32_t value);
+void hr_outputs_off(uint32_t value);
+int hr_dll_ready(void);
+void hr_fault_irq(void);
 
 /* Period of the timer and where its counter is zero against `reference`'s, both in steps. -1: it has none that is
  * constant (a fault has been raised). */

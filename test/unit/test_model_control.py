@@ -1,0 +1,233 @@
+"""The model law by itself: its plant model, its filter, its choice; on plants of the test's own."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from thermal import model_filter, model_plant
+from thermal.control_api import ControlInput, ParameterError, Planned, Reference, Sample, Schedule
+from thermal.model_control import MODEL, model_step
+from thermal.model_plant import ModelParameters, advance, at_rest, hold_w
+
+BLOCK = ModelParameters(
+    heat_j_k=15.0, loss_w_k=0.07, output_w=40.0, output_high=1.0, ambient_c=20.0, melt_ua_w_k=0.06
+)
+NOZZLE = ModelParameters(
+    heat_j_k=0.414,
+    heat_slope_per_k=4.5e-4,
+    loss_w_k=0.00716,
+    radiation_m2=1e-4,
+    ambient_c=20.0,
+    second_j_k=0.572,
+    link_w_k=0.0411,
+    second_loss_w_k=0.016,
+    output_w=1.0,
+    output_high=81.3,
+    melt_ua_w_k=0.0276,
+    bore_s=0.049,
+    hold_s=0.008,
+    fade_s=0.03,
+    ahead=7,
+)
+
+
+@pytest.mark.parametrize("p", [BLOCK, NOZZLE])
+def test_the_power_that_holds_a_temperature_holds_it(p: ModelParameters) -> None:
+    nodes = at_rest(p, 200.0)
+    drive = hold_w(p, 200.0, 0.0, 0.0) / p.output_w, 1.0, 0.0
+    assert advance(p, nodes, drive, (0.0, 0.0), 100.0).temp_c == pytest.approx(200.0, abs=0.01)
+
+
+def test_static_losses_are_the_reference_nozzles() -> None:
+    # source 000: 3.9 / 4.7 / 11.0 W, told with two digits
+    for temp_c, watts in ((212.0, 3.9), (250.0, 4.7), (500.0, 11.0)):
+        assert hold_w(NOZZLE, temp_c, 0.0, 0.0) == pytest.approx(watts, rel=0.03)
+
+
+def test_one_node_follows_the_exact_exponential() -> None:
+    p = replace(BLOCK, melt_ua_w_k=0.0)
+    nodes = advance(p, at_rest(p, 20.0), (0.5, 1.0, 0.0), (0.0, 0.0), 60.0)
+    rise = 20.0 / 0.07 * (1.0 - math.exp(-60.0 * 0.07 / 15.0))
+    assert nodes.temp_c == pytest.approx(20.0 + rise, rel=2e-3)  # Euler steps of 0.25 s
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"heat_j_k": 0.0},
+        {"heat_j_k": -1.0},
+        {"heat_j_k": math.nan},
+        {"loss_w_k": -0.1},
+        {"loss_w_k": 0.0},
+        {"output_w": 0.0},
+        {"sensor_s": -1.0},
+        {"second_j_k": 1.0},
+        {"element_w_k": 0.5},
+        {"heat_slope_per_k": 1.0},
+        {"ambient_c": 500.0},
+        {"slew_per_s": 0.0},
+    ],
+    ids=lambda c: next(iter(c)),
+)
+def test_impossible_parameters_are_refused_in_words(change: dict[str, float]) -> None:
+    with pytest.raises(ParameterError, match=r"^model: "):
+        replace(BLOCK, **change)
+
+
+class Truth:
+    """A plant of the model's kind with other parameters, measured without noise every `dt_s`."""
+
+    def __init__(self, p: ModelParameters, temp_c: float, dt_s: float) -> None:
+        self.p, self.dt_s, self.now_s = p, dt_s, 0.0
+        self.nodes = at_rest(p, temp_c)
+        self.disturbance_w = 0.0
+
+    def sample(self, output: float) -> Sample:
+        self.nodes = advance(self.p, self.nodes, (output, 1.0, self.disturbance_w), (0.0, 0.0), self.dt_s)
+        self.now_s += self.dt_s
+        return Sample(self.now_s, self.now_s, self.nodes.sensor_c, 0.05, output)
+
+
+def test_the_filter_tells_a_weak_drive_from_a_draught() -> None:
+    """30 % less heat shows while heating, 3 W taken away shows while holding: each is learned as what it is."""
+    weak = Truth(replace(NOZZLE, output_w=0.7), 25.0, 0.005)
+    state = model_filter.begin(NOZZLE, 25.0, 0.0)
+    for _ in range(200):
+        state = model_filter.observe(NOZZLE, state, [weak.sample(81.3)])
+    assert state.gain == pytest.approx(0.7, abs=0.03)
+    draught = Truth(NOZZLE, 25.0, 0.005)
+    state = model_filter.begin(NOZZLE, 25.0, 0.0)
+    for _ in range(200):
+        state = model_filter.observe(NOZZLE, state, [draught.sample(81.3)])
+    draught.disturbance_w = -3.0
+    for _ in range(200):
+        state = model_filter.observe(NOZZLE, state, [draught.sample(13.0)])
+    assert state.disturbance_w == pytest.approx(-3.0, abs=0.7)  # 3 % of the gain is worth 0.4 W
+    assert state.gain == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_lagging_sensor_is_looked_through() -> None:
+    p = replace(BLOCK, sensor_s=1.5, sigma_c=0.05)
+    truth = Truth(p, 25.0, 0.3)
+    state = model_filter.begin(p, 25.0, 0.0)
+    for _ in range(60):
+        state = model_filter.observe(p, state, [truth.sample(1.0)])
+    # 2.5 K/s through 1.5 s of lag: the reading is 3.7 degC behind
+    assert truth.nodes.temp_c - truth.nodes.sensor_c > 3.0
+    assert state.nodes.temp_c == pytest.approx(truth.nodes.temp_c, abs=0.2)
+
+
+def test_blocks_of_one_message_count_as_their_mean() -> None:
+    state = model_filter.begin(NOZZLE, 250.0, 0.0)
+    apart = [Sample(0.001 * i, 0.001 * i, 250.0 + 0.1 * i, 0.09, 5.0) for i in range(1, 4)]
+    one = [Sample(0.002, 0.003, 250.2, 0.09 / math.sqrt(3.0), 5.0)]
+    a, b = model_filter.observe(NOZZLE, state, apart), model_filter.observe(NOZZLE, state, one)
+    assert a.nodes.temp_c == pytest.approx(b.nodes.temp_c, abs=1e-6)
+    assert a.disturbance_w == pytest.approx(b.disturbance_w, abs=1e-6)
+
+
+def test_a_jump_no_heat_can_make_moves_the_temperature_and_teaches_nothing() -> None:
+    state = model_filter.begin(NOZZLE, 250.0, 0.0)
+    after = model_filter.observe(NOZZLE, state, [Sample(0.005, 0.005, 230.0, 0.05, 5.0)])
+    assert after.nodes.temp_c == pytest.approx(230.0, abs=0.5)
+    assert (after.disturbance_w, after.gain) == pytest.approx((0.0, 1.0), abs=0.05)
+
+
+def test_a_step_of_the_reading_with_the_drive_is_taken_out_until_the_drive_falls() -> None:
+    state = model_filter.begin(NOZZLE, 250.0, 0.0)
+    state = model_filter.observe(NOZZLE, state, [Sample(0.005, 0.005, 250.0, 0.1, 5.0)])
+    state = model_filter.observe(NOZZLE, state, [Sample(0.010, 0.010, 222.0, 0.1, 81.3, rebased=True)])
+    assert state.nodes.temp_c == pytest.approx(250.8, abs=0.5)
+    state = model_filter.observe(NOZZLE, state, [Sample(0.015, 0.015, 251.0, 0.1, 5.0, rebased=True)])
+    assert state.nodes.temp_c == pytest.approx(251.0, abs=0.5)
+
+
+def known(temp_c: float) -> model_filter.ModelState:
+    return model_filter.begin(NOZZLE, temp_c, 10.0)
+
+
+def ask(temp_c: float, target_c: float, **fields: object) -> ControlInput:
+    del temp_c
+    return ControlInput(target_c, math.nan, applied=5.0, apply_s=10.02, pending=(), **fields)  # type: ignore[arg-type]
+
+
+def test_far_below_it_is_full_power_far_above_none() -> None:
+    assert model_step(NOZZLE, known(100.0), ask(100.0, 250.0), 10.0)[0].value == 81.3
+    assert model_step(NOZZLE, known(250.0), ask(250.0, 200.0), 10.0)[0].value == 0.0
+
+
+def test_limits_are_met_exactly() -> None:
+    output, _ = model_step(NOZZLE, known(100.0), ask(100.0, 250.0, limit=30.0), 10.0)
+    assert output.value == 30.0
+    assert all(planned.value <= 30.0 for planned in output.horizon)
+    slow = replace(NOZZLE, slew_per_s=1000.0)
+    state = MODEL.follow(slow, known(100.0), ask(100.0, 250.0), 5.0)
+    output, _ = model_step(slow, state, ask(100.0, 250.0), 10.0)
+    assert output.value == pytest.approx(5.0 + 1000.0 * NOZZLE.hold_s)
+    before, before_s = output.value, 10.02
+    for planned in output.horizon[:-1]:
+        assert planned.value - before <= 1000.0 * (planned.time_s - before_s) + 1e-6
+        before, before_s = planned.value, planned.time_s
+
+
+def test_a_plan_made_in_the_climb_ends_at_holding_power() -> None:
+    output, _ = model_step(NOZZLE, known(243.0), ask(243.0, 250.0), 10.0)
+    assert output.value == 81.3
+    times = [planned.time_s for planned in output.horizon]
+    assert times == sorted(times)
+    assert times[0] > 10.02
+    assert output.horizon[-1].value < 15.0
+
+
+def test_what_is_pending_is_counted_on() -> None:
+    """Full power already on its way for 20 ms is 3.5 degC: less is asked for on top of it."""
+    without, _ = model_step(NOZZLE, known(245.0), ask(245.0, 250.0), 10.0)
+    sent = replace(ask(245.0, 250.0), pending=(Planned(10.0, 81.3),))
+    after, _ = model_step(NOZZLE, known(245.0), sent, 10.0)
+    assert after.value < without.value
+    assert after.predicted_c > without.predicted_c + 3.0
+
+
+def test_flow_to_come_is_fed_forward() -> None:
+    still, _ = model_step(NOZZLE, known(250.0), ask(250.0, 250.0), 10.0)
+    flow = Schedule((10.02,), (13.0,))  # with the output
+    flowing, _ = model_step(NOZZLE, known(250.0), ask(250.0, 250.0, flow_mm3_s=flow), 10.0)
+    melt_w = model_plant.melt_w_k(NOZZLE, 13.0) * 225.0
+    assert flowing.value - still.value == pytest.approx(melt_w, rel=0.2)
+
+
+def test_a_ramp_ahead_is_begun_in_time() -> None:
+    ramp = Reference.of([(0.0, 250.0), (10.022, 250.0), (10.122, 260.0)])
+    output, _ = model_step(NOZZLE, known(250.0), ask(250.0, 250.0, reference=ramp), 10.0)
+    assert output.value > 30.0  # 100 K/s of 0.46 J/K are 46 W
+
+
+def test_off_is_off_and_nothing_known_is_off() -> None:
+    assert model_step(NOZZLE, known(250.0), ask(250.0, 0.0), 10.0)[0].value == 0.0
+    nothing, state = model_step(NOZZLE, MODEL.start, ask(0.0, 250.0), 10.0)
+    assert nothing.value == 0.0
+    assert not state.known
+
+
+def test_alone_it_remembers_its_own_outputs() -> None:
+    """As an ordinary heater calls it: a reading and a time; delays are its own affair."""
+    p = replace(BLOCK, delay_s=0.6, sensor_s=1.5, sigma_c=0.05, horizon_s=2.0, fade_s=2.0)
+    truth = Truth(replace(p, heat_j_k=18.0), 20.0, 0.3)
+    duties = [0.0, 0.0]
+    state, temps = MODEL.start, []
+    for _ in range(800):
+        seen = truth.sample(duties.pop(0))
+        output, state = MODEL.step(p, state, ControlInput(200.0, seen.temp_c), seen.time_s)
+        assert 0.0 <= output.value <= 1.0
+        duties.append(output.value)
+        temps.append(truth.nodes.temp_c)
+    assert max(temps) < 201.0
+    assert temps[-1] == pytest.approx(200.0, abs=0.05)
+
+
+def test_a_reference_out_of_order_is_refused() -> None:
+    with pytest.raises(ParameterError, match="order"):
+        Reference.of([(1.0, 200.0), (0.0, 210.0)])
