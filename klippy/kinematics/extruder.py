@@ -98,6 +98,16 @@ class ExtruderStepper:
         self.pressure_advance = pressure_advance
         self.pressure_advance_smooth_time = smooth_time
 
+    def _change_pressure_advance(self, pressure_advance: float, smooth_time: float) -> None:
+        """While printing: a longer smooth time begins sooner before a move, so the next move has to come later, or its
+        first steps would be wanted in the past."""
+        streams = stepstream.lookup_streams(self.printer)
+        reach_s = streams.look_ahead_s()
+        self._set_pressure_advance(pressure_advance, smooth_time)
+        longer_s = streams.look_ahead_s() - reach_s
+        if longer_s > 0.0:
+            self.printer.lookup_object("toolhead").dwell(longer_s)
+
     cmd_SET_PRESSURE_ADVANCE_help = "Set pressure advance parameters"
 
     def cmd_default_SET_PRESSURE_ADVANCE(self, gcmd: Any) -> None:
@@ -114,7 +124,7 @@ class ExtruderStepper:
         smooth_time = gcmd.get_float(
             "SMOOTH_TIME", self.pressure_advance_smooth_time, minval=0.0, maxval=MAX_SMOOTH_TIME_S
         )
-        self._set_pressure_advance(advance, smooth_time)
+        self._change_pressure_advance(advance, smooth_time)
         text = f"pressure_advance: {advance:.6f}\npressure_advance_smooth_time: {smooth_time:.6f}"
         self.printer.set_rollover_info(self.name, f"{self.name}: {text}")
         gcmd.respond_info(text, log=False)

@@ -50,7 +50,7 @@ int sim_mcu_take_reset(void);
 def make(target: str, *variables: str) -> None:
     """Bring a target of src/build.mk up to date; test processes that run side by side take turns."""
     (ROOT / "out").mkdir(exist_ok=True)
-    with open(ROOT / "out" / "test-build.lock", "w") as lock:
+    with open(ROOT / "out" / ".simulation-lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         command = ["make", "-s", "-f", "src/build.mk", target, *variables]
         run = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)

@@ -77,3 +77,13 @@ def test_an_endstop_that_stays_triggered_is_noticed(sim) -> None:
     status, reason, _ = sim("G28 X\n", ("stepper_x", "endstop_pin", "!PA4"), WIRED_X)
     assert status == BAD_INPUT
     assert "still triggered after retract" in reason
+
+
+def test_a_shaped_machine_homes_to_the_same_place(sim) -> None:
+    """The trigger halts copies of the motion that are still to come; the place is told by the steps made."""
+    shaper = [("input_shaper", f"shaper_freq_{axis}", "40") for axis in "xy"]
+    status, reason, summary = sim("G28\nG1 X50 Y60 Z5 F6000\nG28 X\nG1 X80\nM400\n", *shaper)
+    assert status == PRINTED, reason
+    assert places(summary)["x"] == pytest.approx(80.0, abs=0.03)
+    assert places(summary)["y"] == pytest.approx(60.0, abs=0.03)
+    assert all(axis["steps_lost"] == 0 for axis in summary["axes"].values())

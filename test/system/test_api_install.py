@@ -83,7 +83,7 @@ END_PRINT
 
 def dictionary_of(port: str) -> Path:
     """Data dictionary of a port's firmware, built from src/."""
-    with (ROOT / "out" / "test-build.lock").open("w") as lock:
+    with (ROOT / "out" / ".simulation-lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         subprocess.run(["make", "-s", f"firmware-{port}"], cwd=ROOT, check=True, capture_output=True)
     return ROOT / "out" / port / "ferrite.dict"

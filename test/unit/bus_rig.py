@@ -25,7 +25,7 @@ Answer = Callable[[list[Any]], Mapping[str, Any]]
 def build_dictionary() -> bytes:
     """The dictionary of the firmware as it is in src/."""
     (ROOT / "out").mkdir(exist_ok=True)
-    with open(ROOT / "out" / "test-build.lock", "w") as lock:
+    with open(ROOT / "out" / ".simulation-lock", "w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         subprocess.run(["make", "-s", "-f", "src/build.mk", "firmware-sim"], cwd=ROOT, check=True)
     return DICTIONARY.read_bytes()

@@ -599,9 +599,11 @@ def _follow_head(
 def _follow_filament(run: Run, rng: np.random.Generator, tally: Tally) -> None:
     epochs = filament_epochs(run.recording.log)
     steps, step_dist = run.steps["extruder"], run.motors["extruder"].get_step_dist()
-    begins = [epoch.time - epoch.reach_s for epoch in epochs] + [math.inf]
+    # an epoch lasts until its last motion is over: the next one's may begin before its first move
+    ends = [float(e.path.edges().max()) + e.reach_s if e.path.rows else -1.0 for e in epochs]
+    begins = [-1.0, *(max(ends[: i + 1]) + TICK_S for i in range(len(epochs) - 1)), math.inf]
     for epoch, begin, until in zip(epochs, begins, begins[1:], strict=False):
         follow = Follow("extruder", epoch.motor, steps, step_dist, 0.0)
         follow.check_times(begin, until, tally)
         times = _sample_times(epoch.path, rng)
-        follow.check_places(times[times < until], tally)
+        follow.check_places(times[(times >= begin) & (times < until)], tally)
