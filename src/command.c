@@ -246,7 +246,9 @@ command_task(void)
     while (console_read(&byte)) {
         if (!rx.hunting) {
             rx.block[rx.gathered++] = byte;
-            if (rx.gathered <= BLOCK_HEADER_SIZE || rx.gathered >= rx.block[0])  /* else it can only be incomplete */
+            /* In the middle of a block it can only be incomplete.  A command that shut down left digest() by a jump:
+             * what was gathered behind it has not been judged yet, and its first byte may be no length at all. */
+            if (rx.gathered <= BLOCK_HEADER_SIZE || rx.gathered >= rx.block[0] || rx.block[0] > BLOCK_SIZE_MAX)
                 digest();
         } else if (byte == BLOCK_SYNC) {
             rx.hunting = 0;

@@ -18,6 +18,7 @@ from thermal import (
     model_control,
     model_nozzle,
     plausible,
+    practical,
     supervise,
     track,
 )
@@ -135,7 +136,9 @@ def _control(
     timing: loop.Timing,
 ) -> loop.Control:
     """The control law by name; the options of all are read, switching is no reason to delete a tuning."""
-    choice = config.getchoice("control", {name: name for name in ("model", "pid", "watermark")}, "model")
+    choice = config.getchoice(
+        "control", {name: name for name in ("model", "pid", "watermark", "practical")}, "model"
+    )
     power_max_w = config.getfloat("max_power_w", drive.power_max_w, above=0.0, maxval=drive.power_max_w)
     pid = _pid(config, power_max_w)
     watermark = control.WatermarkParameters(config.getfloat("max_delta", 2.0, above=0.0), power_max_w)
@@ -144,6 +147,8 @@ def _control(
         return loop.Control(control.PID, pid, power_max_w)
     if choice == "watermark":
         return loop.Control(control.WATERMARK, watermark, power_max_w)
+    if choice == "practical":
+        return loop.Control(practical.PRACTICAL, practical.PracticalParameters(power_max_w), power_max_w)
     return loop.Control(model_control.MODEL, held, power_max_w, models=True)
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
-from motion_oracle import CONFIGS
+
+CONFIGS = Path(__file__).resolve().parents[2] / "config"
 
 # x, y, z from .. to, within every machine's range and off the centre of the polar one
 BOXES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
@@ -73,7 +75,11 @@ class MoveWriter:
 
     def travel(self) -> None:
         near = self.rng.random() < 0.8
-        to = self.at + self.rng.normal(0.0, 15.0, 3) * [1, 1, 0.1] if near else self.rng.uniform(self.low, self.high)
+        to = (
+            self.at + self.rng.normal(0.0, 15.0, 3) * [1, 1, 0.1]
+            if near
+            else self.rng.uniform(self.low, self.high)
+        )
         self._go(to, max(60.0, self._speed()))
 
     def line(self) -> None:
@@ -104,7 +110,7 @@ class MoveWriter:
             self._go(self.at + way, self._speed(), 0.03)
 
     def lift(self) -> None:
-        self._go(self.at + [0.0, 0.0, self.rng.normal(0.0, 1.0)], self._speed())
+        self._go(self.at + np.array([0.0, 0.0, self.rng.normal(0.0, 1.0)]), self._speed())
 
     def filament(self) -> None:
         """Retract, move or not, and back."""
@@ -125,12 +131,14 @@ class MoveWriter:
         # from the centre back to here, turned
         x = i - i * math.cos(turn) + j * math.sin(turn)
         y = j - i * math.sin(turn) - j * math.cos(turn)
-        to = np.round(self.at + [x, y, self.rng.choice([0.0, self.rng.normal(0.0, 0.5)])], 4)
+        to = np.round(self.at + np.array([x, y, self.rng.choice([0.0, self.rng.normal(0.0, 0.5)])]), 4)
         to[2] = min(max(to[2], self.low[2]), self.high[2])
         self.before, self.at = self.at, to
         end = "X{:.4f} Y{:.4f} Z{:.4f}".format(*to)
         e = 0.04 * radius * min(turn, 2 * math.pi - turn)  # whichever way round
-        self.lines.append(f"G{self.rng.choice([2, 3])} {end} I{i:.4f} J{j:.4f} E{e:.5f} F{60 * self._speed():.0f}")
+        self.lines.append(
+            f"G{self.rng.choice([2, 3])} {end} I{i:.4f} J{j:.4f} E{e:.5f} F{60 * self._speed():.0f}"
+        )
         return None
 
     def pause(self) -> None:
@@ -150,16 +158,20 @@ class MoveWriter:
         for axis in "XYZ" if self.rng.random() < 0.3 else "XY":
             kind, f = self.rng.choice(SHAPERS), self.rng.choice([0.0, *self.rng.uniform(18.0, 110.0, 4)])
             damping = self.rng.choice([0.0, 0.1, self.rng.uniform(0.0, 0.3)])
-            parts.append(f"SHAPER_TYPE_{axis}={kind} SHAPER_FREQ_{axis}={f:.3f} DAMPING_RATIO_{axis}={damping:.4f}")
+            parts.append(
+                f"SHAPER_TYPE_{axis}={kind} SHAPER_FREQ_{axis}={f:.3f} DAMPING_RATIO_{axis}={damping:.4f}"
+            )
         self.lines.append("SET_INPUT_SHAPER " + " ".join(parts))
 
     def advance(self) -> None:
         k = self.rng.choice([0.0, self.rng.uniform(0.005, 0.08), self.rng.uniform(0.1, 0.8)])
-        self.lines.append(f"SET_PRESSURE_ADVANCE ADVANCE={k:.5f} SMOOTH_TIME={self.rng.uniform(0.002, 0.1):.5f}")
+        self.lines.append(
+            f"SET_PRESSURE_ADVANCE ADVANCE={k:.5f} SMOOTH_TIME={self.rng.uniform(0.002, 0.1):.5f}"
+        )
 
     KINDS = (
-        (travel, 2), (line, 6), (chords, 2), (zigzag, 1), (straight, 1), (lift, 1), (filament, 1), (arc, 2), (pause, 0.4),
-        (limits, 0.6),
+        (travel, 2), (line, 6), (chords, 2), (zigzag, 1), (straight, 1), (lift, 1), (filament, 1), (arc, 2),
+        (pause, 0.4), (limits, 0.6),
     )  # fmt: skip
 
     def list_of_moves(self, count: int) -> None:
