@@ -72,6 +72,7 @@ class ToolHead:
         ffi, lib = chelper.get_ffi()
         self._commit_in_c = lib.lookahead_commit
         self._filament_mm = ffi.new("double *")
+        self._lib, self._cut_xyz, self._cut_speed = lib, ffi.new("double[3]"), ffi.new("double *")
         self._no_trapq = ffi.NULL
         self._trapq_append = lib.trapq_append
         self._trapq_set_position = lib.trapq_set_position
@@ -427,12 +428,18 @@ class ToolHead:
             time = min(end, time + DRIP_STEP_S)
             self._streams.advance(time, hold_back=False)
         if time < end:  # stopped by the trigger: the rest of the plan is void
-            x, y, z = self.commanded_pos[:3]
-            self._trapq_set_position(self.trapq, time, x, y, z)
-            self.print_time = time
-        self._streams.advance(time, hold_back=False)
+            self._cut_plan(min(self.print_time, time + self._streams.look_ahead_s()))
+        # all of it now: once the motors have told where they halted, no step of this move may follow
+        self._streams.advance(self.print_time + self._streams.look_ahead_s(), hold_back=False)
         self._drip_done = self._streams.done_time
         self._start_watch()  # the timer may have gone to sleep until the end of the whole, uninterrupted move
+
+    def _cut_plan(self, print_time: float) -> None:
+        """The head rests from print_time on, where the plan has it then: what is shaped or smoothed runs out without a
+        jump (the motors have been halted already; homing tells where)."""
+        self.print_time = print_time
+        self._lib.trapq_state_at(self.trapq, print_time, self._cut_xyz, self._cut_speed)
+        self._trapq_set_position(self.trapq, print_time, *self._cut_xyz)
 
     # -- who else wants to know --
 

@@ -238,9 +238,11 @@ class Follow:
         tally.steps += len(t)
         late, early = fa > SLACK_STEPS, fb < -SLACK_STEPS
         # just beyond a turning point the edge may be passed and left again within 25 us
-        for i in np.flatnonzero(early):
-            between = np.linspace(a[i], b[i], 40)
-            early[i] = not np.any(way[i] * self.ahead(between, np.full(40, edge[i])) >= -SLACK_STEPS)
+        near = np.flatnonzero(early)
+        if len(near):
+            between = np.linspace(a[near], b[near], 40).ravel()
+            beyond = np.tile(way[near], 40) * self.ahead(between, np.tile(edge[near], 40)) >= -SLACK_STEPS
+            early[near] = ~beyond.reshape(40, -1).any(axis=0)
         self._tell(late, "after", t, fa, tally)
         self._tell(early, "more than 25 us before", t, fb, tally)
         crossing = (fa < 0.0) & (fb > 0.0)
@@ -276,15 +278,16 @@ class Follow:
         place = self.origin + self.steps.count_at(t) * self.step_dist
         room = 0.5 + SLACK_STEPS
         behind = self._astray(t, place, room)
-        for i in np.flatnonzero(behind):
-            # off the grid for less than the time within which a step and its reversal cancel?
-            near = t[i] + np.linspace(-CANCEL_S, CANCEL_S, 61)
-            inside = ~self._astray(near, np.full(61, place[i]), room)
-            behind[i] = not (inside[:30].any() and inside[31:].any())
+        off = np.flatnonzero(behind)
+        if len(off):
+            # for less than the time within which a step and its reversal cancel?
+            near = t[off] + np.linspace(-CANCEL_S, CANCEL_S, 61)[:, None]
+            inside = ~self._astray(near.ravel(), np.tile(place[off], 61), room).reshape(61, -1)
+            behind[off] = ~(inside[:30].any(axis=0) & inside[31:].any(axis=0))
         if behind.any():
             i = int(np.flatnonzero(behind)[0])
-            off = self.ahead(t[i : i + 1], place[i : i + 1])[0]
-            tally.faults.append(f"{self.name}: {off:.4f} steps off at {t[i]:.6f} s ({behind.sum()} times)")
+            way = self.ahead(t[i : i + 1], place[i : i + 1])[0]
+            tally.faults.append(f"{self.name}: {way:.4f} steps off at {t[i]:.6f} s ({behind.sum()} times)")
 
     def _astray(self, t: Array, place: Array, room: float) -> Array:
         now, soon = self.ahead(t - TICK_S, place), self.ahead(t + MAX_ERROR_S + TICK_S, place)
