@@ -323,7 +323,7 @@ make_gates(struct stepcompress *sc, int upto)
 static struct line_fit
 run_line(struct stepcompress *sc, int add, int limit)
 {
-    struct line_fit fit = { 0., UINT32_MAX, 0 };
+    struct line_fit fit = { 1., UINT32_MAX, 0 };    /* no step at the clock of the one before */
     double half_add = .5 * add;
     for (int k = 1; k <= limit; k++) {
         if (k > sc->gates)
