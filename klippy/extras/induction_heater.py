@@ -276,7 +276,9 @@ class InductionHeater:
         """Status of the section `induction_heater NAME`: the heater fields and the chain's inside."""
         state = self.loop.state
         news = state.estimate
-        age_s = self.unit.print_time_now(eventtime) - news.time_s
+        now_s = self.unit.print_time_now(eventtime)
+        age_s = now_s - news.time_s
+        modelled = self.parameters.control.models
         return {
             **self.get_status(eventtime),
             "can_extrude": self.can_extrude,
@@ -287,7 +289,12 @@ class InductionHeater:
             "phase": state.commanded.phase_ticks,
             "fault": self.loop.fault or None,
             "warning": self.warning() or None,
+            "control": self.parameters.control.law.name,
+            "flow": round(self.loop.flow.at(now_s), 3),
+            "disturbance_w": round(state.law.disturbance_w, 3) if modelled else None,
+            "guard": "armed" if self._running else "off",
             "law": laws.coefficients_of(self.parameters.estimator.law)[0],
+            "law_residual": self.parameters.estimator.law.residual_units,
             "calibrated": self.parameters.supervise.calibrated,
             "calibrating": self._driver is not None,
             "latency": round(state.latency_s, 4),

@@ -106,7 +106,9 @@ class ExtruderStepper:
         self._set_pressure_advance(pressure_advance, smooth_time)
         longer_s = streams.look_ahead_s() - reach_s
         if longer_s > 0.0:
-            self.printer.lookup_object("toolhead").dwell(longer_s)
+            toolhead = self.printer.lookup_object("toolhead")
+            toolhead.dwell(longer_s)
+            toolhead.flush_step_generation()
 
     cmd_SET_PRESSURE_ADVANCE_help = "Set pressure advance parameters"
 

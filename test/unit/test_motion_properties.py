@@ -59,6 +59,19 @@ def test_a_longer_smooth_time_in_mid_print_makes_no_burst(tmp_path: Path) -> Non
     assert np.diff(run.steps["extruder"].times).min() > 100e-6
 
 
+def test_motion_that_should_have_begun_is_refused_not_rushed() -> None:
+    """Steps are worked out up to 2 s; a move from 1.5 s on wants a hundred of them at once. None may come at the clock
+    of the one before: the printer stops and says so."""
+    stepper = CStepper()
+    stepper.open()
+    from_rest(1.0, 0.0, 5.0, 100.0, 3000.0).append(stepper.trapq)
+    stepper.run(2.0)
+    from_rest(1.5, 5.0, 80.0, 100.0, 3000.0).append(stepper.trapq)
+    with pytest.raises(AssertionError):
+        stepper.run(4.0)
+    assert np.all(np.diff(stepper.track.clocks) > 0)
+
+
 # ---- the oracle can fail ----
 
 
