@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from system.conftest import CONFIG, Simulate
+from system.conftest import CONFIG, ROOT, Simulate
 
 OFF = """
 [simulator nozzle nozzle]
@@ -35,6 +37,16 @@ calibration_folder: {folder}
     return path
 
 
+def plot(source: Path) -> int:
+    """Exit status of plot_induction.py; 0 goes with a picture, nothing else does."""
+    drawn = source.with_suffix(".png")
+    command = [sys.executable, ROOT / "scripts" / "plot_induction.py", source, "--out", drawn]
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+    assert "Traceback" not in done.stderr, done.stderr
+    assert drawn.exists() == (done.returncode == 0)
+    return done.returncode
+
+
 def test_an_unknown_nozzle_is_calibrated_and_then_holds_its_target(
     simulate: Simulate, tmp_path: Path
 ) -> None:
@@ -51,6 +63,7 @@ def test_an_unknown_nozzle_is_calibrated_and_then_holds_its_target(
     assert run.summary["heater"]["settled_max_error_c"] < 1.0
     assert run.summary["heater"]["estimate_max_error_c"] < 1.0
     (trace,) = tmp_path.glob("induction-nozzle-*.csv")
+    assert plot(trace) == 0
     with trace.open() as f:
         rows = csv.reader(line for line in f if not line.startswith("#"))
         assert next(rows) == ["t_s", "temp_ref_c", "error", "phase_ticks", "count", "duration_s"]
@@ -143,6 +156,7 @@ INDUCTION_STATUS HEATER=nozzle
     assert moved is not None and float(moved.group(1)) == pytest.approx(10.0, abs=1.0)  # M109 ends within 1
     assert "law tank" in text
     rows = list(csv.DictReader(dump.open()))
+    assert plot(dump) == 0 and plot(log) == 2 and plot(tmp_path / "none.csv") == 2
     assert len(rows) > 250  # 0.5 s of blocks of 1.6 ms, a few cut by phase steps
     assert all(float(row["latency"]) < 0.010 for row in rows)
     # what reads 200 after the zero is 190 of true skin
