@@ -76,7 +76,7 @@ size_t
 board_arena(void **start)
 {
     *start = arena_start;
-    return (size_t)(arena_end - arena_start);
+    return (size_t)((uintptr_t)arena_end - (uintptr_t)arena_start); /* two symbols of the linker: no array */
 }
 
 uint32_t

@@ -21,7 +21,9 @@ CASES = {
 HEAT_WITHIN_S = {"nozzle": 5.0, "load": 120.0}  # induction, a 40 W cartridge
 SHUTDOWN_WITHIN_S = 5.0
 HOMING_STEPS = 2  # a switch seen 25 us later: one step at 40 mm/s, both ways
-TIME_S = 0.3  # the file's end: M109 looks at the heater a few times a second
+# The file's end. Induction: M109 looks at the heater a few times a second. The cartridge settles over half a minute, M109 ends
+# when its slope is under 0.1 K/s, and on a curve that flattens by 0.05 K/s a second the noise of the ADC moves that by 2 s.
+TIME_S = {"nozzle": 0.3, "load": 3.0}
 
 
 @pytest.fixture(scope="module", params=CASES)
@@ -60,7 +62,7 @@ def test_both_extrude_the_same(told: tuple[Story, Story]) -> None:
 
 def test_both_take_the_same_time(told: tuple[Story, Story]) -> None:
     reference, chip = told
-    assert chip.end_of_print_s == pytest.approx(reference.end_of_print_s, abs=TIME_S)
+    assert chip.end_of_print_s == pytest.approx(reference.end_of_print_s, abs=TIME_S[chip.case.heater])
 
 
 def test_both_reach_and_hold_the_temperature(told: tuple[Story, Story]) -> None:
