@@ -21,8 +21,9 @@ CASES = {
 HEAT_WITHIN_S = {"nozzle": 5.0, "load": 120.0}  # induction, a 40 W cartridge
 SHUTDOWN_WITHIN_S = 5.0
 HOMING_STEPS = 2  # a switch seen 25 us later: one step at 40 mm/s, both ways
-# The file's end. Induction: M109 looks at the heater a few times a second. The cartridge settles over half a minute, M109 ends
-# when its slope is under 0.1 K/s, and on a curve that flattens by 0.05 K/s a second the noise of the ADC moves that by 2 s.
+# The file's end. Induction: M109 looks at the heater a few times a second. The cartridge settles over half a minute,
+# M109 ends when its slope is under 0.1 K/s, and on a curve that flattens by 0.05 K/s a second the noise of the ADC
+# moves that by 2 s.
 TIME_S = {"nozzle": 0.3, "load": 3.0}
 
 
