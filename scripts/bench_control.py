@@ -64,7 +64,7 @@ FACTORS: tuple[tuple[str, Callable[[Any], float], float], ...] = (
     ("ripple", lambda r: r.ripple_c, 0.02),
     ("flow deviation", lambda r: r.flow_deviation_c, 0.02),
     ("flow steady", lambda r: r.flow_steady_c, 0.02),
-    ("step", lambda r: r.step_s, 0.002),
+    ("step beyond the least", lambda r: r.step_over_s, 0.002),
 )
 console = Console(width=150)
 
