@@ -53,7 +53,7 @@ class HeaterProfiles:
             return
         if len(verbs) != 1:
             raise gcmd.error("HEATER_PROFILE needs one of SAVE=, LOAD=, USE=, REMOVE= with a name, or LIST=1")
-        heater = self.printer.lookup_object("heaters").lookup_heater(gcmd.get("HEATER"))
+        heater = heater_tuning.heater_of(self.printer, gcmd)
         name = gcmd.get(verbs[0])
         if not NAME.fullmatch(name):
             raise gcmd.error(f"'{name}' is no profile name: letters, digits, '_', '-' and '.' only")

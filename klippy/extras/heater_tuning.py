@@ -60,6 +60,14 @@ class _Overlay:
         return self._of(option).getchoice(option, *args, **kwargs)
 
 
+def heater_of(printer: Any, gcmd: Any) -> Any:
+    """The heater that a command names; an unknown one is the command's error, with the names there are."""
+    try:
+        return printer.lookup_object("heaters").lookup_heater(gcmd.get("HEATER"))
+    except error as e:
+        raise gcmd.error(str(e)) from None
+
+
 def is_induction(heater: Any) -> bool:
     return not isinstance(heater, Heater)
 

@@ -89,13 +89,14 @@ class InductionCalibrate:
             reference_s=3.0 if self._reference is not None else MANUAL_SILENCE_S,
             contact_s=6.0 if self._reference is not None else MANUAL_SILENCE_S,
         )
+        if self.gcode.get_handler("ABORT") is not None:
+            raise gcmd.error("Another calibration is running; ABORT ends it")
         run = sweep.Sweep(plan, now_s)
         self.heater.borrow(run)
         self._run = run
         self._progress_s = 0.0
         self._seen = (-1e9, 0.0)
-        if "ABORT" not in self.gcode.get_command_help():
-            self.gcode.register_command("ABORT", self.cmd_abort, desc="End the calibration")
+        self.gcode.register_command("ABORT", self.cmd_abort, desc="End the calibration")
         self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
         self._say(
             f"Calibrating '{self.heater.section_name}' against {reference} up to {limit_c:.0f} C; ABORT ends it."

@@ -35,7 +35,7 @@ class PidCalibrate:
         )
 
     def cmd_PID_CALIBRATE(self, gcmd: Any) -> None:
-        heater = self.printer.lookup_object("heaters").lookup_heater(gcmd.get("HEATER"))
+        heater = heater_tuning.heater_of(self.printer, gcmd)
         target_c = gcmd.get_float("TARGET", minval=heater.min_temp, maxval=heater.max_temp)
         session = heater_run.Session(self.printer, heater, "PID_CALIBRATE")
         now_c = session.check_sensor(gcmd)

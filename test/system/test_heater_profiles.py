@@ -1,0 +1,87 @@
+"""HEATER_PROFILE: tunings under names, on an ordinary heater and an induction nozzle, kept by SAVE_CONFIG."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from system.conftest import CONFIG, Simulate
+
+PROFILES = """
+[heater_profile]
+[heater_profile heater_bed slow]
+control: pid
+pid_Kp: 30
+pid_Ki: 0.5
+pid_Kd: 300
+[heater_profile extruder soft]
+control: pid
+pid_kp_w_per_k: 2
+pid_ki_w_per_k_s: 4
+pid_kd_w_s_per_k: 0.1
+"""
+
+
+def play(simulate: Simulate, tmp_path: Path, lines: str, status: int = 0) -> tuple[str, Path]:
+    """(log, the config file after the run)."""
+    path, log = tmp_path / "printer.cfg", tmp_path / "log"
+    if not path.exists():
+        path.write_text(f"[include {CONFIG}]\n{PROFILES}")
+    run = simulate(lines, config=path, more=["--log", str(log)])
+    assert run.status == status, run.stderr
+    return log.read_text(), path
+
+
+def test_a_profile_is_used_saved_listed_and_removed(simulate: Simulate, tmp_path: Path) -> None:
+    lines = """
+HEATER_PROFILE LIST=1
+HEATER_PROFILE HEATER=heater_bed SAVE=mine
+HEATER_PROFILE HEATER=heater_bed LOAD=slow
+HEATER_PROFILE HEATER=heater_bed LIST=1
+HEATER_PROFILE HEATER=heater_bed USE=mine
+HEATER_PROFILE HEATER=heater_bed REMOVE=slow
+HEATER_PROFILE HEATER=heater_bed LIST=1
+"""
+    text, _ = play(simulate, tmp_path, lines)
+    assert "extruder soft: control=pid" in text
+    assert re.search(r"heater_bed slow \(in use\): control=pid", text)
+    assert re.search(r"heater_bed mine \(in use\): .*pid_kp=60", text)
+    assert "Profile 'slow' of heater 'heater_bed' removed" in text
+    last = text[text.rindex("removed; SAVE_CONFIG") :]
+    assert "heater_bed mine" in last and "heater_bed slow" not in last
+    assert "set [heater_bed] pid_kp = 60" in text  # USE makes it the heater's own
+
+
+def test_a_nozzle_changes_its_law_while_it_holds_and_goes_on_holding(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    lines = "HEATER_PROFILE HEATER=extruder SAVE=own\nM109 S200\nG4 P2000\n"
+    lines += "HEATER_PROFILE HEATER=extruder LOAD=soft\nG4 P4000\nHEATER_PROFILE HEATER=extruder LOAD=own\nG4 P3000\n"
+    path, log = tmp_path / "printer.cfg", tmp_path / "log"
+    path.write_text(f"[include {CONFIG}]\n{PROFILES}")
+    run = simulate(lines, config=path, more=["--log", str(log)])
+    assert run.status == 0, run.stderr
+    true = run.column("true_c")
+    assert log.read_text().count("works with profile") == 2
+    assert true[-1] == pytest.approx(200.0, abs=0.5)
+    # another law begins without memory: seconds off, degrees no
+    assert all(abs(t - 200.0) < 8.0 for t in true[-800:])
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("HEATER_PROFILE HEATER=heater_bed LOAD=none", "no profile 'none' (known: slow)"),
+        ("HEATER_PROFILE HEATER=heater_bed", "needs one of SAVE=, LOAD=, USE=, REMOVE="),
+        ("HEATER_PROFILE HEATER=heater_bed SAVE=a/b", "no profile name"),
+        ("HEATER_PROFILE HEATER=oven SAVE=a", "oven"),
+        ("HEATER_PROFILE HEATER=heater_bed SAVE=a LOAD=slow", "needs one of"),
+    ],
+)
+def test_a_bad_command_says_what_would_be_right(
+    simulate: Simulate, tmp_path: Path, line: str, words: str
+) -> None:
+    text, _ = play(simulate, tmp_path, line + "\n", status=2)
+    assert words in text
