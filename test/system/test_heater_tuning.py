@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import pytest
+
 from system.conftest import CONFIG, Simulate
 
 
@@ -72,7 +74,24 @@ def test_an_induction_nozzle_finds_its_model_within_two_minutes(simulate: Simula
     assert run.column("phase_ticks")[-1] < 3000
 
 
+TELL = """
+[gcode_macro TELL]
+gcode:
+  { action_respond_info("power %.4f" % printer.heater_bed.power) }
+"""
+
+
 def test_the_mcu_switches_a_bed_by_itself(simulate: Simulate, tmp_path: Path) -> None:
-    more = LIGHT + "[heater_bed]\ncontrol: mcu_onoff\n"
-    run = simulate("M190 S60\nG4 P20000\n", config=machine(tmp_path, more))
+    """The true bed stays near its target, and the power the host tells is what the losses take."""
+    log = tmp_path / "host.log"
+    more = LIGHT + "[heater_bed]\ncontrol: mcu_onoff\n" + TELL
+    gcode = "M190 S60\nG4 P60000\n" + "G4 P1000\nTELL\n" * 40
+    run = simulate(gcode, config=machine(tmp_path, more), more=["--log", str(log)])
     assert run.status == 0, run.stderr
+    held = run.column("bed_c")[-4000:]
+    # 200 W into 100 J/K behind a sensor of 3 s: it swings by what goes in while the sensor lags
+    assert all(abs(c - 60.0) < 6.0 for c in held)
+    told = [float(p) for p in re.findall(r"power ([0-9.]+)", log.read_text())]
+    mean_c = sum(held) / len(held)
+    true = (0.8 + 0.4) * (mean_c - 22.5) / 200.0  # both paths of loss, of 200 W
+    assert sum(told[-40:]) / 40 == pytest.approx(true, rel=0.15)  # 40 looks at an average over 10 s
