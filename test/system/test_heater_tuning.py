@@ -95,3 +95,43 @@ def test_the_mcu_switches_a_bed_by_itself(simulate: Simulate, tmp_path: Path) ->
     mean_c = sum(held) / len(held)
     true = (0.8 + 0.4) * (mean_c - 22.5) / 200.0  # both paths of loss, of 200 W
     assert sum(told[-40:]) / 40 == pytest.approx(true, rel=0.15)  # 40 looks at an average over 10 s
+
+
+MEGA = CONFIG.parent / "sim-mega.cfg"
+
+
+def test_a_hotend_finds_heat_losses_and_fan_in_minutes(simulate: Simulate, tmp_path: Path) -> None:
+    """Cartridge, block and thermistor of the simulated machine: 2 + 15 J/K, 70.5 mW/K, part fan 30 mW/K."""
+    log = tmp_path / "host.log"
+    gcode = "MODEL_CALIBRATE HEATER=extruder TARGET=200 WAIT=1 POWER=40 FAN=1 FLOW=4\nM109 S210\nG4 P20000\n"
+    run = simulate(gcode, config=MEGA, more=["--log", str(log)])
+    text = log.read_text()
+    assert run.status == 0, run.stderr
+
+    def found(name: str) -> float:
+        match = re.search(rf"set \[extruder\] {name} = ([0-9.]+)", text)
+        assert match is not None, text[-2000:]
+        return float(match[1])
+
+    # the printed +- are those of the noise; lags and Euler steps of the plant are worth some percent
+    assert found("model_heat_j_per_k") + found("model_element_j_per_k") == pytest.approx(17.0, rel=0.03)
+    assert found("model_loss_w_per_k") == pytest.approx(0.0705, rel=0.03)
+    assert found("model_fan_w_per_k") == pytest.approx(0.030, rel=0.10)
+    minutes = run.column("t_s")[-1] / 60.0
+    assert minutes < 8.0
+    held = run.column("true_c")[-500:]
+    assert all(abs(c - 210.0) < 1.0 for c in held)  # under the law it has just measured
+
+
+def test_an_ended_run_leaves_the_heater_off_and_nothing_changed(simulate: Simulate, tmp_path: Path) -> None:
+    log = tmp_path / "host.log"
+    gcode = "MODEL_CALIBRATE HEATER=extruder TARGET=200 POWER=40\nG4 P20000\nABORT\nG4 P2000\n"
+    run = simulate(gcode, config=MEGA, more=["--log", str(log)])
+    text = log.read_text()
+    assert run.status == 0, run.stderr
+    assert (
+        "MODEL_CALIBRATE ended: ended by ABORT. Nothing was changed." in text
+        and "save_config: set" not in text
+    )
+    power = run.column("power_w")
+    assert max(power) > 30.0 and max(power[-50:]) == 0.0
