@@ -42,12 +42,19 @@ class G1Path:
             and not toolhead.can_pause
             and not toolhead.extra_axes
             and not toolhead.printer.is_exiting()
-            and self._gcode_move.transform is toolhead
+            and self._reaches_toolhead()
             and is_done_in_c(
                 gcode.get_handler("G0"), gcode.get_handler("G1"), toolhead.move, toolhead.kin.check_move,
                 extruder.check_move, extruder.calc_junction, extruder.process_move,
             )
         )  # fmt: skip
+
+    def _reaches_toolhead(self) -> bool:
+        """Nothing, or only transforms that have nothing to do now, between G-code and toolhead."""
+        transform = self._gcode_move.transform
+        while transform is not None and transform is not self._toolhead:
+            transform = getattr(transform, "passes_to", None)
+        return transform is not None
 
     def _pack(self) -> None:
         """Modal state, limits of the machine and of the extruder into the C structure."""

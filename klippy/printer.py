@@ -56,7 +56,7 @@ class Printer:
     CORE_FIRST: tuple[str, ...] = ("pins", "mcu")
     CORE_LAST: tuple[str, ...] = ("toolhead",)
     # Sections that exist whether or not they are written in the config
-    ALWAYS: tuple[str, ...] = ("statistics", "idle_timeout", "tuning_tower")
+    ALWAYS: tuple[str, ...] = ("statistics", "idle_timeout", "tuning_tower", "manual_probe")
 
     def __init__(self, main_reactor: Reactor, start_args: dict[str, Any]) -> None:
         self.reactor = main_reactor

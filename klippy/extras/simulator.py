@@ -7,6 +7,7 @@
     [simulator reference NAME]  a thermocouple on a nozzle, to calibrate against: gain, tau (Table 6), amplifier
     [simulator axis NAME]       what a stepper moves, and the switch at its end
     [simulator fan NAME]        a fan
+    [simulator probe]           the bed's surface, and the probe that looks for it
 
 These describe the machine as it *is*; the other sections say what the host believes. Whatever is left out
 here is taken from the host's section of the same thing (stepper_NAME, NAME, heater_bed, ...), so that belief
@@ -20,6 +21,7 @@ them in as start_args["simulator_parameters"]; without them names and ranges of 
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -40,6 +42,8 @@ class ParameterRow(Protocol):
     min: float
     max: float
 
+
+_LETTER_AXIS = re.compile(r"[a-z]|[xyz][0-9]+")  # x and z1 belong to stepper_x and stepper_z1
 
 ParameterTables = Mapping[str, Mapping[str, ParameterRow]]  # "nozzle" and "load" → name → row
 
@@ -144,6 +148,47 @@ class FanSettings:
     spin_up_s: float
 
 
+# Fields of the world's struct world_bed: options in mm, tilts in mm a mm
+BED_OPTIONS = {
+    "bed_height": "height_mm",
+    "tilt_x": "tilt_x",
+    "tilt_y": "tilt_y",
+    "bump_height": "bump_mm",
+    "bump_x": "bump_x_mm",
+    "bump_y": "bump_y_mm",
+    "bump_radius": "bump_radius_mm",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ProbeSettings:
+    """[simulator probe NAME]; None: as in [probe] or [bltouch]; z_positions as in [z_tilt] or [quad_gantry_level]."""
+
+    name: str
+    pin: str | None
+    control_pin: str | None
+    offset_mm: tuple[float | None, float | None, float | None]
+    noise_mm: float
+    stuck: bool
+    z_positions: tuple[tuple[float, float], ...] | None
+    bed: Mapping[str, float]
+
+
+def _read_probe(config: Any, name: str) -> ProbeSettings:
+    offsets = [config.getfloat(option, None) for option in ("x_offset", "y_offset", "trigger_height")]
+    positions = config.getlists("z_positions", None, seps=(",", "\n"), parser=float, count=2)
+    return ProbeSettings(
+        name=name,
+        pin=config.get("pin", None),
+        control_pin=config.get("control_pin", None),
+        offset_mm=(offsets[0], offsets[1], offsets[2]),
+        noise_mm=config.getfloat("noise", 0.0, minval=0.0, maxval=1.0),
+        stuck=config.getboolean("stuck", False),
+        z_positions=positions,
+        bed={field: config.getfloat(option, 0.0) for option, field in BED_OPTIONS.items()},
+    )
+
+
 def _read_mcu(config: Any, name: str) -> McuSettings:
     def chance(option: str) -> float:
         return float(config.getfloat(option, 0.0, minval=0.0, maxval=0.5))
@@ -238,7 +283,7 @@ def _read_axis(config: Any, name: str) -> AxisSettings:
     edges = config.getchoice("step_edges", {"one": "one", "both": "both"}, "one")
     return AxisSettings(
         name=name,
-        section=config.get("section", f"stepper_{name}" if len(name) == 1 else name),
+        section=config.get("section", f"stepper_{name}" if _LETTER_AXIS.fullmatch(name) else name),
         step_pin=config.get("step_pin", None),
         dir_pin=config.get("dir_pin", None),
         endstop_pin=config.get("endstop_pin", None),
@@ -267,6 +312,7 @@ _READERS: dict[str, Callable[[Any, str], Any]] = {
     "reference": _read_reference,
     "axis": _read_axis,
     "fan": _read_fan,
+    "probe": _read_probe,
 }
 
 
@@ -293,6 +339,6 @@ def load_config_prefix(config: Any) -> SimulatorSection:
             f"Section '{config.get_name()}': '{kind}' is nothing a simulated machine has; it has "
             f"{', '.join(_READERS)}."
         )
-    if not name.strip() and kind != "mcu":
+    if not name.strip() and kind not in ("mcu", "probe"):
         raise config.error(f"Section '{config.get_name()}' needs a name: [simulator {kind} NAME].")
     return SimulatorSection(reader(config, name.strip()))

@@ -22,9 +22,11 @@ from extras.simulator import (
     LoadSettings,
     McuSettings,
     NozzleSettings,
+    ProbeSettings,
     ReferenceSettings,
     SimulatorSettings,
 )
+from meshmath import fit_plane
 
 from .builds import Build, make_build
 from .world import Pin, World, WorldError, parameter_values
@@ -38,6 +40,7 @@ Settings = (
     | AxisSettings
     | FanSettings
     | ReferenceSettings
+    | ProbeSettings
 )
 _T = TypeVar("_T")
 
@@ -67,6 +70,7 @@ class Machine:
     fans: dict[str, int] = field(default_factory=dict)
     nozzles: dict[str, int] = field(default_factory=dict)
     loads: dict[str, int] = field(default_factory=dict)
+    probes: dict[str, int] = field(default_factory=dict)
     trace_rate_hz: float = SimulatorSettings().trace_rate_hz
 
 
@@ -82,6 +86,8 @@ def assemble(
     for axis in _of(things, AxisSettings):
         machine.axes[axis.name] = _add_axis(machine, axis, config)
     _couple_axes(machine, config)
+    for probe in _of(things, ProbeSettings):
+        machine.probes[probe.name] = _add_probe(machine, probe, config)
     for fan in _of(things, FanSettings):
         pin = _pin(machine, fan.pin, config, fan.section, "pin", f"simulator fan {fan.name}")
         machine.fans[fan.name] = world.add_fan(pin, fan.spin_up_s)
@@ -159,6 +165,8 @@ def _pin(machine: Machine, given: str | None, config: Config, section: str, opti
 def _add_axis(machine: Machine, axis: AxisSettings, config: Config) -> int:
     where = f"simulator axis {axis.name}"
     belief = config.get(axis.section, {})
+    if re.fullmatch(r"[xyz]\d+", axis.name):  # one more motor of the axis
+        belief = {**config.get(f"stepper_{axis.name[0]}", {}), "endstop_pin": "", **belief}
     role = _ROLES.get(axis.name, "OTHER")
     step = _pin(machine, axis.step_pin, config, axis.section, "step_pin", where)
     dir_pin = _pin(machine, axis.dir_pin, config, axis.section, "dir_pin", where)
@@ -175,6 +183,10 @@ def _add_axis(machine: Machine, axis: AxisSettings, config: Config) -> int:
         raise WorldError(f"Section '{where}': position_min must be below position_max.")
     endstop_mm = _first(axis.endstop_mm, _number(belief, "position_endstop", low + _SLACK_MM, where))
     endstop_text = axis.endstop_pin or belief.get("endstop_pin")
+    if endstop_text and endstop_text.endswith(
+        "virtual_endstop"
+    ):  # something else's pin: of a probe or a driver
+        endstop_text = None
     endstop = parse_pin(endstop_text, machine, f"Section '{where}', endstop_pin") if endstop_text else None
     start_mm = _first(axis.start_mm, low + 0.4 * (high - low))
     return machine.world.add_axis(
@@ -189,6 +201,59 @@ def _add_axis(machine: Machine, axis: AxisSettings, config: Config) -> int:
         endstop_at_max=endstop_mm > 0.5 * (low + high),
         both_edges=axis.both_edges,
     )
+
+
+# --- bed and probe ---
+
+
+def _add_probe(machine: Machine, probe: ProbeSettings, config: Config) -> int:
+    where = f"simulator probe {probe.name}".rstrip()
+    belief = config.get("bltouch") or config.get("probe", {})
+    pin = _pin(machine, probe.pin or belief.get("sensor_pin"), config, "probe", "pin", where)
+    control_text = probe.control_pin or belief.get("control_pin")
+    control = parse_pin(control_text, machine, f"Section '{where}', control_pin") if control_text else None
+    x, y, z = (
+        _first(value, _number(belief, option, 0.0, where))
+        for value, option in zip(probe.offset_mm, ("x_offset", "y_offset", "z_offset"), strict=True)
+    )
+    axes = _index(machine.axes, "x", "axis", where), _index(machine.axes, "y", "axis", where)
+    motors = _z_motors(machine, probe, config, where)
+    return machine.world.add_probe(
+        pin, axes, motors, (x, y, z), probe.bed, probe.noise_mm, control, probe.stuck
+    )
+
+
+def _z_motors(
+    machine: Machine, probe: ProbeSettings, config: Config, where: str
+) -> list[tuple[int, tuple[float, float, float]]]:
+    """Each Z motor with its share in the height at x, y: the plane through (or nearest to) them all."""
+    names = sorted(name for name in machine.axes if re.fullmatch(r"z\d*", name))
+    if len(names) < 2:
+        return [(_index(machine.axes, "z", "axis", where), (1.0, 0.0, 0.0))]
+    places = probe.z_positions or _z_positions(config)
+    if len(places) != len(names):
+        raise WorldError(
+            f"Section '{where}': z_positions has {len(places)} places for {len(names)} Z axes ({', '.join(names)})."
+        )
+    motors = []
+    for number, name in enumerate(names):
+        share = fit_plane(places, [float(other == number) for other in range(len(names))])
+        motors.append((machine.axes[name], (share.height, share.slope_x, share.slope_y)))
+    return motors
+
+
+def _z_positions(config: Config) -> list[tuple[float, float]]:
+    """Where the Z motors hold the bed, as the host's levelling believes."""
+
+    def pairs(section: str, option: str) -> list[tuple[float, float]]:
+        lines = config.get(section, {}).get(option, "").splitlines()
+        return [(float(x), float(y)) for x, y in (line.split(",") for line in lines if line.strip())]
+
+    corners = pairs("quad_gantry_level", "gantry_corners")
+    if len(corners) == 2:
+        (x0, y0), (x1, y1) = corners
+        return [(x0, y0), (x0, y1), (x1, y1), (x1, y0)]
+    return pairs("z_tilt", "z_positions")
 
 
 def _kinematics(config: Config) -> str:

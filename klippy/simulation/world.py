@@ -8,6 +8,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -187,6 +188,34 @@ class World:
     def couple_axes(self, axis: int, partner: int, own_share: float, partner_share: float) -> None:
         """The carriage of `axis` goes by shares of its motor's way and that of the motor of `partner`."""
         self._index(self.lib.world_couple_axes(self.pointer, axis, partner, own_share, partner_share))
+
+    def add_probe(
+        self,
+        pin: Pin,
+        axes: tuple[int, int],
+        motors: Sequence[tuple[int, tuple[float, float, float]]],
+        offset_mm: tuple[float, float, float],
+        bed: Mapping[str, float],
+        noise_mm: float = 0.0,
+        control: Pin | None = None,
+        stuck: bool = False,
+    ) -> int:
+        """`axes`: of x and y; `motors`: Z axis and its shares; `bed`: fields of struct world_bed. Returns its index."""
+        options = self.ffi.new("struct world_probe_options *")
+        options.pin, options.control = self.pin(pin), self.pin(control or Pin())
+        options.x_axis, options.y_axis = axes
+        options.z_count, options.stuck, options.noise_mm = len(motors), int(stuck), noise_mm
+        for number, (axis, shares) in enumerate(motors):
+            options.z_axes[number] = axis
+            options.z_shares[number] = shares
+        options.x_offset_mm, options.y_offset_mm, options.trigger_mm = offset_mm
+        for name, value in bed.items():
+            setattr(options.bed, name, value)
+        return self._index(self.lib.world_add_probe(self.pointer, options))
+
+    def bed_height(self, probe: int, x: float, y: float) -> float:
+        """Height (mm) of the bed of probe number `probe`."""
+        return float(self.lib.world_bed_height(self.pointer, probe, x, y))
 
     def add_fan(self, pin: Pin, spin_up_s: float) -> int:
         """Returns its index."""

@@ -168,6 +168,8 @@ void machine_pin_write(struct machine *m, int mcu, uint32_t number, uint8_t valu
         step_pin_changed(m, mcu, pin);
     else if (pin->role == PIN_DUTY)
         duty_set(&m->duties[pin->target], value, now_s);
+    else if (pin->role == PIN_CONTROL)
+        probe_control(&m->probes[pin->target], value, now_s);
 }
 
 void machine_pwm_write(struct machine *m, int mcu, uint32_t number, double level, double now_s)
@@ -177,11 +179,13 @@ void machine_pwm_write(struct machine *m, int mcu, uint32_t number, double level
     duty_set(&m->duties[m->pins[mcu][number].target], level, now_s);
 }
 
-uint8_t machine_pin_read(struct machine *m, int mcu, uint32_t number)
+uint8_t machine_pin_read(struct machine *m, int mcu, uint32_t number, double now_s)
 {
     if (number >= MACHINE_PINS)
         return 0;
     const struct machine_pin *pin = &m->pins[mcu][number];
+    if (pin->role == PIN_PROBE)
+        return probe_level(m, &m->probes[pin->target], now_s);
     return pin->role == PIN_SWITCH ? switch_level(&m->axes[pin->target]) : pin->level;
 }
 

@@ -4,6 +4,7 @@
  *                       └────► melt flow ──┐
  *   fan pin ──► mean duty ──► fan speed ───┼──► nozzle (struct plant) ◄── bridge phase,  ──► ADC samples
  *   heater pin ──► mean duty ──────────────┴──► load (struct thermal_load) ──► thermistor pin
+ *   axes ──► place of the probe ──► bed's surface ──► probe pin; control pin ──► a BLTouch's pin
  *   a thermocouple on the nozzle's skin, for calibrating: gain and lag, amplifier ──► reference pin
  *
  * Times are world seconds. Everything here is told about pins in the order of time per MCU; machine_tick() once
@@ -25,10 +26,11 @@ enum {
     MACHINE_LOADS = 8,
     MACHINE_NOZZLES = 4,
     MACHINE_REFERENCES = 4,
+    MACHINE_PROBES = 4,
     MACHINE_DUTIES = MACHINE_FANS + MACHINE_LOADS,
 };
 
-enum pin_role { PIN_UNUSED, PIN_STEP, PIN_DUTY, PIN_SWITCH, PIN_THERMISTOR, PIN_REFERENCE };
+enum pin_role { PIN_UNUSED, PIN_STEP, PIN_DUTY, PIN_SWITCH, PIN_THERMISTOR, PIN_REFERENCE, PIN_PROBE, PIN_CONTROL };
 
 struct machine_pin {
     uint8_t role;   /* enum pin_role */
@@ -85,6 +87,15 @@ struct reference {
     uint32_t noise; /* state of its generator */
 };
 
+/* A probe; with a control pin a BLTouch. */
+struct probe {
+    struct world_probe_options options;
+    double error_mm; /* of this approach */
+    uint32_t noise;  /* state of its generator */
+    int touched, pin_out, touch_mode, pulses;
+    double rise_s, pulse_end_s;
+};
+
 struct load {
     struct thermal_load thermal;
     struct feed feed;
@@ -101,7 +112,8 @@ struct machine {
     struct nozzle nozzles[MACHINE_NOZZLES];
     struct load loads[MACHINE_LOADS];
     struct reference references[MACHINE_REFERENCES];
-    int axis_count, duty_count, fan_count, nozzle_count, load_count, reference_count;
+    struct probe probes[MACHINE_PROBES];
+    int axis_count, duty_count, fan_count, nozzle_count, load_count, reference_count, probe_count;
     int nozzle_of_mcu[MACHINE_MCUS]; /* index, -1 */
 };
 
@@ -110,13 +122,14 @@ void machine_init(struct machine *m);
 /* Building. All return an index, or -1 if the table is full or a pin is out of range. */
 int machine_add_axis(struct machine *m, const struct world_axis_options *options);
 int machine_couple_axes(struct machine *m, int axis, int partner, double own_share, double partner_share);
+int machine_add_probe(struct machine *m, const struct world_probe_options *options, uint32_t seed);
 int machine_add_duty(struct machine *m, struct world_pin pin, double now_s);
 int machine_add_fan(struct machine *m, struct world_pin pin, double spin_up_s, double now_s);
 
 /* Events from the pins of MCU `mcu`. */
 void machine_pin_write(struct machine *m, int mcu, uint32_t pin, uint8_t value, double now_s);
 void machine_pwm_write(struct machine *m, int mcu, uint32_t pin, double level, double now_s);
-uint8_t machine_pin_read(struct machine *m, int mcu, uint32_t pin);
+uint8_t machine_pin_read(struct machine *m, int mcu, uint32_t pin, double now_s);
 uint16_t machine_adc_read(struct machine *m, int mcu, uint32_t pin, double now_s);
 void machine_bridge_set(struct machine *m, int mcu, uint16_t phase, double now_s);
 void machine_sample(struct machine *m, int mcu, uint16_t *out, uint32_t count, double first_s, double period_s);
@@ -126,6 +139,9 @@ void machine_reset_outputs(struct machine *m, int mcu, double now_s); /* the MCU
 void machine_tick(struct machine *m, double now_s, double tick_s);
 
 double axis_position_mm(const struct axis *a);
+uint8_t probe_level(const struct machine *m, struct probe *p, double now_s);
+void probe_control(struct probe *p, uint8_t level, double now_s);
+double bed_height_mm(const struct world_bed *b, double x, double y);
 void nozzle_advance(struct nozzle *n, double now_s);
 
 #endif

@@ -115,6 +115,18 @@ int world_couple_axes(struct world *w, int axis, int partner, double own_share, 
     return 0;
 }
 
+int world_add_probe(struct world *w, const struct world_probe_options *options)
+{
+    int index = machine_add_probe(&w->machine, options, (uint32_t)world_new_seed(w));
+    return index >= 0 ? index : world_fail(w, "probe: too many, no such axis, or a pin out of range");
+}
+
+double world_bed_height(const struct world *w, int probe, double x, double y)
+{
+    const struct machine *m = &w->machine;
+    return probe >= 0 && probe < m->probe_count ? bed_height_mm(&m->probes[probe].options.bed, x, y) : NAN;
+}
+
 int world_add_fan(struct world *w, struct world_pin pin, double spin_up_s)
 {
     int index = machine_add_fan(&w->machine, pin, spin_up_s, w->now_s);

@@ -31,6 +31,25 @@ struct world_reference_options {
     double gain, tau_s, volt_per_k, adc_volt, noise_lsb;
 };
 
+enum { WORLD_PROBE_MOTORS = 4 };
+
+/* Height of the bed over x and y (mm, in the coordinates of the axes): a plane and one bump of Gauss' shape. */
+struct world_bed {
+    double height_mm, tilt_x, tilt_y;
+    double bump_mm, bump_x_mm, bump_y_mm, bump_radius_mm;
+};
+
+/* A switch that closes where nozzle and bed, below the probe, are trigger_mm apart. z_shares: of each Z motor's place in the
+ * height at x, y: [0] + [1] x + [2] y. With a control pin it is a BLTouch; `stuck`: its pin does not come out. */
+struct world_probe_options {
+    struct world_pin pin, control;
+    int x_axis, y_axis, z_count, stuck;
+    int z_axes[4];
+    double z_shares[4][3];
+    double x_offset_mm, y_offset_mm, trigger_mm, noise_mm;
+    struct world_bed bed;
+};
+
 enum world_axis_role { WORLD_AXIS_X, WORLD_AXIS_Y, WORLD_AXIS_Z, WORLD_AXIS_E, WORLD_AXIS_OTHER };
 
 struct world_axis_options {
@@ -93,6 +112,8 @@ int world_add_mcu(struct world *w, const char *library, double clock_hz, double 
 /* The image an emulator runs (src/emulator/emulator.h); once, before the first world_advance(). */
 int world_load_image(struct world *w, int mcu, const char *image);
 int world_add_axis(struct world *w, const struct world_axis_options *options);
+int world_add_probe(struct world *w, const struct world_probe_options *options);
+double world_bed_height(const struct world *w, int probe, double x, double y);
 /* The carriage of `axis` goes own_share of its motor's way plus partner_share of that of the motor of `partner`. */
 int world_couple_axes(struct world *w, int axis, int partner, double own_share, double partner_share);
 int world_add_fan(struct world *w, struct world_pin pin, double spin_up_s);

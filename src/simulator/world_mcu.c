@@ -33,8 +33,7 @@ static void on_pin_write(void *ctx, uint32_t pin, uint8_t value, uint64_t clock)
 static uint8_t on_pin_read(void *ctx, uint32_t pin, uint64_t clock)
 {
     struct world_mcu *m = ctx;
-    (void)clock;
-    return machine_pin_read(&m->world->machine, m->index, pin);
+    return machine_pin_read(&m->world->machine, m->index, pin, to_seconds(m, clock));
 }
 
 static void on_pwm_write(void *ctx, uint32_t pin, uint32_t cycle_ticks, uint32_t value, uint64_t clock)

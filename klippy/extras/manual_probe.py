@@ -1,0 +1,209 @@
+"""The paper test: the user moves the nozzle down by TESTZ until paper drags, and says ACCEPT.
+
+MANUAL_PROBE, Z_ENDSTOP_CALIBRATE and Z_OFFSET_APPLY_ENDSTOP; other modules start the same dialogue with
+`ManualProbeHelper`. ACCEPT, ABORT and TESTZ exist only while a dialogue is open; so whoever else has an ABORT of its
+own (a heater's calibration) keeps it, and only one of them runs at a time.
+"""
+
+from __future__ import annotations
+
+import bisect
+from collections.abc import Callable, Sequence
+from typing import Any
+
+DEFAULT_SPEED_MM_S = 5.0
+# A height is always approached from above, so that the play of the lead screw is on the same side.
+PLAY_MM = 0.5
+# Two heights nearer than this are the same.
+SAME_MM = 1e-5
+COMMANDS = {
+    "ACCEPT": "Accept the current Z position",
+    "ABORT": "Abort manual Z probing tool",
+    "TESTZ": "Move to new Z height",
+}
+Finalize = Callable[[Sequence[float] | None], None]  # place of the nozzle (mm), None if the user gave up
+
+
+def verify_no_manual_probe(printer: Any) -> None:
+    """Raise if a dialogue with the user (this one, or a calibration) is open."""
+    if printer.lookup_object("gcode").get_handler("ABORT") is not None:
+        raise printer.command_error("Already in a manual Z probe or a calibration. Use ABORT to abort it.")
+
+
+def kinematic_position(printer: Any) -> list[float]:
+    """x, y, z (mm) at which the motors stand once everything queued is done."""
+    toolhead = printer.lookup_object("toolhead")
+    toolhead.flush_step_generation()
+    kin = toolhead.get_kinematics()
+    place = kin.calc_position({s.get_name(): s.get_commanded_position() for s in kin.get_steppers()})
+    return [was if new is None else new for new, was in zip(place, toolhead.get_position(), strict=False)]
+
+
+def tell_save_config(gcmd: Any, what: str) -> None:
+    """The answer of every command that found a value for the config."""
+    gcmd.respond_info(
+        f"{what}\nThe SAVE_CONFIG command will update the printer config file\n"
+        "with the above and restart the printer."
+    )
+
+
+class ManualProbeHelper:
+    """One dialogue; `finalize_callback` is told its end."""
+
+    def __init__(self, printer: Any, gcmd: Any, finalize_callback: Finalize) -> None:
+        verify_no_manual_probe(printer)
+        self.printer = printer
+        self.finalize_callback = finalize_callback
+        self.speed = gcmd.get_float("SPEED", DEFAULT_SPEED_MM_S, above=0.0)
+        self._gcode = printer.lookup_object("gcode")
+        self._toolhead = printer.lookup_object("toolhead")
+        self._tested: list[float] = []  # heights, sorted
+        self._z_mm = kinematic_position(printer)[2]
+        self._told = printer.lookup_object("manual_probe")
+        for name, text in COMMANDS.items():
+            self._gcode.register_command(name, getattr(self, f"cmd_{name}"), desc=text)
+        self._gcode.respond_info(
+            "Starting manual Z probe. Use TESTZ to adjust position.\nFinish with ACCEPT or ABORT command."
+        )
+        self._report()
+
+    def _neighbours(self) -> tuple[float | None, float | None]:
+        """Tested heights next below and above the present one."""
+        below = bisect.bisect_left(self._tested, self._z_mm - SAME_MM)
+        above = bisect.bisect_right(self._tested, self._z_mm + SAME_MM)
+        lower = self._tested[below - 1] if below else None
+        return lower, self._tested[above] if above < len(self._tested) else None
+
+    def _report(self) -> None:
+        self._z_mm = kinematic_position(self.printer)[2]
+        lower, upper = self._neighbours()
+        self._told.note(self._z_mm, lower, upper)
+        left, right = ("??????" if z is None else f"{z:.3f}" for z in (lower, upper))
+        self._gcode.respond_info(f"Z position: {left} --> {self._z_mm:.3f} <-- {right}")
+
+    def _go_to(self, z_mm: float) -> None:
+        """Move to a height; from below by way of a place above it."""
+        if z_mm > self._z_mm:
+            self._toolhead.manual_move([None, None, z_mm + PLAY_MM], self.speed)
+        self._toolhead.manual_move([None, None, z_mm], self.speed)
+
+    def _wanted(self, gcmd: Any) -> float:
+        """The height that TESTZ asks for."""
+        text = gcmd.get("Z")
+        if text not in ("+", "++", "-", "--"):
+            return self._z_mm + gcmd.get_float("Z")
+        lower, upper = self._neighbours()
+        bound = upper if text[0] == "+" else lower
+        if bound is None:
+            side = "above" if text[0] == "+" else "below"
+            raise gcmd.error(f"TESTZ Z={text}: no height {side} this one has been tried yet; give a distance")
+        return bound if len(text) == 2 else 0.5 * (bound + self._z_mm)
+
+    def cmd_TESTZ(self, gcmd: Any) -> None:
+        """TESTZ Z=<mm>|+|++|-|--: by a distance, half way to a height tried before, or back to it."""
+        wanted = self._wanted(gcmd)
+        self._go_to(wanted)
+        place = bisect.bisect_left(self._tested, self._z_mm)
+        if not any(abs(z - self._z_mm) < SAME_MM for z in self._tested[max(0, place - 1) : place + 1]):
+            self._tested.insert(place, self._z_mm)
+        self._report()
+
+    def cmd_ACCEPT(self, gcmd: Any) -> None:
+        """This is the height."""
+        self._finish(kinematic_position(self.printer))
+
+    def cmd_ABORT(self, gcmd: Any) -> None:
+        """End without a result."""
+        self._gcode.respond_info("Manual probe aborted")
+        self._finish(None)
+
+    def _finish(self, place: Sequence[float] | None) -> None:
+        for name in COMMANDS:
+            self._gcode.register_command(name, None)
+        self._told.note(None, None, None)
+        self.finalize_callback(place)
+
+
+class ManualProbe:
+    """Printer object 'manual_probe': the commands, and the status of whatever dialogue is open."""
+
+    def __init__(self, printer: Any, endstop: tuple[str, float] | None) -> None:
+        self.printer = printer
+        self._endstop = endstop  # section with the Z endstop's position_endstop, and that (mm)
+        self._status: dict[str, Any] = {}
+        self.note(None, None, None)
+
+    def register(self) -> None:
+        gcode = self.printer.lookup_object("gcode")
+        gcode.register_command("MANUAL_PROBE", self.cmd_MANUAL_PROBE, desc="Start manual probe helper script")
+        if self._endstop is not None:
+            for name, text in (
+                ("Z_ENDSTOP_CALIBRATE", "Calibrate a Z endstop"),
+                ("Z_OFFSET_APPLY_ENDSTOP", "Adjust the z endstop_position"),
+            ):
+                gcode.register_command(name, getattr(self, f"cmd_{name}"), desc=text)
+
+    def note(self, z_mm: float | None, lower: float | None, upper: float | None) -> None:
+        """Where the open dialogue is; z None: there is none."""
+        self._status = {
+            "is_active": z_mm is not None,
+            "z_position": z_mm,
+            "z_position_lower": lower,
+            "z_position_upper": upper,
+        }
+
+    def get_status(self, eventtime: float) -> dict[str, Any]:
+        return self._status
+
+    def cmd_MANUAL_PROBE(self, gcmd: Any) -> None:
+        """MANUAL_PROBE [SPEED=mm/s]."""
+
+        def finalize(place: Sequence[float] | None) -> None:
+            if place is not None:
+                gcmd.respond_info(f"Z position is {place[2]:.3f}")
+
+        ManualProbeHelper(self.printer, gcmd, finalize)
+
+    def _propose(self, gcmd: Any, position_mm: float) -> None:
+        assert self._endstop is not None
+        section = self._endstop[0]
+        tell_save_config(gcmd, f"{section}: position_endstop: {position_mm:.3f}")
+        self.printer.lookup_object("configfile").set(section, "position_endstop", f"{position_mm:.3f}")
+
+    def cmd_Z_ENDSTOP_CALIBRATE(self, gcmd: Any) -> None:
+        """Z_ENDSTOP_CALIBRATE [SPEED=mm/s]: what now is the bed shall be z = 0."""
+        assert self._endstop is not None
+        configured_mm = self._endstop[1]
+
+        def finalize(place: Sequence[float] | None) -> None:
+            if place is not None:
+                self._propose(gcmd, configured_mm - place[2])
+
+        ManualProbeHelper(self.printer, gcmd, finalize)
+
+    def cmd_Z_OFFSET_APPLY_ENDSTOP(self, gcmd: Any) -> None:
+        """Take SET_GCODE_OFFSET Z=… over into position_endstop."""
+        offset_mm = self.printer.lookup_object("gcode_move").get_status()["homing_origin"].z
+        if not offset_mm:
+            gcmd.respond_info("Nothing to do: Z Offset is 0")
+            return
+        assert self._endstop is not None
+        self._propose(gcmd, self._endstop[1] - offset_mm)
+
+
+def _find_endstop(config: Any) -> tuple[str, float] | None:
+    """The section that holds the Z endstop's place, and the place."""
+    for name in ("stepper_z", "carriage z"):
+        if config.has_section(name):
+            section = config.getsection(name)
+            place = section.getfloat("position_endstop", None, note_valid=False)
+            if place is not None:
+                return name, place
+    return None
+
+
+def load_config(config: Any) -> ManualProbe:
+    """Loaded with every printer."""
+    probe = ManualProbe(config.get_printer(), _find_endstop(config))
+    probe.register()
+    return probe
