@@ -22,6 +22,11 @@ MAX_DURATION_DEFAULT_S = 2.0
 CYCLE_TIME_DEFAULT_S = 0.100
 MAX_TICKS = 2**31 - 1  # the farthest a 32-bit clock can be scheduled ahead
 ADC_REPORT_BYTES = 2  # one sum of samples, 16 bits, low byte first
+# Firmware before 2025 (and Kalico's) has neither `bytes_per_report` nor several values to a report.
+QUERY_ANALOG_SINGLE = (
+    "query_analog_in oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u"
+    " min_value=%hu max_value=%hu range_check_count=%c"
+)
 
 
 def _duration_ticks(mcu: MCU, pin: str, duration_s: float) -> int:
@@ -253,20 +258,25 @@ class MCU_adc:
         self._report_ticks = mcu.seconds_to_clock(self._report_time_s)
         low = max(0, min(0xFFFF, int(self._range[0] * self._full_scale)))
         high = max(0, min(0xFFFF, math.ceil(self._range[1] * self._full_scale)))
+        single = mcu.try_lookup_command(QUERY_ANALOG_SINGLE) is not None
+        report = "" if single else f" bytes_per_report={ADC_REPORT_BYTES}"
         mcu.add_config_cmd(
             f"query_analog_in oid={oid} clock={mcu.get_query_slot(oid)}"
             f" sample_ticks={mcu.seconds_to_clock(self._sample_time_s)} sample_count={self._sample_count}"
-            f" rest_ticks={self._report_ticks} bytes_per_report={ADC_REPORT_BYTES} min_value={low} max_value={high}"
+            f" rest_ticks={self._report_ticks}{report} min_value={low} max_value={high}"
             f" range_check_count={self._range_check_count}",
             is_init=True,
         )
         mcu.register_response(self._on_report, "analog_in_state", oid)
 
     def _on_report(self, params: dict[str, Any]) -> None:
-        values = params["values"]
-        if len(values) < ADC_REPORT_BYTES:
-            return
-        value = int.from_bytes(values[-ADC_REPORT_BYTES:], "little") / self._full_scale
+        total = params.get("value")
+        if total is None:
+            values = params["values"]
+            if len(values) < ADC_REPORT_BYTES:
+                return
+            total = int.from_bytes(values[-ADC_REPORT_BYTES:], "little")
+        value = total / self._full_scale
         # next_clock is when the next sampling starts: one report time after this one did
         clock = self._mcu.clock32_to_clock64(params["next_clock"]) - self._report_ticks
         print_time = self._mcu.clock_to_print_time(clock)

@@ -1,11 +1,11 @@
 #!/usr/bin/env python3
 """Runs the image for a chip in real time behind a pseudo terminal, with a simulated machine around it.
 
-    scripts/emulate.py stm32f334 --pty ./printer-tty --config config/sim-f334.cfg
-    klippy/klippy.py config/sim-f334.cfg          (in another terminal; `serial:` is that path)
+    scripts/emulate.py stm32f334
+    klippy/klippy.py config/sim-f334.cfg          (in another terminal; `serial:` there is the pseudo terminal)
 
-The machine is that of the config's simulator sections. Without --config it is that of config/sim-f334.cfg. The run
-ends with Ctrl-C, or when the chip's model objects to something the firmware does.
+The machine is that of the config's simulator sections; without --config that of the chip's own example in config/. The
+run ends with Ctrl-C, or when the chip's model objects to something the firmware does.
 """
 
 from __future__ import annotations
@@ -13,18 +13,22 @@ from __future__ import annotations
 import argparse
 import logging
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "klippy"))
 
 from simulation import world  # noqa: E402
-from simulation.builds import BUILDS, WorldError  # noqa: E402
+from simulation.builds import BUILDS, WorldError, use_image  # noqa: E402
 from simulation.emulator import Emulator  # noqa: E402
 from simulation.realtime import RealTimePrinter  # noqa: E402
 
-CONFIG = ROOT / "config" / "sim-f334.cfg"
+CONFIGS = {
+    "stm32f334": ROOT / "config" / "sim-f334.cfg",
+    "atmega2560": ROOT / "config" / "sim-mega.cfg",
+}
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
@@ -39,19 +43,28 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         metavar="PATH",
         help="where to put the pseudo terminal (default: the config's serial)",
     )
-    parser.add_argument("--config", type=Path, default=CONFIG, help="printer.cfg with simulator sections")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        help="printer.cfg with simulator sections (default: the chip's, config/sim-*.cfg)",
+    )
+    parser.add_argument(
+        "--image",
+        type=Path,
+        metavar="FOLDER",
+        help="where another image is than the usual one (ferrite.elf and ferrite.dict, of a make with OUT=)",
+    )
     parser.add_argument("--mcu", default="mcu", help="which MCU of the config it is (default mcu)")
     parser.add_argument("--trace", type=Path, metavar="FILE.csv", help="as in simulate.py")
     parser.add_argument("--until", type=float, metavar="SECONDS", help="end by itself after so many seconds")
     return parser.parse_args(argv)
 
 
-def tell(printer: RealTimePrinter, mcu: str) -> None:
-    """What the chip did, in one line."""
-    counters = Emulator(printer.world, printer.machine.mcus[mcu]).counters()
+def what_it_did(counters: Mapping[str, Any], clock_hz: float) -> str:
+    """What the chip did, in one line; its ticks are of `clock_hz`."""
     ticks = counters["ticks"] or 1
-    print(
-        f"emulate: {ticks / 72e6:.1f} s, {counters['instructions'] / 1e6:.1f} million instructions, "
+    return (
+        f"{ticks / clock_hz:.1f} s, {counters['instructions'] / 1e6:.1f} million instructions, "
         f"{100.0 * (1.0 - counters['idle_ticks'] / ticks):.1f} % of the time awake, "
         f"{counters['interrupts']} interrupts, {counters['resets']} resets"
     )
@@ -63,8 +76,13 @@ def main(argv: Sequence[str]) -> int:
     terminals = {} if options.pty is None else {options.mcu: options.pty}
     try:
         world.build()
+        if options.image is not None:
+            use_image(options.chip, options.image)
         printer = RealTimePrinter(
-            options.config, terminals, trace=options.trace, builds={options.mcu: options.chip}
+            options.config or CONFIGS[options.chip],
+            terminals,
+            trace=options.trace,
+            builds={options.mcu: options.chip},
         )
     except (WorldError, OSError) as e:
         print(f"emulate: {e}", file=sys.stderr)
@@ -78,7 +96,8 @@ def main(argv: Sequence[str]) -> int:
     except WorldError as e:
         print(f"emulate: the chip objects: {e}", file=sys.stderr)
         status = 1
-    tell(printer, options.mcu)
+    counters = Emulator(printer.world, printer.machine.mcus[options.mcu]).counters()
+    print("emulate: " + what_it_did(counters, BUILDS[options.chip].clock_hz))
     printer.close()
     return status
 

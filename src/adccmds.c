@@ -11,6 +11,8 @@
  * analog_in_state carries values as 16 bits, low byte first.  Values are gathered until they fill bytes_per_report bytes
  * (2: every value by itself) and then sent, with next_clock = when the next group begins: the last value of the report was
  * begun rest_ticks before it, the one before that 2 * rest_ticks, ...  sample_count = 0 stops the sampling.
+ *
+ * CONFIG_SINGLE_ANALOG_REPORTS: both messages as hosts before 2025 know them, without bytes_per_report and with one value.
  */
 #include <string.h>
 
@@ -22,7 +24,13 @@
 #include "command.h"
 #include "sched.h"
 
+#ifdef CONFIG_SINGLE_ANALOG_REPORTS
+DECL_RESPONSE(response_analog_in_state, "analog_in_state oid=%c next_clock=%u value=%hu");
+enum { ARG_BYTES = -1, ARG_RANGE = 5 }; /* places of query_analog_in's later parameters */
+#else
 DECL_RESPONSE(response_analog_in_state, "analog_in_state oid=%c next_clock=%u values=%*s");
+enum { ARG_BYTES = 5, ARG_RANGE = 6 };
+#endif
 
 /* A message holds 59 bytes: id 2, oid 2, clock 5, length 1 leave 49. */
 enum { REPORT_BYTES_MAX = 48 };
@@ -128,7 +136,7 @@ void
 command_query_analog_in(const struct command_args *args)
 {
     struct analog_in *a = oid_lookup((uint8_t)args->val[0], command_config_analog_in);
-    uint32_t report_bytes = args->val[5];
+    uint32_t report_bytes = ARG_BYTES < 0 ? 2 : args->val[ARG_BYTES < 0 ? 0 : ARG_BYTES];
     irqstatus_t flag = irq_save();
     sched_del_timer(&a->timer);
     adc_cancel(a->pin);
@@ -136,9 +144,9 @@ command_query_analog_in(const struct command_args *args)
     a->sample_ticks = args->val[2];
     a->sample_count = (uint8_t)args->val[3];
     a->rest_ticks = args->val[4];
-    a->min_value = (uint16_t)args->val[6];
-    a->max_value = (uint16_t)args->val[7];
-    a->range_check_count = (uint8_t)args->val[8];
+    a->min_value = (uint16_t)args->val[ARG_RANGE];
+    a->max_value = (uint16_t)args->val[ARG_RANGE + 1];
+    a->range_check_count = (uint8_t)args->val[ARG_RANGE + 2];
     a->sum = a->samples_taken = a->strays = a->filled = a->report_ready = 0;
     if (a->sample_count) {
         if (report_bytes < 2 || report_bytes > REPORT_BYTES_MAX || report_bytes % 2)
@@ -148,9 +156,26 @@ command_query_analog_in(const struct command_args *args)
     }
     irq_restore(flag);
 }
+#ifdef CONFIG_SINGLE_ANALOG_REPORTS
+DECL_COMMAND(command_query_analog_in,
+             "query_analog_in oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u"
+             " min_value=%hu max_value=%hu range_check_count=%c");
+#else
 DECL_COMMAND(command_query_analog_in,
              "query_analog_in oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u bytes_per_report=%c"
              " min_value=%hu max_value=%hu range_check_count=%c");
+#endif
+
+static void
+send_state(uint8_t oid, uint32_t next_clock, const uint8_t *report, uint8_t len)
+{
+#ifdef CONFIG_SINGLE_ANALOG_REPORTS
+    (void)len;
+    respond(&response_analog_in_state, oid, next_clock, (uint16_t)(report[0] | report[1] << 8));
+#else
+    respond(&response_analog_in_state, oid, next_clock, (unsigned int)len, report);
+#endif
+}
 
 void
 analog_task(void)
@@ -168,7 +193,7 @@ analog_task(void)
         memcpy(report, a->report, sizeof(report));
         irq_restore(flag);
         if (ready)
-            respond(&response_analog_in_state, (uint8_t)(i - 1), next_clock, (unsigned int)a->report_bytes, report);
+            send_state((uint8_t)(i - 1), next_clock, report, a->report_bytes);
     }
 }
 DECL_TASK(analog_task);

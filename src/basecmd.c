@@ -104,15 +104,19 @@ oid_lookup(uint8_t oid, void *type)
     return pool.oids[oid].object;
 }
 
-void *
+/* Shutdowns walk all objects once for each kind, in an interrupt: a tight loop, once in the image. */
+__attribute__((noinline)) void *
 oid_next(uint8_t *cursor, void *type)
 {
-    while (*cursor < pool.oid_count) {
-        struct oid_slot *slot = &pool.oids[(*cursor)++];
-        if (slot->type == type)
-            return slot->object;
-    }
-    return NULL;
+    if (!pool.oid_count)
+        return NULL;
+    const struct oid_slot *slot = pool.oids + *cursor, *const end = pool.oids + pool.oid_count;
+    while (slot < end && slot->type != type)
+        slot++;
+    if (slot >= end)
+        return NULL;
+    *cursor = (uint8_t)(slot - pool.oids + 1);
+    return slot->object;
 }
 
 /****************************************************************

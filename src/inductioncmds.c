@@ -319,6 +319,7 @@ saturated(const struct oversample_block *b)
     return b->discarded == UINT16_MAX || b->lost == UINT16_MAX;
 }
 
+/* Returns 1 if there may be more. */
 static uint8_t
 send_report(struct induction *u)
 {
@@ -337,11 +338,12 @@ send_report(struct induction *u)
         u->block_tail++;
     }
     u->sequence += records;
+    uint8_t more = records && blocks_waiting(u);
     irq_restore(flag);
     if (records)
         respond(&response_induction_block, u->oid, sequence, u->start_clock + from * u->period_ticks,
                 (unsigned)(end - data), data);
-    return records;
+    return more;
 }
 
 void

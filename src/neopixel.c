@@ -15,6 +15,7 @@
 #include "board/delay.h"
 #include "board/gpio.h"
 #include "board/irq.h"
+#include "board/led.h"
 #include "command.h"
 #include "sched.h"
 
@@ -31,13 +32,6 @@ struct neopixel {
     uint16_t data_size;
     uint8_t data[];
 };
-
-/* Rounded down: calls add to it. */
-static uint32_t
-ticks_of_ns(uint32_t ns)
-{
-    return PORT_CLOCK_HZ / 1000000u * ns / 1000u;
-}
 
 void
 command_config_neopixel(const struct command_args *args)
@@ -74,6 +68,20 @@ command_neopixel_update(const struct command_args *args)
 }
 DECL_COMMAND(command_neopixel_update, "neopixel_update oid=%c pos=%hu data=%*s");
 
+#ifdef PORT_LED_CHAIN
+static uint8_t
+send_bits(const struct neopixel *n)
+{
+    return led_send(n->pin, n->data, n->data_size, n->bit_max_ticks);
+}
+#else
+/* Rounded down: calls add to it. */
+static uint32_t
+ticks_of_ns(uint32_t ns)
+{
+    return PORT_CLOCK_HZ / 1000000u * ns / 1000u;
+}
+
 /* Returns 0 if the low time before this bit was too long. */
 static uint8_t
 send_bit(const struct neopixel *n, uint8_t bit, uint32_t *low_since)
@@ -94,17 +102,24 @@ send_bit(const struct neopixel *n, uint8_t bit, uint32_t *low_since)
 }
 
 static uint8_t
-send_all(struct neopixel *n)
+send_bits(const struct neopixel *n)
 {
-    uint32_t rested_ticks = timer_read_time() - n->sent_clock;
-    if (rested_ticks < n->reset_min_ticks)
-        delay_ticks(n->reset_min_ticks - rested_ticks);
     uint32_t low_since = timer_read_time();
     for (uint16_t i = 0; i < n->data_size; i++)
         for (uint8_t bit = 0, byte = n->data[i]; bit < 8; bit++, byte = (uint8_t)(byte << 1))
             if (!send_bit(n, byte >> 7, &low_since))
                 return 0;
     return 1;
+}
+#endif
+
+static uint8_t
+send_all(const struct neopixel *n)
+{
+    uint32_t rested_ticks = timer_read_time() - n->sent_clock;
+    if (rested_ticks < n->reset_min_ticks)
+        delay_ticks(n->reset_min_ticks - rested_ticks);
+    return send_bits(n);
 }
 
 void

@@ -2,7 +2,7 @@
 # Included by the top Makefile after src/build.mk.
 #
 # A port's src/PORT/port.mk gives
-#   PORT_CC PORT_OBJCOPY PORT_SIZE    its tools (PORT_CC is also what preprocesses for the dictionary)
+#   PORT_CC PORT_OBJCOPY              its tools (PORT_CC is also what preprocesses for the dictionary)
 #   PORT_FIRMWARE                     the portable files it takes: some of build.mk's FIRMWARE_ lists
 #   PORT_SOURCES                      its own files
 #   PORT_PREFIX_MAP                   how the compiler is told to forget a folder's name (older ones: -fdebug-prefix-map)
@@ -10,13 +10,17 @@
 #   PORT_LINK_INPUTS                  files the link depends on (linker script)
 #   PORT_IMAGES                       what is made of OUT/PORT/ferrite.elf (ferrite.bin, ferrite.hex), with rules
 #   PORT_SEAL                         a command that gets the linked file as its argument, before any image is made of it
-#   PORT_FLASH_CMD                    `make flash`
+#   PORT_FLASH_CMD                    the tool that writes the board, for `make flash`
+#   PORT_FLASH_DEVICE                 the serial port that it uses, if it does
+#   PORT_PACKAGES                     Debian's names of what has PORT_CC and its libraries
 # and may look at CONFIG_ variables of .config (`make menuconfig`); it must do without them.
 
 KCONFIG_CONFIG ?= .config
 -include $(KCONFIG_CONFIG)
 PORT ?= $(patsubst "%",%,$(CONFIG_PORT))
 PORTS := $(patsubst src/%/port.mk,%,$(wildcard src/*/port.mk))
+# The scripts used here need nothing but Python: a firmware can be built in a fresh checkout.
+PORT_PYTHON := $(firstword $(wildcard .venv/bin/python) python3)
 
 .PHONY: firmware firmware-simulator menuconfig flash size $(PORTS:%=firmware-%)
 firmware-simulator: $(SIM_MCU_LIB)
@@ -35,8 +39,13 @@ endif
 
 ifeq ($(PORT),simulator)
 firmware: firmware-simulator
-else ifneq ($(PORT),)
+flash size:
+	@echo "The simulator is no chip: there is nothing to $@. Choose one of: $(PORTS)" >&2; exit 1
+else ifneq ($(filter $(PORT),$(PORTS)),)
 include src/$(PORT)/port.mk
+
+# Options of the firmware proper, the same for every port.
+PORT_CFLAGS += $(if $(filter y,$(CONFIG_SINGLE_ANALOG_REPORTS)),-DCONFIG_SINGLE_ANALOG_REPORTS)
 
 PORT_OUT := $(OUT)/$(PORT)
 PORT_PREFIX_MAP ?= -ffile-prefix-map
@@ -51,12 +60,16 @@ PORT_ALL_CFLAGS := $(C_WARNINGS) $(PORT_CFLAGS) $(PORT_INCLUDES) -g -ffunction-s
 PORT_FLAGS_STAMP := $(PORT_OUT)/obj/flags-$(firstword $(shell echo '$(PORT_CC) $(PORT_ALL_CFLAGS) $(PORT_LDFLAGS)' | cksum))
 
 firmware: $(PORT_ELF) $(PORT_IMAGES:%=$(PORT_OUT)/%)
+	@echo "$(PORT): $(PORT_IMAGES:%=$(PORT_OUT)/%)"
 flash: firmware
-	$(PORT_FLASH_CMD)
+	@$(PORT_PYTHON) scripts/flash_firmware.py $(if $(PORT_FLASH_DEVICE),--device $(PORT_FLASH_DEVICE)) $(PORT_FLASH_CMD)
+# KEEP=1 makes today's figures those of the last release.
 size: firmware
-	@$(PYTHON) scripts/firmware_size.py --port $(PORT) --out $(PORT_OUT)
+	@$(PORT_PYTHON) scripts/firmware_size.py --port $(PORT) --out $(PORT_OUT) $(if $(KEEP),--keep)
 
 $(PORT_FLAGS_STAMP):
+	@command -v $(PORT_CC) >/dev/null || { \
+		echo "The firmware for $(PORT) needs $(PORT_CC) (Debian: apt-get install $(PORT_PACKAGES))" >&2; exit 1; }
 	@mkdir -p $(@D)
 	@rm -f $(PORT_OUT)/obj/flags-*
 	@touch $@
@@ -64,7 +77,7 @@ $(PORT_FLAGS_STAMP):
 $(PORT_OUT)/ferrite.dict $(PORT_OUT)/compile_time.c: $(PORT_OUT)/dictionary.stamp
 $(PORT_OUT)/dictionary.stamp: $(PORT_ALL_SOURCES) $(FIRMWARE_HEADERS) $(wildcard src/$(PORT)/*.h) \
 		scripts/build_dictionary.py $(PORT_FLAGS_STAMP)
-	$(PYTHON) scripts/build_dictionary.py --out $(PORT_OUT) --version '$(FERRITE_VERSION)' \
+	$(PORT_PYTHON) scripts/build_dictionary.py --out $(PORT_OUT) --version '$(FERRITE_VERSION)' \
 		--cc '$(PORT_CC) $(PORT_CFLAGS) $(PORT_INCLUDES)' $(PORT_ALL_SOURCES)
 	@touch $@
 
@@ -87,9 +100,12 @@ $(PORT_OUT)/ferrite.hex: $(PORT_ELF)
 	$(PORT_OBJCOPY) -O ihex -R .eeprom -R .fuse $< $@
 else
 firmware flash size:
-	@echo "Which port? make PORT=NAME $@ (simulator $(PORTS)), or choose one with make menuconfig"; exit 1
+	@echo "$(if $(PORT),There is no port '$(PORT)'.,Which port?)" \
+		"Say make PORT=NAME$(if $(filter firmware,$@),, $@) with one of: simulator $(PORTS);" \
+		"or choose one with make menuconfig" >&2; exit 1
 endif
 
-# kconfiglib is one of the tests' packages; for this alone `pip install kconfiglib` will do.
-menuconfig:
+menuconfig: setup
+	@$(PYTHON) -c 'import menuconfig' 2>/dev/null || $(PYTHON) -m pip install --quiet --disable-pip-version-check \
+		$$(grep '^kconfiglib==' requirements-dev.txt)
 	@srctree=src KCONFIG_CONFIG=$(KCONFIG_CONFIG) $(PYTHON) -m menuconfig Kconfig

@@ -1,5 +1,3 @@
-#include <setjmp.h>
-
 #include "board/irq.h"
 #include "board/timer.h"
 #include "board/watchdog.h"
@@ -16,14 +14,34 @@ DECL_RESPONSE(response_starting, "starting");
 DECL_RESPONSE(response_shutdown, "shutdown clock=%u static_string_id=%hu");
 DECL_RESPONSE(response_is_shutdown, "is_shutdown static_string_id=%hu");
 
-/* A timer that asks to run again at once, for ever, would hang the machine; so many in one interrupt is a mistake.
- * Origin: above any honest burst (a few timers per stepper), below a second of hanging on the slowest machine. */
-enum { DISPATCH_LIMIT = 20000 };
-/* How late a timer may ask to be run again before the machine is called overloaded. */
-enum { RESCHEDULE_LATE_US = 100000 };
+enum {
+    /* So many timer events in one interrupt, then others get their turn.  Origin: some 50 us of steps on a 72 MHz chip. */
+    SPELL_EVENTS = 64,
+    /* So many spells without ever being in time: a timer asks to run again at once, for ever.  Origin: above any honest
+     * burst (a few timers per stepper), below a second of hanging on the slowest machine. */
+    SPELLS_MAX = 300,
+    PAUSE_SPELLS = 16,     /* after so many without leaving the interrupt, tasks get PORT_TIMER_PAUSE_TICKS */
+    LATE_MAX_US = 100000,  /* a timer that runs later than this: the machine is overloaded */
+};
+/* A timer nearer than this is waited for inside the interrupt, where leaving and coming again costs more. */
+#ifdef PORT_TIMER_WAIT_TICKS
+enum { WAIT_TICKS = PORT_TIMER_WAIT_TICKS };
+#else
+enum { WAIT_TICKS = 0 };
+#endif
 
+/* Time for the tasks when timers leave them none (after PAUSE_SPELLS); steps are late by that much then. */
+#ifdef PORT_TIMER_PAUSE_TICKS
+enum { PAUSE_TICKS = PORT_TIMER_PAUSE_TICKS };
+#else
+enum { PAUSE_TICKS = 0 };
+#endif
+
+#define UNLIKELY(condition) __builtin_expect(condition, 0)
+
+/* What __builtin_setjmp keeps: frame, place, stack.  Registers are saved and loaded by the function that lands. */
 struct recovery {
-    jmp_buf frame;
+    void *frame[5];
 };
 
 static struct {
@@ -34,6 +52,10 @@ static struct {
     uint8_t reason;                   /* of the shutdown now in force or being entered; SHUTDOWN_NONE: running */
     uint8_t outputs_again;            /* a shutdown came in an interrupt: run DECL_SHUTDOWN again after the task */
     uint8_t announce_shutdown, announce_start;
+    uint8_t timers_alive;             /* the timer interrupt has come since the watchdog was fed */
+    uint8_t dispatching;              /* the head of the list is the timer that runs now */
+    uint16_t spells_late;             /* since a timer was last in time */
+    uint8_t spells_busy;              /* since tasks have last had a turn */
     volatile uint8_t tasks_waiting;
 } sched;
 
@@ -50,6 +72,10 @@ power_on_state(void)
     sched.outputs_again = 0;
     sched.announce_shutdown = 0;
     sched.announce_start = 1;
+    sched.timers_alive = 0;
+    sched.dispatching = 0;
+    sched.spells_late = 0;
+    sched.spells_busy = 0;
     sched.tasks_waiting = 0;
     sched_wake_task(&announce_wake);
 }
@@ -58,13 +84,16 @@ power_on_state(void)
  * Timers
  ****************************************************************/
 
-static void
-timer_insert(struct timer *t)
+/* Into the list from `link` on; behind those of the same clock. */
+static inline void
+insert_from(struct timer **link, struct timer *t)
 {
-    struct timer **link = &sched.timers;
-    while (*link && !timer_is_before(t->waketime, (*link)->waketime))
-        link = &(*link)->next;
-    t->next = *link;
+    struct timer *next = *link;
+    while (next && !timer_is_before(t->waketime, next->waketime)) {
+        link = &next->next;
+        next = next->next;
+    }
+    t->next = next;
     *link = t;
 }
 
@@ -74,7 +103,7 @@ sched_add_timer_always(struct timer *t)
     irqstatus_t flag = irq_save();
     if (timer_is_before(t->waketime, timer_read_time()))
         shutdown(SHUTDOWN_TIMER_TOO_CLOSE);
-    timer_insert(t);
+    insert_from(sched.dispatching ? &sched.timers->next : &sched.timers, t);
     if (sched.timers == t)
         timer_kick();
     irq_restore(flag);
@@ -91,7 +120,7 @@ void
 sched_del_timer(struct timer *t)
 {
     irqstatus_t flag = irq_save();
-    for (struct timer **link = &sched.timers; *link; link = &(*link)->next) {
+    for (struct timer **link = sched.dispatching ? &sched.timers->next : &sched.timers; *link; link = &(*link)->next) {
         if (*link != t)
             continue;
         *link = t->next;
@@ -107,30 +136,79 @@ sched_next_waketime(void)
     return sched.timers ? sched.timers->waketime : timer_read_time() + timer_from_us(1000);
 }
 
+/* The head of the list has run and wants to again, but another is due before it.  Returns the new head. */
+static struct timer *
+put_back(struct timer *t)
+{
+    struct timer *next = t->next;
+    sched.timers = next;
+    insert_from(&next->next, t);
+    return next;
+}
+
+static inline uint8_t
+still_first(const struct timer *t)
+{
+    const struct timer *next = t->next;
+    return !next || timer_is_before(t->waketime, next->waketime);
+}
+
+/* Nothing is due: is it worth waiting for? */
+static uint8_t
+comes_soon(uint32_t late)
+{
+    if (!(late >> 31))
+        shutdown(SHUTDOWN_RESCHEDULED_IN_PAST);
+    sched.spells_late = 0;
+    if (-late <= WAIT_TICKS)
+        return 1;
+    sched.spells_busy = 0;
+    return 0;
+}
+
+/* The hot path of all stepping, laid out for a timer that stays the head of the list: it is left there while it runs. */
 static void
 run_due_timers(void *unused)
 {
     (void)unused;
-    uint16_t budget = DISPATCH_LIMIT;
-    for (;;) {
-        struct timer *t = sched.timers;
-        uint32_t now = timer_read_time();
-        if (!t || timer_is_before(now, t->waketime))
+    uint_fast8_t left = SPELL_EVENTS;
+    struct timer *t = sched.timers;
+    while (t) {
+        uint32_t late = timer_read_time() - t->waketime;
+        if (UNLIKELY(late > timer_from_us(LATE_MAX_US))) {
+            if (comes_soon(late))
+                continue;
             return;
-        sched.timers = t->next;
-        if (t->func(t) == SF_DONE)
-            continue;
-        if (!--budget || timer_is_before(t->waketime, now - timer_from_us(RESCHEDULE_LATE_US)))
-            shutdown(SHUTDOWN_RESCHEDULED_IN_PAST);
-        timer_insert(t);
+        }
+        if (UNLIKELY(t->func(t) == SF_DONE))
+            t = sched.timers = t->next;
+        else if (UNLIKELY(!still_first(t)))
+            t = put_back(t);
+        if (UNLIKELY(!--left))
+            break;
     }
+    sched.spells_busy++;
+    if (++sched.spells_late > SPELLS_MAX)
+        shutdown(SHUTDOWN_RESCHEDULED_IN_PAST);
+}
+
+/* Timers take all the time there is: the tasks' turn, or the host would never be heard. */
+static uint32_t
+after_pause(void)
+{
+    uint32_t next = sched_next_waketime(), end = timer_read_time() + PAUSE_TICKS;
+    sched.spells_busy = 0;
+    return timer_is_before(next, end) ? end : next;
 }
 
 uint32_t
 sched_timer_dispatch(void)
 {
+    sched.timers_alive = 1;
+    sched.dispatching = sched.timers != NULL;
     sched_guarded(run_due_timers, NULL);
-    return sched_next_waketime();
+    sched.dispatching = 0;
+    return sched.spells_busy < PAUSE_SPELLS ? sched_next_waketime() : after_pause();
 }
 
 /****************************************************************
@@ -142,16 +220,6 @@ sched_wake_task(struct task_wake *w)
 {
     w->wake = 1;
     sched.tasks_waiting = 1;
-}
-
-uint8_t
-sched_check_wake(struct task_wake *w)
-{
-    irqstatus_t flag = irq_save();
-    uint8_t woken = w->wake;
-    w->wake = 0;
-    irq_restore(flag);
-    return woken;
 }
 
 uint8_t
@@ -167,6 +235,7 @@ task_pass(void *unused)
     compile_time_tasks();
 }
 
+/* The watchdog is fed for tasks and timers both being alive: limits of time (heaters, a silent host) live in timers. */
 void
 sched_run_tasks(void)
 {
@@ -174,6 +243,9 @@ sched_run_tasks(void)
     sched.tasks_waiting = 0;
     sched_guarded(task_pass, NULL);
     sched.pass_ticks = timer_read_time() - start;
+    if (!sched.timers_alive)
+        return;
+    sched.timers_alive = 0;
     watchdog_feed();
 }
 
@@ -223,7 +295,7 @@ sched_main(void)
     for (;;) {
         sched_run_tasks();
         irq_disable();
-        if (!sched.tasks_waiting)
+        while (!sched.tasks_waiting) /* at the latest basecmd.c's house-keeping timer ends this */
             irq_wait();
         irq_enable();
     }
@@ -250,6 +322,7 @@ static void
 make_safe(void)
 {
     sched.timers = NULL;
+    sched.dispatching = 0;
     compile_time_shutdown();
 }
 
@@ -270,7 +343,7 @@ sched_guarded(void (*fn)(void *), void *arg)
     const irqstatus_t flag = irq_save();
     irq_restore(flag);
     sched.recovery = &here;
-    if (!setjmp(here.frame)) {
+    if (!__builtin_setjmp(here.frame)) {
         fn(arg);
     } else {
         irq_disable();
@@ -286,7 +359,8 @@ sched_guarded(void (*fn)(void *), void *arg)
     irq_restore(flag);
 }
 
-_Noreturn void
+/* Never inlined: a function may not jump to its own landing place. */
+__attribute__((noinline)) _Noreturn void
 shutdown(enum shutdown_reason reason)
 {
     irq_disable();
@@ -294,7 +368,7 @@ shutdown(enum shutdown_reason reason)
         sched.reason = (uint8_t)reason;
         sched.shutdown_clock = timer_read_time();
     }
-    longjmp(sched.recovery->frame, 1);
+    __builtin_longjmp(sched.recovery->frame, 1);
 }
 
 void

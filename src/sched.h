@@ -34,8 +34,9 @@ struct timer {
 
 #define container_of(ptr, type, member) ((type *)((char *)(ptr) - offsetof(type, member)))
 
-/* Any context.  A waketime that has already passed shuts down with "Timer too close".  The timer must not be in the
- * list already (sched_del_timer first).  Ignored while shut down. */
+/* Any context.  A waketime that has already passed shuts down with "Timer too close".  The timer must not be in the list
+ * already (sched_del_timer first); one whose function is running is: it says by its return value what becomes of it, and
+ * adding or deleting it there is a mistake or has no effect.  Ignored while shut down. */
 void sched_add_timer(struct timer *t);
 /* The same, but obeyed also while shut down: house-keeping only, never an output.  A shutdown drops every timer, so
  * the owner adds it again in its DECL_SHUTDOWN function. */
@@ -45,10 +46,18 @@ void sched_del_timer(struct timer *t);
 
 /* A flag from timer or interrupt to task. */
 struct task_wake {
-    uint8_t wake;
+    volatile uint8_t wake;
 };
 void sched_wake_task(struct task_wake *w);       /* any context */
-uint8_t sched_check_wake(struct task_wake *w);   /* task: was it woken? clears it */
+/* Task: was it woken?  Clears it.  One that comes between looking and clearing is for the work that follows anyway. */
+static inline uint8_t
+sched_check_wake(struct task_wake *w)
+{
+    if (!w->wake)
+        return 0;
+    w->wake = 0;
+    return 1;
+}
 
 _Noreturn void shutdown(enum shutdown_reason reason);
 void try_shutdown(enum shutdown_reason reason);  /* as shutdown(), but returns if already shut down */
@@ -64,7 +73,9 @@ void sched_boot(void);
 void sched_run_tasks(void);          /* one pass */
 uint32_t sched_last_pass_ticks(void);  /* task: duration of the pass before this one, sleep not counted */
 uint8_t sched_tasks_waiting(void);   /* has anything been woken since the last pass began? */
-uint32_t sched_timer_dispatch(void); /* timer interrupt: run what is due; returns the next waketime */
+/* Timer interrupt: run what is due, a spell of it at most; returns when to come again, which may be past (at once then, but
+ * other interrupts come first). */
+uint32_t sched_timer_dispatch(void);
 uint32_t sched_next_waketime(void);
 
 /* Run fn(arg) so that shutdown() inside it ends it cleanly.  Wrap every interrupt that calls firmware code

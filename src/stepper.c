@@ -9,8 +9,9 @@
  *     nominal  |     |     |     |
  *     pin      ‾‾‾‾‾‾\_____/‾‾‾‾‾\___
  *
- *   pulses (invert_step 0 or 1): every step is a pulse of step_pulse_ticks, two events a step; the next pulse begins
- *   no earlier than step_pulse_ticks after the end of this one
+ *   pulses (invert_step 0 or 1): every step is a pulse of step_pulse_ticks at least; the next begins no earlier than
+ *   step_pulse_ticks after its end.  Two events a step, but one if the pulse is so short that another interrupt would take
+ *   longer (PORT_SHORT_PULSE_TICKS): the step after it is computed meanwhile
  *
  *     nominal  |         |         |
  *     pin      /‾‾\______/‾‾\______/‾‾\___
@@ -39,16 +40,16 @@ struct segment {
 };
 
 struct stepper {
-    struct timer timer;
+    struct timer timer;           /* its clock is the nominal one with both edges */
+    uint32_t interval;            /* from the step to come to the one after */
+    uint_fast16_t left;           /* steps of the segment under way still to be made */
+    int16_t add;
+    struct gpio_out step_pin, dir_pin;
     struct move_queue_head queue;
     struct trsync_signal stop_signal;
-    struct gpio_out step_pin, dir_pin;
-    uint32_t step_clock;          /* nominal clock of the next step, or of the last one when idle */
-    uint32_t interval;            /* from the step at step_clock to the one after */
+    uint32_t step_clock;          /* nominal clock of the next step, or of the last one when idle; see timer */
     uint32_t pulse_ticks;
     int32_t position;             /* where the segment under way ends */
-    uint16_t left;                /* steps of the segment under way still to be made */
-    int16_t add;
     uint8_t active : 1;           /* the timer is running */
     uint8_t pulse_high : 1;       /* in a pulse; the event to come ends it */
     uint8_t both_edges : 1;
@@ -96,15 +97,32 @@ idle(struct stepper *s)
     return SF_DONE;
 }
 
-/* Timer, once a step; about 60 cycles on a Cortex-M4.  Late: the edge comes late, the nominal clocks stand. */
+/* The last step of a segment, and on to the next. */
+static __attribute__((noinline)) uint8_t
+both_edges_last(struct stepper *s)
+{
+    gpio_out_toggle(s->step_pin);
+    s->left = 0;
+    s->step_clock = s->timer.waketime;
+    if (!begin_segment(s))
+        return idle(s);
+    s->timer.waketime = s->step_clock;
+    return SF_RESCHEDULE;
+}
+
+/* Timer, once a step: the inner loop of the machine.  Late: the edge comes late, the nominal clocks stand. */
 static uint8_t
 both_edges_event(struct timer *t)
 {
     struct stepper *s = container_of(t, struct stepper, timer);
+    uint_fast16_t left = s->left - 1;
+    if (!left)
+        return both_edges_last(s);
+    s->left = left;
     gpio_out_toggle(s->step_pin);
-    if (!next_step(s))
-        return idle(s);
-    t->waketime = s->step_clock;
+    __asm__ volatile("" ::: "memory"); /* what follows is not to be begun before: registers would have to be saved */
+    t->waketime += s->interval;
+    s->interval += (uint32_t)(int32_t)s->add;
     return SF_RESCHEDULE;
 }
 
@@ -125,6 +143,31 @@ pulse_event(struct timer *t)
     t->waketime = timer_is_before(s->step_clock, earliest) ? earliest : s->step_clock;
     return SF_RESCHEDULE;
 }
+
+#ifdef PORT_SHORT_PULSE_TICKS
+/* Timer, once a step.  What comes next is computed while the pulse lasts, but a next segment is begun after it: it may
+ * change the direction, which drivers want to hold for a while after the pulse's first edge. */
+static uint8_t
+short_pulse_event(struct timer *t)
+{
+    struct stepper *s = container_of(t, struct stepper, timer);
+    gpio_out_toggle(s->step_pin);
+    uint32_t begun = timer_read_time(), now;
+    uint8_t more = s->left > 1 && next_step(s);
+    do
+        now = timer_read_time();
+    while (now - begun < s->pulse_ticks);
+    gpio_out_toggle(s->step_pin);
+    if (!more && !next_step(s))
+        return idle(s);
+    uint32_t earliest = now + s->pulse_ticks;
+    t->waketime = timer_is_before(s->step_clock, earliest) ? earliest : s->step_clock;
+    return SF_RESCHEDULE;
+}
+#else
+enum { PORT_SHORT_PULSE_TICKS = 0 };
+static uint8_t (*const short_pulse_event)(struct timer *) = pulse_event;
+#endif
 
 /* Drop everything queued and end a pulse under way.  Interrupts disabled. */
 static void
@@ -150,6 +193,8 @@ command_config_stepper(const struct command_args *args)
     s->step_pin = gpio_out_setup(args->val[1], s->idle_level);
     s->dir_pin = gpio_out_setup(args->val[2], 0);
     s->timer.func = s->both_edges ? both_edges_event : pulse_event;
+    if (!s->both_edges && s->pulse_ticks <= PORT_SHORT_PULSE_TICKS)
+        s->timer.func = short_pulse_event;
     move_queue_init(&s->queue);
     move_request_size(sizeof(struct segment));
 }

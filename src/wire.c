@@ -1,11 +1,13 @@
 #include <stddef.h>
 
+#include "port_types.h"
 #include "wire.h"
 
 #ifdef __AVR__
 #include <util/crc16.h>
 #endif
 
+#ifndef PORT_WIRE_CRC16
 uint16_t
 wire_crc16(const uint8_t *data, uint8_t len)
 {
@@ -14,13 +16,16 @@ wire_crc16(const uint8_t *data, uint8_t len)
 #ifdef __AVR__
         crc = _crc_ccitt_update(crc, *data); /* the same polynomial, in assembler */
 #else
-        crc ^= *data;
-        for (uint8_t bit = 0; bit < 8; bit++)
-            crc = (uint16_t)((crc >> 1) ^ ((crc & 1) ? 0x8408 : 0));
+        /* All eight shifts of the polynomial 0x8408 at once: its bits lie so far apart that what a byte feeds back is
+         * itself folded once (t) and then placed at the three places of the polynomial. */
+        uint32_t t = (crc ^ *data) & 0xffu;
+        t = (t ^ t << 4) & 0xffu;
+        crc = (uint16_t)(crc >> 8 ^ t << 8 ^ t << 3 ^ t >> 4);
 #endif
     }
     return crc;
 }
+#endif
 
 /* How many seven-bit groups a number needs: it fits n groups when what is left of it after dropping the n-1 lower
  * groups lies in -32..95, because a first group of 0x60..0x7f reads as negative. */

@@ -27,7 +27,8 @@ enum {
     VLQ_SIZE_MAX = 5,
 };
 
-/* CRC-16/MCRF4XX (reflected CCITT polynomial, start 0xffff, no final xor); "123456789" gives 0x6f91. */
+/* CRC-16/MCRF4XX (reflected CCITT polynomial, start 0xffff, no final xor); "123456789" gives 0x6f91.
+ * A port whose chip computes it defines PORT_WIRE_CRC16 and supplies this function; task context then. */
 uint16_t wire_crc16(const uint8_t *data, uint8_t len);
 
 /* Write `value` as a variable length quantity, most significant seven bits first.  Returns one past the last

@@ -15,7 +15,7 @@ import json
 import re
 import subprocess
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -114,12 +114,24 @@ def make(targets: Iterable[Path], what: str) -> None:
         raise WorldError(f"{what} does not build:\n" + (done.stderr.strip() or done.stdout.strip()))
 
 
+def use_image(name: str, folder: Path) -> None:
+    """From now on a build's image and dictionary are those of `folder`, made with options of its own."""
+    image, dictionary = folder / "ferrite.elf", folder / "ferrite.dict"
+    for path in (image, dictionary):
+        if not path.is_file():
+            raise WorldError(
+                f"There is no {path}: make PORT={name} OUT=SOMEWHERE puts it into SOMEWHERE/{name}."
+            )
+    BUILDS[name] = replace(BUILDS[name], image=image.resolve(), dictionary=dictionary)
+    make_build.cache_clear()
+
+
 @lru_cache(maxsize=8)
 def make_build(name: str) -> Build:
     """A build by name, made. Raises WorldError."""
     build = BUILDS.get(name)
     if build is None:
         raise WorldError(f"There is no build '{name}' of the firmware; there are {', '.join(BUILDS)}.")
-    targets = [build.library] if build.image is None else [build.image, build.library]
+    targets = [path for path in (build.image, build.library) if path is not None and path.is_relative_to(OUT)]
     make(targets, f"The firmware's build '{name}'")
     return build

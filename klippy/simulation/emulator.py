@@ -26,6 +26,23 @@ def _ffi() -> tuple[Any, dict[str, str]]:
     return ffi, functions
 
 
+class Recording:
+    """What Emulator.record() has written down so far: the chip's clock of each entry, and its value."""
+
+    def __init__(self, ffi: Any, capacity: int) -> None:
+        self._ffi = ffi
+        self._clocks = ffi.new("uint64_t[]", capacity)
+        self._values = ffi.new("uint32_t[]", capacity)
+        self.record = ffi.new("struct emulator_record *", (self._clocks, self._values, capacity, 0))
+
+    def arrays(self) -> tuple[memoryview, memoryview]:
+        """Clocks (64 bits) and values (32 bits); a view, good while this object is."""
+        count = self.record.count
+        assert count < self.record.capacity, "the recording is full"
+        clocks = memoryview(self._ffi.buffer(self._clocks, 8 * count)).cast("Q")
+        return clocks, memoryview(self._ffi.buffer(self._values, 4 * count)).cast("I")
+
+
 class Emulator:
     """The chip under MCU `mcu` of a world."""
 
@@ -62,6 +79,13 @@ class Emulator:
         if self._call("emulator_peek", what.encode(), value):
             raise WorldError(f"This chip shows no '{what}' now.")
         return int(value[0])
+
+    def record(self, what: str, capacity: int) -> Recording:
+        """Write down what happens from now on. Keep the answer as long as the chip runs."""
+        recording = Recording(self._ffi, capacity)
+        if self._call("emulator_record", what.encode(), recording.record):
+            raise WorldError(f"This chip has no '{what}' to record.")
+        return recording
 
     def profile(self, function: str) -> int:
         """Instructions executed in one function of the image so far, without what it calls."""

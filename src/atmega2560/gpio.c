@@ -71,13 +71,6 @@ gpio_out_write(struct gpio_out g, uint8_t value)
     irq_restore(flag);
 }
 
-/* Writing a one to PINx toggles the bit, without reading (datasheet 13.2.2). */
-void
-gpio_out_toggle(struct gpio_out g)
-{
-    g.regs[0] = g.mask;
-}
-
 struct gpio_in
 gpio_in_setup(uint32_t pin, int8_t pull)
 {

@@ -2,13 +2,14 @@
 PORT_CROSS := avr-
 PORT_CC := $(PORT_CROSS)gcc
 PORT_OBJCOPY := $(PORT_CROSS)objcopy
-PORT_SIZE := $(PORT_CROSS)size
+PORT_PACKAGES := gcc-avr avr-libc
 
-# No bridge, no LED chains (their pulses are shorter than a look at the clock takes), I2C by software.
+# No bridge.
 PORT_FIRMWARE := $(FIRMWARE_CORE) src/timed_output.c src/gpiocmds.c src/pwmcmds.c src/adccmds.c src/trsync.c src/stepper.c \
-	src/endstop.c src/onoffcmds.c $(FIRMWARE_BUS) src/spi_hardware.c src/buttons.c src/pulse_counter.c src/tmcuart.c
+	src/endstop.c src/onoffcmds.c $(FIRMWARE_BUS) $(FIRMWARE_BUS_HARDWARE) $(FIRMWARE_PINS)
 MEGA := src/atmega2560
-PORT_SOURCES := $(MEGA)/boot.c $(MEGA)/timer.c $(MEGA)/gpio.c $(MEGA)/console.c $(MEGA)/adc.c $(MEGA)/pwm.c $(MEGA)/spi.c
+PORT_SOURCES := $(MEGA)/boot.c $(MEGA)/timer.c $(MEGA)/gpio.c $(MEGA)/console.c $(MEGA)/adc.c $(MEGA)/pwm.c $(MEGA)/spi.c \
+	$(MEGA)/i2c.c $(MEGA)/led.c
 
 # Options with their defaults.
 MEGA_BAUD := $(or $(CONFIG_SERIAL_BAUD),250000)
@@ -22,5 +23,7 @@ MEGA_MEMORY := -Wl,--defsym=stack_top=0x802200 -Wl,--defsym=stack_limit=0x802200
 # The linker wants to know what the compiler does when it compiles there.
 PORT_LDFLAGS := $(C_WARNINGS) -fwhole-program $(MEGA_MEMORY)
 PORT_IMAGES := ferrite.hex
-PORT_FLASH_CMD = avrdude -p atmega2560 -c wiring -P $(or $(FLASH_DEVICE),/dev/ttyACM0) -b 115200 -D \
+# Its boot loader erases each page as it is written: -D.
+PORT_FLASH_DEVICE = $(or $(FLASH_DEVICE),/dev/ttyACM0)
+PORT_FLASH_CMD = avrdude -p atmega2560 -c wiring -P $(PORT_FLASH_DEVICE) -b 115200 -D \
 	-U flash:w:$(PORT_OUT)/ferrite.hex:i

@@ -10,11 +10,26 @@
 #define PORT_CLOCK_HZ 16000000u
 #define PORT_MOVE_COUNT_MAX 1000  /* never reached: memory ends before */
 
+/* Leaving and entering the timer interrupt costs more than this. */
+#define PORT_TIMER_WAIT_TICKS 160
+/* 50 us for the tasks, if timers leave them none. */
+#define PORT_TIMER_PAUSE_TICKS 800
+
+/* A driver's shortest pulse is 1 to 2 us: 4 are waited for with interrupts allowed. */
+#define PORT_SHORT_PULSE_TICKS 64
+
 /* The three registers of a port follow one another: regs[0] is PINx, regs[1] DDRx, regs[2] PORTx. */
 struct gpio_out {
     volatile uint8_t *regs;
     uint8_t mask;
 };
+/* Writing a one to PINx toggles the bit, without reading (datasheet 13.2.2). */
+#define PORT_INLINE_TOGGLE
+static inline void
+gpio_out_toggle(struct gpio_out g)
+{
+    g.regs[0] = g.mask;
+}
 struct gpio_in {
     volatile uint8_t *regs;
     uint8_t mask;
@@ -29,6 +44,11 @@ struct pwm_out {
 struct spi_bus {
     uint8_t control, status;    /* SPCR, SPSR */
 };
+struct i2c_bus {
+    uint8_t rate, prescaler;    /* TWBR, TWSR */
+    uint8_t address;
+};
+#define PORT_LED_CHAIN          /* led.c: a bit is shorter than a look at the clock */
 
 /* src/flash_data.h: all such tables lie in the first 64 KiB, where LPM reads them. */
 #define PORT_FLASH_DATA

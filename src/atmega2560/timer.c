@@ -19,12 +19,6 @@ enum {
     /* Closer than this the compare register may be passed while it is being written; Origin: the code between reading the
      * clock and the end of the write is some 40 cycles. */
     TOO_CLOSE = 96,
-    /* A timer nearer than this is waited for: leaving and entering the interrupt costs more. */
-    WORTH_WAITING = 160,
-    /* After so long in the interrupt without a pause the tasks get their turn, ... */
-    SPELL_TICKS = 8000,
-    /* ... so much of it. */
-    PAUSE_TICKS = 800,
 };
 
 static volatile uint16_t overflows;
@@ -52,7 +46,7 @@ read_clock(void)
     return now.clock;
 }
 
-uint32_t
+__attribute__((always_inline)) inline uint32_t
 timer_read_time(void)
 {
     irqstatus_t flag = irq_save();
@@ -83,31 +77,13 @@ timer_kick(void)
         set_alarm(sched_next_waketime());
 }
 
-/* Interrupts disabled, and again when this returns.  When to be called next. */
-static uint32_t
-run_timers(void)
-{
-    uint16_t start = TCNT5;
-    for (;;) {
-        irq_enable();
-        uint32_t next = sched_timer_dispatch();
-        irq_disable();
-        if ((uint16_t)(TCNT5 - start) > SPELL_TICKS) {
-            uint32_t pause_end = read_clock() + PAUSE_TICKS;
-            return timer_is_before(next, pause_end) ? pause_end : next;
-        }
-        if ((int32_t)(next - read_clock()) > WORTH_WAITING)
-            return next;
-        while ((int32_t)(next - read_clock()) > 0)
-            ;
-    }
-}
-
 ISR(TIMER5_COMPA_vect)
 {
     TIMSK5 = 1 << TOIE5;
     dispatching = 1;
-    uint32_t next = run_timers();
+    irq_enable();
+    uint32_t next = sched_timer_dispatch();
+    irq_disable();
     dispatching = 0;
     set_alarm(next);
 }

@@ -9,6 +9,13 @@
  *                     timer interrupt fire at sched_next_waketime(), at once if that has passed.
  *
  * The timer interrupt calls sched_timer_dispatch() and sets itself for the clock that returns.
+ *
+ * port_types.h may define, all in ticks and none of them on a port whose time stands still while code runs:
+ *
+ *   PORT_TIMER_WAIT_TICKS    the next timer is waited for inside the interrupt if it is nearer (leaving and coming again
+ *                            takes longer)
+ *   PORT_TIMER_PAUSE_TICKS   what tasks get now and then when timers would leave them nothing
+ *   PORT_SHORT_PULSE_TICKS   step pulses up to this long are ended within the same event
  */
 #ifndef BOARD_TIMER_H
 #define BOARD_TIMER_H

@@ -23,13 +23,15 @@ enum {
 /* ---- the run (core.c) ---- */
 extern struct sim_board board;          /* the world outside */
 extern struct emulator_counters counters;
+enum record_kind { RECORD_SAMPLES, RECORD_LAGS, RECORDS };
+void record(enum record_kind kind, uint64_t clock, uint32_t value); /* emulator_record() */
 uint64_t now(void);                     /* the chip's present, ticks */
 void fault(const char *format, ...) __attribute__((format(printf, 1, 2)));
 void core_set_cpu_hz(uint32_t hz);
 /* The chip starts again: at once, from the reset vector.  `cause` is for the chip's reset flags. */
 enum { RESET_SOFTWARE = 1, RESET_WATCHDOG = 2 };
-void core_reset(uint32_t cause);
 void core_halt(const char *why);        /* stand still until the next boot, without objecting */
+void core_reset(uint32_t cause);
 
 /* ---- events: what happens at a clock ---- */
 typedef void (*event_fn)(void *arg);
@@ -86,6 +88,7 @@ extern const char *const chip_irq_names[]; /* by irq number, NULL: none */
 /* ---- image (elf.c) ---- */
 const char *elf_load(const char *path); /* NULL or an error */
 struct elf_segment { uint32_t address, size; const uint8_t *data; };
+const struct elf_segment *chip_rom(void); /* what the chip comes with, beside the image */
 extern struct elf_segment elf_segments[];
 extern int elf_segment_count;
 

@@ -52,6 +52,15 @@ SIM_EXPORT int emulator_mutate(const char *what, uint32_t value);
 /* Registers as they stand, by the model's own names ("hrtim.phase", "hrtim.outputs", ...), or "=name": the word of a
  * variable of the image. 0 and *value, or -1. */
 SIM_EXPORT int emulator_peek(const char *what, uint32_t *value);
+/* Write down what happens from now on, up to `capacity` entries; `into` stays in use until it is given again or the
+ * library is unloaded. "samples": every code that the converter in step with the bridge has been given, at its trigger's
+ * clock. "lags": every change of the bridge, in steps of its timer between the legs, 0 off. -1: this chip has no such thing. */
+struct emulator_record {
+    uint64_t *clocks;
+    uint32_t *values;
+    uint32_t capacity, count;
+};
+SIM_EXPORT int emulator_record(const char *what, struct emulator_record *into);
 /* Instructions spent in the function `symbol` itself since load, or in the basic block at "0xADDRESS". -1: no such function. */
 SIM_EXPORT int64_t emulator_profile(const char *symbol);
 

@@ -14,6 +14,9 @@ static const char *load_segments(void)
             return "the image does not fit the chip's flash memory";
         memcpy(core.memory[r] + (s->address - chip_regions[r].base), s->data, s->size);
     }
+    const struct elf_segment *rom = chip_rom();
+    int r = region_of(rom->address, rom->size);
+    memcpy(core.memory[r] + (rom->address - chip_regions[r].base), rom->data, rom->size);
     return NULL;
 }
 
@@ -168,12 +171,49 @@ int emulator_mutate(const char *what, uint32_t value)
     return chip_mutate(what, value);
 }
 
+static int peek_processor(const char *what, uint32_t *value)
+{
+    static const struct { const char *name; int number; } REGISTERS[] = {
+        { "pc", UC_ARM_REG_PC }, { "sp", UC_ARM_REG_SP }, { "primask", UC_ARM_REG_PRIMASK },
+    };
+    for (size_t i = 0; i < sizeof REGISTERS / sizeof *REGISTERS; i++)
+        if (!strcmp(what, REGISTERS[i].name)) {
+            *value = read_register(REGISTERS[i].number);
+            return 0;
+        }
+    return -1;
+}
+
 int emulator_peek(const char *what, uint32_t *value)
 {
+    if (!strncmp(what, "cpu.", 4))
+        return peek_processor(what + 4, value);
     if (*what != '=')
         return chip_peek(what, value);
     uint32_t address = symbol_address(what + 1);
     return address ? memory_read(address, value, sizeof *value) : -1;
+}
+
+static struct emulator_record *records[RECORDS];
+
+int emulator_record(const char *what, struct emulator_record *into)
+{
+    static const char *const NAMES[RECORDS] = { [RECORD_SAMPLES] = "samples", [RECORD_LAGS] = "lags" };
+    for (int i = 0; i < RECORDS; i++)
+        if (!strcmp(what, NAMES[i])) {
+            records[i] = into;
+            return 0;
+        }
+    return -1;
+}
+
+void record(enum record_kind kind, uint64_t clock, uint32_t value)
+{
+    struct emulator_record *r = records[kind];
+    if (!r || r->count == r->capacity)
+        return;
+    r->clocks[r->count] = clock;
+    r->values[r->count++] = value;
 }
 
 int64_t emulator_profile(const char *symbol)

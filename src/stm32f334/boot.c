@@ -35,9 +35,8 @@ boot_findings(void)
 static void
 watch_supply(void)
 {
-    RCC_APB1ENR |= RCC_APB1ENR_PWREN;
-    RCC_APB2ENR |= RCC_APB2ENR_SYSCFGEN;
-    (void)RCC_APB2ENR;
+    if (!supervision_runs())
+        return;
     PWR_CR = PWR_CR_PLS(5) | PWR_CR_PVDE;
     /* From now on a low supply, a parity error or a locked-up processor switch the bridge off by hardware. */
     SYSCFG_CFGR2 = SYSCFG_CFGR2_PVD_LOCK | SYSCFG_CFGR2_SRAM_PARITY_LOCK | SYSCFG_CFGR2_LOCKUP_LOCK;
@@ -46,7 +45,7 @@ watch_supply(void)
 uint8_t
 supply_is_low(void)
 {
-    return (PWR_CSR & PWR_CSR_PVDO) != 0;
+    return !supervision_runs() || PWR_CSR & PWR_CSR_PVDO;
 }
 
 static uint8_t
@@ -81,7 +80,8 @@ bootloader_requested(void)
     board_reset();
 }
 
-/* The ROM's own vector table (AN2606: STM32F334, system memory at 0x1fffd800); the chip is as after a reset. */
+/* The ROM's own vector table (AN2606: STM32F334, system memory at 0x1fffd800).  The chip is as after a reset, and so it must
+ * find it: its own oscillator, no watchdog, interrupts allowed. */
 _Noreturn void
 enter_rom_bootloader(void)
 {
@@ -90,7 +90,7 @@ enter_rom_bootloader(void)
     RCC_APB2ENR |= RCC_APB2ENR_SYSCFGEN;
     (void)RCC_APB2ENR;
     SYSCFG_CFGR1 = SYSCFG_CFGR1_MEM_MODE(1);
-    __asm__ volatile("msr msp, %0\n bx %1" ::"r"(rom[0]), "r"(rom[1]));
+    __asm__ volatile("cpsie i\n msr msp, %0\n bx %1" ::"r"(rom[0]), "r"(rom[1]));
     __builtin_unreachable();
 }
 
@@ -132,13 +132,16 @@ main(void)
     boot_request[0] = 0;
     if (!clock_start())
         findings |= BOOT_NO_CLOCK;
-    RCC_AHBENR |= RCC_AHBENR_IOPAEN | RCC_AHBENR_IOPBEN | RCC_AHBENR_IOPCEN | RCC_AHBENR_IOPDEN | RCC_AHBENR_IOPFEN;
-    (void)RCC_AHBENR;
+    if (!peripherals_start())
+        findings |= BOOT_NO_CLOCK;
+    while (!peripherals_can_talk())
+        ; /* nobody could be told; no pin is an output yet */
     watch_supply();
     if (was_brown_out())
         findings |= BOOT_BROWN_OUT;
     if (!image_is_whole())
         findings |= BOOT_BAD_FLASH;
+    message_crc_start();
     timer_start();
     console_start();
     sched_main();

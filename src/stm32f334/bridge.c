@@ -96,7 +96,7 @@ leg_reads_back(uint32_t leg)
 static enum shutdown_reason
 objection_outside(void)
 {
-    if (boot_findings() & BOOT_NO_CLOCK || !clock_verify())
+    if (boot_findings() & BOOT_NO_CLOCK || !clock_verify() || !peripherals_verify())
         return SHUTDOWN_BRIDGE_CLOCK;
     if (boot_findings() & BOOT_BROWN_OUT)
         return SHUTDOWN_BRIDGE_BROWN_OUT;
@@ -133,6 +133,7 @@ objection_inside(void)
         return SHUTDOWN_BRIDGE_REGISTERS;
     if (!counts(LEG_A) || !counts(LEG_B))
         return SHUTDOWN_BRIDGE_CLOCK;
+    HRTIM_ICR = HRTIM_ICR_FLT1C | HRTIM_ICR_SYSFLTC; /* one that has passed has been told; one that has not comes again */
     if (HRTIM_ISR & FAULTS || pin_level(PIN_FAULT) == CONFIG_FAULT_ACTIVE_HIGH)
         return SHUTDOWN_BRIDGE_FAULT_AT_START;
     return SHUTDOWN_NONE;
@@ -235,6 +236,14 @@ bridge_ticks_to_edge(void)
     return (bridge.period_steps - HRTIM_TIM_CNT(LEG_A) + STEPS_PER_TICK - 1) / STEPS_PER_TICK;
 }
 
+/* The clock of the next period edge.  The two counters are read one right after the other. */
+uint32_t
+bridge_next_edge(void)
+{
+    uint32_t count = HRTIM_TIM_CNT(LEG_A), now = timer_read_time();
+    return now + (bridge.period_steps - count + STEPS_PER_TICK - 1) / STEPS_PER_TICK;
+}
+
 /****************************************************************
  * Running (any context)
  ****************************************************************/
@@ -246,6 +255,7 @@ switch_on(void)
     refuse(objection_to_clock());
     refuse(objection_inside());
     refuse(sync_adc_objection());
+    HRTIM_IER = HRTIM_IER_FLT1IE | HRTIM_IER_SYSFLTIE; /* the fault before, if there was one, has been told */
     HRTIM_TIM_SET1(LEG_A) = HRTIM_TIM_SET1_PER;
     HRTIM_TIM_SET1(LEG_B) = HRTIM_TIM_SET1_CMP1;
     HRTIM_OENR = OUTPUTS;
@@ -295,11 +305,12 @@ bridge_pwm_off(struct bridge_pwm b)
  * When hardware has stopped it (irq context)
  ****************************************************************/
 
-/* For handlers that do not return. */
+/* For handlers that do not return, from whatever state: looks at no memory. */
 void
 bridge_stop(void)
 {
-    bridge_pwm_off((struct bridge_pwm){ 0 });
+    if (RCC_APB2ENR & RCC_APB2ENR_HRTIM1EN)
+        HRTIM_ODISR = OUTPUTS;
 }
 
 static void
@@ -307,7 +318,7 @@ tell_fault(void *unused)
 {
     (void)unused;
     uint32_t flags = HRTIM_ISR;
-    bridge_stop();
+    bridge_pwm_off((struct bridge_pwm){ 0 });
     HRTIM_ICR = HRTIM_ICR_FLT1C | HRTIM_ICR_SYSFLTC;
     HRTIM_IER = 0; /* told once; a line that stays active would come again for ever.  Outputs stay guarded by hardware */
     try_shutdown(flags & HRTIM_ISR_SYSFLT ? SHUTDOWN_BRIDGE_SYSTEM_FAULT : SHUTDOWN_BRIDGE_FAULT);

@@ -71,6 +71,48 @@ clock_verify(void)
            !(RCC_CFGR2 & RCC_CFGR2_PREDIV(15));
 }
 
+/****************************************************************
+ * Clocks of the peripherals that always run.  HRTIM, ADC and buses get theirs when they are set up.
+ ****************************************************************/
+
+static const uint32_t ahb_voice = RCC_AHBENR_IOPAEN | RCC_AHBENR_DMAEN | RCC_AHBENR_CRCEN;
+static const uint32_t ahb_other = RCC_AHBENR_IOPBEN | RCC_AHBENR_IOPCEN | RCC_AHBENR_IOPDEN | RCC_AHBENR_IOPFEN;
+static const uint32_t apb1_voice = RCC_APB1ENR_TIM2EN | RCC_APB1ENR_USART2EN;
+
+static uint8_t
+all_on(volatile uint32_t *reg, uint32_t bits)
+{
+    return (*reg & bits) == bits;
+}
+
+/* Reading back is also the two cycles' wait until a clock is there (RM0364). */
+uint8_t
+peripherals_start(void)
+{
+    RCC_AHBENR |= ahb_voice | ahb_other;
+    RCC_APB1ENR |= apb1_voice | RCC_APB1ENR_PWREN;
+    RCC_APB2ENR |= RCC_APB2ENR_SYSCFGEN;
+    return peripherals_verify();
+}
+
+uint8_t
+peripherals_verify(void)
+{
+    return peripherals_can_talk() && all_on(&RCC_AHBENR, ahb_other) && supervision_runs();
+}
+
+uint8_t
+peripherals_can_talk(void)
+{
+    return all_on(&RCC_AHBENR, ahb_voice) && all_on(&RCC_APB1ENR, apb1_voice);
+}
+
+uint8_t
+supervision_runs(void)
+{
+    return all_on(&RCC_APB1ENR, RCC_APB1ENR_PWREN) && all_on(&RCC_APB2ENR, RCC_APB2ENR_SYSCFGEN);
+}
+
 uint32_t
 clock_hz(void)
 {

@@ -42,9 +42,6 @@ void bootloader_requested(void);
 void
 console_start(void)
 {
-    RCC_APB1ENR |= RCC_APB1ENR_USART2EN;
-    RCC_AHBENR |= RCC_AHBENR_DMAEN;
-    (void)RCC_APB1ENR;
     pin_set_function(PIN_A + 2, 7);
     pin_set_pull(PIN_A + 3, 1); /* an open line is an idle one */
     pin_set_function(PIN_A + 3, 7);
@@ -121,8 +118,10 @@ console_send(const uint8_t *block, uint8_t len)
     irq_restore(flag);
     if (len > free)
         return;
-    for (uint8_t i = 0; i < len; i++)
-        console.tx[(uint16_t)(console.written + i) % TX_SIZE] = block[i];
+    uint16_t place = console.written % TX_SIZE, whole = TX_SIZE - place < len ? TX_SIZE - place : len;
+    memcpy(console.tx + place, block, whole);
+    if (whole < len)
+        memcpy(console.tx, block + whole, (size_t)(len - whole));
     flag = irq_save();
     console.written += len;
     send_run();

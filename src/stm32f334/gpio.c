@@ -1,4 +1,5 @@
-/* Digital pins.  BSRR sets and clears single pins without reading, so nothing here needs a lock but the set-up. */
+/* Digital pins.  BSRR sets and clears single pins without reading, so nothing here needs a lock but the set-up.  Only
+ * gpio_out_toggle (port_types.h) reads and writes ODR: it is called where nothing can come between. */
 #include "board/gpio.h"
 #include "board/irq.h"
 #include "command.h"
@@ -103,14 +104,6 @@ gpio_out_write(struct gpio_out g, uint8_t value)
     if (!g.set_reset)
         return;
     *g.set_reset = value ? g.mask : g.mask << 16;
-}
-
-void
-gpio_out_toggle(struct gpio_out g)
-{
-    /* ODR follows BSRR directly in the block: what is on is switched off. */
-    uint32_t on = g.set_reset[-1] & g.mask;
-    *g.set_reset = on ? g.mask << 16 : g.mask;
 }
 
 struct gpio_in

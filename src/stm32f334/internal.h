@@ -16,10 +16,20 @@ enum boot_finding {
 uint8_t boot_findings(void);
 uint8_t clock_start(void);     /* clock.c: 1 if the chip runs at 72 MHz from its crystal */
 uint8_t clock_verify(void);    /* is it still so, by the registers? */
+uint8_t peripherals_start(void);     /* clock.c: on with the clocks that always run; 1 if all of them are */
+uint8_t peripherals_verify(void);    /* are they still? */
+uint8_t peripherals_can_talk(void);  /* at least those without which nothing can be told */
+uint8_t supervision_runs(void);      /* voltage detector and its way to the bridge */
 uint32_t clock_hz(void);       /* of processor and timers, whatever was found */
 uint8_t supply_is_low(void);
 uint8_t image_is_whole(void);  /* seal.c */
+void message_crc_start(void);  /* seal.c: wire_crc16() works from then on */
 _Noreturn void enter_rom_bootloader(void);
+
+/* A word at any address. */
+struct unaligned {
+    uint32_t word;
+} __attribute__((packed, may_alias));
 
 /* gpio.c.  Numbers: port * 16 + bit. */
 enum { PIN_A = 0, PIN_B = 16, PIN_C = 32, PIN_D = 48, PIN_F = 80, PIN_COUNT = 96 };
@@ -36,6 +46,7 @@ uint8_t pin_level(uint32_t pin);
 /* bridge.c */
 uint32_t bridge_period_ticks(void);
 uint32_t bridge_ticks_to_edge(void);
+uint32_t bridge_next_edge(void);
 void bridge_stop(void);
 /* sync_adc.c: SHUTDOWN_NONE, or why the bridge must not run on its samples. */
 enum shutdown_reason sync_adc_objection(void);

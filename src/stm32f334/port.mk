@@ -2,7 +2,7 @@
 PORT_CROSS := arm-none-eabi-
 PORT_CC := $(PORT_CROSS)gcc
 PORT_OBJCOPY := $(PORT_CROSS)objcopy
-PORT_SIZE := $(PORT_CROSS)size
+PORT_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi
 
 PORT_FIRMWARE := $(FIRMWARE_SOURCES) $(FIRMWARE_EXTRAS)
 F334 := src/stm32f334
@@ -19,12 +19,12 @@ F334_FAULT_ACTIVE_HIGH := $(if $(filter y,$(CONFIG_F334_FAULT_ACTIVE_HIGH)),1,0)
 F334_STACK := 2048
 F334_RAM_BUDGET := 11264
 
-PORT_CFLAGS := -mcpu=cortex-m4 -mthumb -mfloat-abi=soft -O2 -flto -flto-partition=none -ffreestanding -DPORT_OVERSAMPLE_KERNEL \
+PORT_CFLAGS := -mcpu=cortex-m4 -mthumb -mfloat-abi=soft -O2 -flto -flto-partition=none -ffreestanding -fbuiltin -DPORT_OVERSAMPLE_KERNEL \
 	-DCONFIG_HSE_BYPASS=$(F334_HSE_BYPASS) -DCONFIG_SERIAL_BAUD=$(F334_BAUD) \
 	-DCONFIG_DEAD_TIME_NS=$(F334_DEAD_TIME_NS) -DCONFIG_FAULT_ACTIVE_HIGH=$(F334_FAULT_ACTIVE_HIGH)
 PORT_LINK_INPUTS := $(F334)/link.ld
 PORT_LDFLAGS := -nostartfiles -specs=nano.specs -T $(F334)/link.ld \
 	-Wl,--defsym=STACK_SIZE=$(F334_STACK) -Wl,--defsym=RAM_BUDGET=$(F334_RAM_BUDGET)
 PORT_IMAGES := ferrite.bin
-PORT_SEAL := $(PYTHON) scripts/seal_firmware.py
+PORT_SEAL := $(PORT_PYTHON) scripts/seal_firmware.py
 PORT_FLASH_CMD = openocd -f board/st_nucleo_f3.cfg -c "program $(PORT_ELF) verify reset exit"

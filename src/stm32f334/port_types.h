@@ -9,14 +9,30 @@
 #define PORT_MOVE_COUNT_MAX 1024
 #define PORT_PWM_MAX 255
 
+/* Leaving the timer interrupt and coming again takes some 60 instructions and two exceptions' ends. */
+#define PORT_TIMER_WAIT_TICKS 120
+/* 2 us, the usual pulse: waited for, because an interrupt for its end costs more. */
+#define PORT_SHORT_PULSE_TICKS 144
+/* 20 us for the tasks, if timers leave them none; that is about once a millisecond. */
+#define PORT_TIMER_PAUSE_TICKS 1440
+
 /* Samples in a half of the bridge ADC's buffer, two blocks of the usual length: what an interrupt costs is shared by so many.
  * Fewer make it shorter (steps wait for it) and dearer; the figures are in docs/STM32F334.md. */
 #define PORT_SYNC_HALF_LEN 384
+
+#define PORT_WIRE_CRC16 /* wire_crc16() is the chip's: seal.c */
 
 struct gpio_out {
     volatile uint32_t *set_reset;  /* GPIOx_BSRR */
     uint32_t mask;
 };
+/* ODR follows BSRR directly in the block.  Nothing can come between reading and writing it. */
+#define PORT_INLINE_TOGGLE
+static inline void
+gpio_out_toggle(struct gpio_out g)
+{
+    g.set_reset[-1] ^= g.mask;
+}
 struct gpio_in {
     volatile uint32_t *input;      /* GPIOx_IDR */
     uint32_t mask;

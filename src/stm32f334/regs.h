@@ -102,6 +102,9 @@
 #define CRC_DR R(CRC_BASE, 0x00)
 #define CRC_CR R(CRC_BASE, 0x08)
 #define CRC_CR_RESET BIT(0)
+#define CRC_CR_POLYSIZE(v) FIELD(v, 3, 2)
+#define CRC_CR_REV_IN(v) FIELD(v, 5, 2)
+#define CRC_CR_REV_OUT BIT(7)
 #define CRC_INIT R(CRC_BASE, 0x10)
 #define CRC_POL R(CRC_BASE, 0x14)
 

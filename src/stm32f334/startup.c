@@ -1,4 +1,5 @@
 /* From reset to main(): the vector table, memory, and what happens when the processor objects. */
+#include <stddef.h>
 #include <stdint.h>
 
 #include "internal.h"
@@ -40,6 +41,27 @@ stop_handler(void)
     bridge_stop();
     for (;;)
         ;
+}
+
+/* The small C library's goes byte by byte; this processor loads and stores words at any address. */
+__attribute__((used, optimize("no-tree-loop-distribute-patterns"))) void *
+memcpy(void *restrict to, const void *restrict from, size_t size)
+{
+    uint8_t *out = to;
+    const uint8_t *in = from;
+    for (; size >= 16; size -= 16, out += 16, in += 16) {
+        struct unaligned *o = (struct unaligned *)out;
+        const struct unaligned *i = (const struct unaligned *)in;
+        o[0] = i[0];
+        o[1] = i[1];
+        o[2] = i[2];
+        o[3] = i[3];
+    }
+    for (; size >= 4; size -= 4, out += 4, in += 4)
+        *(struct unaligned *)out = *(const struct unaligned *)in;
+    while (size--)
+        *out++ = *in++;
+    return to;
 }
 
 typedef void (*vector)(void);

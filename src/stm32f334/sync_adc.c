@@ -89,7 +89,6 @@ sync_adc_setup(uint32_t pin, struct bridge_pwm b, uint16_t half_len, sync_adc_re
     adc_set_channel(ADC1_BASE, channel, SAMPLING_1_5);
     ADC_CFGR(ADC1_BASE) = trigger_word();
     ADC_IER(ADC1_BASE) = ADC_IER_OVRIE;
-    RCC_AHBENR |= RCC_AHBENR_DMAEN;
     sync.half_len = half_len;
     sync.half_ticks = half_len * sync.period_ticks;
     sync.ready = ready;
@@ -129,8 +128,7 @@ sync_adc_start(struct sync_adc a)
             break;
     }
     ADC_CR(ADC1_BASE) |= ADC_CR_ADSTART;
-    uint32_t left = bridge_ticks_to_edge();
-    sync.base_clock = timer_read_time() + left;
+    sync.base_clock = bridge_next_edge();
     sync.base_index = 0;
     sync.running = 1;
     irq_restore(flag);
@@ -225,6 +223,6 @@ adc_irq(void)
 {
     ADC_ISR(ADC1_BASE) = ADC_ISR_OVR;
     stop();
-    bridge_stop();
+    bridge_pwm_off((struct bridge_pwm){ 0 });
     sched_guarded(tell_stopped, 0);
 }

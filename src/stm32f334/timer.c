@@ -12,8 +12,6 @@ void timer_start(void);
 void
 timer_start(void)
 {
-    RCC_APB1ENR |= RCC_APB1ENR_TIM2EN;
-    (void)RCC_APB1ENR; /* two cycles until the clock is there (RM0364) */
     TIM_ARR(TIM2_BASE) = UINT32_MAX;
     TIM_SR(TIM2_BASE) = 0;
     TIM_DIER(TIM2_BASE) = TIM_DIER_CC1IE;

@@ -1,6 +1,5 @@
-"""What the firmware costs on a chip: instructions a step, a command, a sample; counted, so free of noise.
-
-Instruction counts are exact. Rates made from them assume the emulator's two cycles an instruction.
+"""The bridge sampled at 120 kHz on the STM32F334's image, an axis stepping beside it: what comes of every sample, and
+what it costs in instructions. Steps and commands by themselves: rates.py.
 """
 
 from __future__ import annotations
@@ -15,97 +14,6 @@ from loop.block_codec import Row, unpack
 CYCLES_PER_INSTRUCTION = 2  # CORE_CYCLES_PER_INSTRUCTION of src/emulator/core.h
 BOTH_EDGES = 0xFF
 STEP_PINS = ((16, 17), (20, 21), (23, 24))  # PB0 PB1, PB4 PB5, PB7 PB8
-
-
-@dataclass(frozen=True)
-class Cost:
-    """`instructions` for one of them, `rate_hz` that fit into a second at the assumed cycles."""
-
-    instructions: float
-
-    @property
-    def rate_hz(self) -> float:
-        return FREQ / (self.instructions * CYCLES_PER_INSTRUCTION)
-
-
-def _steppers(count: int) -> Firmware:
-    chip = Firmware()
-    chip.configure(
-        count,
-        *(
-            (
-                "config_stepper",
-                {
-                    "oid": oid,
-                    "step_pin": pin,
-                    "dir_pin": dir_pin,
-                    "invert_step": BOTH_EDGES,
-                    "step_pulse_ticks": 0,
-                },
-            )
-            for oid, (pin, dir_pin) in enumerate(STEP_PINS[:count])
-        ),
-    )
-    return chip
-
-
-def _run_steps(chip: Firmware, steppers: int, interval: int, steps: int) -> int:
-    """All steppers at once, from the same clock; returns the chip's instructions over steps and a little more."""
-    clock = chip.now - clock_offset(chip) + round(0.2 * FREQ)
-    for oid in range(steppers):
-        chip.send("reset_step_clock", oid=oid, clock=clock & 0xFFFFFFFF)
-        chip.send("set_next_step_dir", oid=oid, dir=0)
-        chip.send("queue_step", oid=oid, interval=interval, count=steps, add=0)
-    before = chip.chip.counters()["instructions"]
-    chip.run(0.25 + interval * steps / FREQ)
-    return int(chip.chip.counters()["instructions"] - before)
-
-
-def step_cost(steppers: int = 1) -> Cost:
-    """Of one step in its interrupt, from the difference between a long and a short queue: what else goes on falls out.
-
-    The tasks that look for work after every interrupt are not in it; under load they have less and less turns.
-    """
-    interval, short, long = 3000 * steppers, 1000, 6000
-    counts = []
-    for steps in (short, long):
-        chip = _steppers(steppers)
-        before = chip.chip.counters()["interrupt_instructions"]
-        _run_steps(chip, steppers, interval, steps)
-        counts.append(chip.chip.counters()["interrupt_instructions"] - before)
-    return Cost((counts[1] - counts[0]) / ((long - short) * steppers))
-
-
-def step_limit(steppers: int = 1, steps: int = 3000) -> float:
-    """Ticks between two steps of one motor when they are asked for faster than they can be made: the saturated rate.
-
-    For some milliseconds the firmware makes late steps as fast as it can; longer, and it shuts down.
-    """
-    chip = _steppers(steppers)
-    _run_steps(chip, steppers, 20, steps)
-    clocks = [clock for clock, _ in chip.edges(STEP_PINS[0][0])]
-    assert len(clocks) >= steps, f"{len(clocks)} of {steps} steps: {chip.shutdown_reason()}"
-    return (clocks[-1] - clocks[-steps]) / (steps - 1)
-
-
-def dispatch_cost(commands: int = 40, blocks: int = 100) -> Cost:
-    """Of one command with no work of its own, many to a block, receiving and acknowledging included."""
-    chip = Firmware()
-    content = chip.encode("debug_nop") * commands
-    chip.send_content(content)
-    begin, before = chip.now, chip.chip.counters()["instructions"]
-    for _ in range(blocks):
-        chip.send_content(content)
-    busy_s, busy = (chip.now - begin) / FREQ, chip.chip.counters()["instructions"] - before
-    before = chip.chip.counters()["instructions"]
-    chip.run(1.0)
-    idle_per_s = chip.chip.counters()["instructions"] - before
-    return Cost((busy - idle_per_s * busy_s) / (blocks * commands))
-
-
-# --- sampling ------------------------------------------------------------------------------------------------------
-
-
 PERIOD = 600  # ticks: 120 kHz
 STEP_OID, AXIS_PINS = 1, (16, 17)  # PB0, PB1
 TRAVEL = 50_000  # steps a second
@@ -206,6 +114,27 @@ def run_sampling(seconds: float, block: tuple[int, int] = (192, 2), steps_hz: in
     chip.run(0.05)
     made = abs(int(chip.ask("stepper_get_position", oid=STEP_OID)["pos"]))
     return Sampling(chip, _records(chip, offset, block[0]), given, before, after, asked, made, phases)
+
+
+def everything_cost(block: tuple[int, int], seconds: float = 0.5) -> float:
+    """Instructions a sample of all that sampling brings: interrupts, blocks, guard, tasks, records written and sent.
+
+    What the chip spends without sampling is taken off.
+    """
+    chip = sampling_unit(block)
+    chip.sample_code = code_at
+
+    def spent() -> tuple[int, int]:
+        before = chip.chip.counters()
+        chip.run(seconds)
+        after = chip.chip.counters()
+        return after["instructions"] - before["instructions"], after["samples"] - before["samples"]
+
+    idle, _ = spent()
+    chip.send("induction_report", oid=0, enable=1)
+    chip.run(0.05)
+    busy, samples = spent()
+    return (busy - idle) / samples
 
 
 def _records(chip: Firmware, offset: int, block_len: int) -> list[tuple[int, Row]]:

@@ -1,11 +1,10 @@
-"""The ATmega2560's image on its emulator, with the recording board of test/c; and what it costs in processor cycles.
+"""The ATmega2560's image on its emulator, with the recording board of test/c.
 
 The emulator counts cycles as the datasheet has them, so costs are exact for the paths taken, and the same on every run.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 from chip_rig import Firmware
@@ -72,50 +71,3 @@ def run_steps(mega: Mega, steppers: int, interval: int, count: int, lead_s: floa
         mega.send("queue_step", oid=oid, interval=interval, count=count, add=0)
     mega.run(lead_s + (interval * (count + 1) + 20000) / MEGA_HZ)
     return clock
-
-
-@dataclass(frozen=True)
-class StepCost:
-    """`cycles` of one step in the timer interrupt; `rate_hz` the saturated rate of all steppers together."""
-
-    cycles: float
-    rate_hz: float
-
-
-def step_cost(steppers: int) -> StepCost:
-    """Steps on both edges, all motors at the same clocks. Cycles from the difference of two counts."""
-    interval = 4000
-    spent = []
-    for count in (200, 1200):
-        mega = stepping(steppers)
-        before = mega.interrupt_cycles()
-        run_steps(mega, steppers, interval, count)
-        # what comes with time (overflows, house-keeping) is in both, except for the longer run's excess
-        idle = stepping(steppers)
-        idle_before = idle.interrupt_cycles()
-        idle.run_to(mega.now - (mega.zero - idle.zero))
-        spent.append((mega.interrupt_cycles() - before) - (idle.interrupt_cycles() - idle_before))
-    cycles = (spent[1] - spent[0]) / (1000 * steppers)
-    return StepCost(cycles, _saturated_rate(steppers))
-
-
-def _saturated_rate(steppers: int, count: int = 400) -> float:
-    """Steps asked for much faster than they can be made come as fast as they can."""
-    mega = stepping(steppers)
-    run_steps(mega, steppers, 20, count, 0.1)
-    mega.run(0.3)
-    edges = [clock for clock, _ in mega.edges(STEP_PINS[0][0])][-count:]
-    return steppers * (count - 1) * MEGA_HZ / (edges[-1] - edges[0])
-
-
-def command_cost(blocks: int = 60, commands: int = 40) -> float:
-    """Cycles of one command with no work of its own, forty to a block: receiving, checking, acknowledging included."""
-    mega = Mega()
-    content = mega.encode("debug_nop") * commands
-    before, start = mega.busy_cycles(), mega.now
-    for _ in range(blocks):
-        mega.send_content(content)
-    spent, elapsed = mega.busy_cycles() - before, mega.now - start
-    before, start = mega.busy_cycles(), mega.now
-    mega.run(elapsed / MEGA_HZ)
-    return (spent - (mega.busy_cycles() - before)) / (blocks * commands)

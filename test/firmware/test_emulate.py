@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -9,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from simulation.builds import make_build
+from simulation.builds import BUILDS, make_build
 from system.test_run_simulator import ACK, IDENTIFY, ROOT, exchange
 
 
@@ -48,3 +49,14 @@ def test_a_print_names_a_build_that_is_not(tmp_path: Path) -> None:
         [sys.executable, *command, "--build", "z80"], capture_output=True, text=True, check=False
     )
     assert run.returncode == 2 and "no build 'z80'" in run.stderr
+
+
+@pytest.mark.parametrize("chip", [build.name for build in BUILDS.values() if build.emulated])
+def test_the_closing_line_counts_seconds_of_that_chips_clock(chip: str, tmp_path: Path) -> None:
+    """The Mega's clock has 16 MHz: by the other chip's 72 its second would be 0.2."""
+    make_build(chip)
+    command = [sys.executable, str(ROOT / "scripts" / "emulate.py"), chip, "--pty", str(tmp_path / "tty")]
+    run = subprocess.run([*command, "--until", "1"], capture_output=True, text=True, check=False)
+    assert run.returncode == 0, run.stderr
+    seconds = re.search(r"emulate: ([0-9.]+) s, ([0-9.]+) million instructions", run.stdout.splitlines()[-1])
+    assert seconds is not None and 0.9 <= float(seconds[1]) <= 1.2

@@ -27,7 +27,7 @@ def run(folder: Path, program: str, before: str = "") -> Chip:
 
 
 OBJECTIONS = {
-    "a register the model does not have": ("TWBR = 12;", "written to register 0x0b8"),
+    "a register the model does not have": ("EICRA = 12;", "written to register 0x069"),
     "a peripheral without power": (
         "PRR0 = 1 << PRUSART0; UBRR0 = 7;",
         "USART0 is used while its power is off",
@@ -47,6 +47,15 @@ OBJECTIONS = {
         "during a",
     ),
     "SPI without its pins": ("SPCR = 1 << SPE | 1 << MSTR; SPDR = 1;", "PB0, PB1 and PB2 must be outputs"),
+    "I2C without power": (
+        "TWBR = 72; PRR0 = 1 << PRTWI; TWCR = 1 << TWINT | 1 << TWEN;",
+        "TWI is used while",
+    ),
+    "a bus faster than any device": ("TWBR = 2; TWCR = 1 << TWINT | 1 << TWEN | 1 << TWSTA;", "at 800000 Hz"),
+    "a byte on a bus without a start": (
+        "TWBR = 72; TWDR = 1; TWCR = 1 << TWINT | 1 << TWEN;",
+        "before a start",
+    ),
     "a watchdog changed without the key": ("WDTCSR = 1 << WDE | 5;", "without opening it first"),
     "a clock with another mode": ("TCCR5B = 3;", "undivided"),
     "fast PWM": ("DDRB = 0xff; TCCR2B = 1; TCCR2A = 0x83;", "phase correct"),

@@ -160,16 +160,48 @@ def test_an_image_with_one_wrong_bit_shuts_down_and_says_so(
 # ---------------------------------------------------------------- what it does by itself
 
 
-def test_the_request_for_the_boot_loader_resets_into_it() -> None:
-    """The word that start-up looks for is left in memory, and the chip reset."""
+ROM = 0x1FFFD800  # AN2606: the STM32F334's boot loader; the model has two idle instructions there
+
+
+def reset_and_boot(chip: Firmware) -> None:
+    """What the chip asked for happens: the world's part of a reset."""
+    chip.run(0.01)
+    assert chip.lib.sim_mcu_take_reset()
+    chip.lib.sim_mcu_boot(chip.board, chip.now)
+    chip.sequence = 0
+    chip.run(0.05)
+
+
+def test_the_request_for_the_boot_loader_resets_and_jumps_into_it() -> None:
     chip = Firmware()
     chip.raw(b"~ \x1c Request Serial Bootloader! ~")  # not quite
     assert chip.ask("get_config")["is_config"] == 0
     assert chip.chip.counters()["resets"] == 0
     chip.raw(b"~ \x1c Request Serial Bootloader!! ~")
-    chip.run(0.01)
-    assert chip.chip.counters()["resets"] == 1
     assert chip.chip.peek("=boot_request") == int.from_bytes(b"boot", "big")
+    reset_and_boot(chip)
+    assert chip.chip.counters()["resets"] == 1
+    assert ROM <= chip.chip.peek("cpu.pc") < ROM + 0x2000
+    assert chip.chip.peek("cpu.sp") == 0x20000800  # the word at the ROM's beginning
+    assert chip.chip.peek("cpu.primask") == 0  # as a reset leaves it: the loader may use interrupts
+    assert chip.chip.peek("syscfg.remap") & 3 == 1  # system memory at address 0
+    # It is asked for once: the next reset starts the firmware, and the watchdog has not bitten the loader meanwhile.
+    chip.run(2.0)
+    assert chip.chip.counters()["resets"] == 1
+    chip.lib.sim_mcu_boot(chip.board, chip.now)
+    chip.run(0.05)
+    assert chip.ask("get_config")["is_config"] == 0
+
+
+def test_a_restart_by_command_comes_back_as_firmware() -> None:
+    """FIRMWARE_RESTART: the `reset` command, no boot loader, nothing configured any more."""
+    chip = Firmware()
+    chip.configure(0)
+    assert chip.ask("get_config")["is_config"] == 1
+    chip.send("reset")
+    reset_and_boot(chip)
+    assert chip.ask("get_config")["is_config"] == 0
+    assert chip.chip.counters()["resets"] == 1
 
 
 def test_an_output_on_a_pin_without_the_hardware_shuts_down_and_no_more() -> None:

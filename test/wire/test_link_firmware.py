@@ -79,8 +79,10 @@ def test_dictionary_is_fetched_and_the_status_tells_it(session: LinkSession, bui
         status["mcu_constants"]["CLOCK_FREQ"] == session.clock_hz and status["mcu_constants"]["MCU"] == build
     )
     assert status["mcu_version"] and status["mcu_build_versions"]
-    # 80 ppm fast: the estimate after half a second knows it to a few ppm
-    assert status["last_stats"]["freq"] == pytest.approx(session.clock_hz * (1 + 80e-6), rel=10e-6)
+    # 80 ppm fast: the estimate after half a second knows it to a few ppm. The Mega reads its clock up to 35 us earlier
+    # (gathering and checking a block takes so long) in answer to a message that finds it awake: a few ppm more.
+    few = 15e-6 if build == "atmega2560" else 10e-6
+    assert status["last_stats"]["freq"] == pytest.approx(session.clock_hz * (1 + 80e-6), rel=few)
 
 
 @pytest.mark.parametrize("seed", [1, 2])

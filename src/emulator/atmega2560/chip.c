@@ -11,7 +11,7 @@ enum {
     ENTRY_CYCLES = 5,        /* of an interrupt, with a 22-bit program counter: datasheet 7.8.1; simavr takes none */
     PAINT = 0xa5,            /* RAM after power-on holds anything but zero */
     WORDS = 128 * 1024,
-    WDRF = 3, PORF = 0,
+    WDRF = 1 << 3, BORF = 1 << 2, PORF = 1 << 0,
 };
 
 avr_t *chip;
@@ -19,7 +19,8 @@ struct sim_board board;
 struct emulator_counters counters;
 
 static struct {
-    int loaded, powered, faulted, reset_asked, after_watchdog;
+    int loaded, powered, faulted, reset_asked;
+    uint8_t reset_flag;                 /* MCUSR of the reset that is asked for; 0: power on */
     char text[400];
     uint64_t base;                      /* the world's clock at cycle 0 */
     int depth;                          /* interrupts being served */
@@ -144,6 +145,7 @@ install_registers(void)
     usart_init();
     analog_init();
     spi_init();
+    twi_init();
     watchdog_init();
 }
 
@@ -241,6 +243,10 @@ static void
 one_instruction(void)
 {
     uint64_t before = chip->cycle;
+    if (chip->pc > chip->flashend) {
+        chip_fault("the processor has stopped: a jump out of the program");
+        return;
+    }
     me.profile[(chip->pc >> 1) % WORDS]++;
     counters.instructions++;
     if (me.depth) {
@@ -252,6 +258,9 @@ one_instruction(void)
         watchdog_fed();
     chip->run_cycle_count = 1;
     chip->pc = avr_run_one(chip);
+    /* After sei and reti one instruction is executed before any interrupt (datasheet 7.8); simavr lets two. */
+    if (chip->interrupt_state < -1)
+        chip->interrupt_state = -1;
     me.busy_ticks += chip->cycle - before;
     if (me.depth)
         me.interrupt_ticks += chip->cycle - before;
@@ -263,7 +272,8 @@ one_instruction(void)
 void
 chip_watchdog_reset(void)
 {
-    me.reset_asked = me.after_watchdog = 1;
+    me.reset_asked = 1;
+    me.reset_flag = WDRF;
     counters.resets++;
 }
 
@@ -323,18 +333,19 @@ sim_mcu_boot(const struct sim_board *outside, uint64_t clock)
     chip->interrupts.running_ptr = 0;
     me.depth = 0;
     me.base = clock;
-    if (!me.after_watchdog)
+    if (!me.reset_flag)
         memset(chip->data + RAM_START, PAINT, RAM_END + 1 - RAM_START);
-    chip->data[REG_MCUSR] = me.after_watchdog ? 1 << WDRF : 1 << PORF;
+    chip->data[REG_MCUSR] = me.reset_flag ? me.reset_flag : PORF;
     pins_reset();
     pwm_reset();
     timer5_reset();
     usart_reset();
     analog_reset();
     spi_reset();
-    watchdog_reset(me.after_watchdog);
+    twi_reset();
+    watchdog_reset(me.reset_flag == WDRF);
     me.powered = 1;
-    me.reset_asked = me.after_watchdog = 0;
+    me.reset_asked = me.reset_flag = 0;
 }
 
 uint64_t
@@ -435,9 +446,12 @@ emulator_counters(struct emulator_counters *out)
 int
 emulator_mutate(const char *what, uint32_t value)
 {
-    (void)what;
-    (void)value;
-    return -1;
+    if (strcmp(what, "brown_out") || !me.powered)
+        return -1;
+    /* Below the level of the fuse (Arduino: 2.7 V) the chip is held in reset; memory may have survived. */
+    me.reset_asked = value != 0;
+    me.reset_flag = value ? BORF : 0;
+    return 0;
 }
 
 int

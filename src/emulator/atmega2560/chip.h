@@ -24,7 +24,7 @@ enum {
     REG_PRR0 = 0x64, REG_PRR1 = 0x65, REG_TIMSK5 = 0x73, REG_ADCL = 0x78, REG_ADCH = 0x79, REG_ADCSRA = 0x7a,
     REG_ADCSRB = 0x7b, REG_ADMUX = 0x7c, REG_DIDR2 = 0x7d, REG_DIDR0 = 0x7e, REG_TCCR1A = 0x80, REG_TCCR3A = 0x90,
     REG_TCCR4A = 0xa0, REG_TCCR2A = 0xb0, REG_OCR2A = 0xb3, REG_OCR2B = 0xb4, REG_UCSR0A = 0xc0, REG_UCSR0B = 0xc1,
-    REG_UCSR0C = 0xc2, REG_UBRR0L = 0xc4, REG_UBRR0H = 0xc5, REG_UDR0 = 0xc6, REG_TCCR5A = 0x120, REG_TCCR5B = 0x121,
+    REG_TWBR = 0xb8, REG_TWSR = 0xb9, REG_TWDR = 0xbb, REG_TWCR = 0xbc, REG_UCSR0C = 0xc2, REG_UBRR0L = 0xc4, REG_UBRR0H = 0xc5, REG_UDR0 = 0xc6, REG_TCCR5A = 0x120, REG_TCCR5B = 0x121,
     REG_TCNT5L = 0x124, REG_TCNT5H = 0x125, REG_OCR5AL = 0x128, REG_OCR5AH = 0x129,
     REG_LAST = 0x137, RAM_START = 0x200, RAM_END = 0x21ff,
 };
@@ -72,6 +72,8 @@ void analog_init(void);
 void analog_reset(void);
 void spi_init(void);
 void spi_reset(void);
+void twi_init(void);
+void twi_reset(void);
 void watchdog_init(void);
 void watchdog_reset(int by_watchdog);
 void watchdog_fed(void);

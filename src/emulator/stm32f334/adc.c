@@ -102,6 +102,8 @@ static void take(unsigned unit, uint64_t before)
         uint64_t count = (before - 1 - a->first_trigger) / a->period + 1;
         uint32_t part = count < BATCH ? (uint32_t)count : BATCH;
         board.sync_adc_read(board.ctx, samples, part, a->first_trigger, a->period);
+        for (uint32_t i = 0; i < part; i++)
+            record(RECORD_SAMPLES, a->first_trigger + (uint64_t)i * a->period, samples[i]);
         a->first_trigger += (uint64_t)part * a->period;
         counters.samples += part;
         if (a->cfgr & DMAEN && dma_enabled(channel) && !(a->isr & OVR)) {

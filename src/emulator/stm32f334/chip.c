@@ -15,6 +15,16 @@ const struct chip_region chip_regions[] = {
     { 0, 0, 0, NULL },
 };
 
+/* In place of the boot loader (AN2606: the STM32F334's begins at 0x1fffd800): a vector table and two instructions that do
+ * nothing, for ever.  Where somebody jumps to it shows by the program counter. */
+const struct elf_segment *chip_rom(void)
+{
+    enum { BASE = 0x1fffd800 };
+    static const uint32_t words[] = { 0x20000800u, BASE + 9, 0xe7fdbf30u /* wfi; b back to it */ };
+    static const struct elf_segment rom = { BASE, sizeof words, (const uint8_t *)words };
+    return &rom;
+}
+
 struct mutations mutation;
 
 static const struct peripheral peripherals[] = {
@@ -180,6 +190,8 @@ int chip_mutate(const char *what, uint32_t value)
         { "crystal_stops", offsetof(struct mutations, crystal_stops) },
         { "supply_dip", offsetof(struct mutations, supply_dip) },
         { "hrtim_dead", offsetof(struct mutations, hrtim_dead) },
+        { "hard_fault", offsetof(struct mutations, hard_fault) },
+        { "compare_dead", offsetof(struct mutations, compare_dead) },
     };
     for (size_t i = 0; i < sizeof NAMES / sizeof *NAMES; i++)
         if (!strcmp(NAMES[i].name, what)) {
@@ -187,6 +199,9 @@ int chip_mutate(const char *what, uint32_t value)
             hrtim_fault_line();
             if (mutation.crystal_stops)
                 rcc_crystal_stops();
+            if (mutation.hard_fault)
+                nvic_pend(EXC_HARD_FAULT);
+            mutation.hard_fault = 0;
             return 0;
         }
     return -1;
@@ -198,6 +213,8 @@ int chip_peek(const char *what, uint32_t *value)
         return hrtim_peek(what + 6, value);
     if (!strcmp(what, "ticks"))
         *value = (uint32_t)now(); /* the chip's present: at most a basic block beyond the clock last advanced to */
+    else if (!strcmp(what, "syscfg.remap"))
+        *value = syscfg_remap();
     else if (!strcmp(what, "tim2.count"))
         *value = timer_read(0, 0x24);
     else

@@ -30,7 +30,7 @@ enum {
 /* Something outside or inside the chip that is broken on purpose (emulator_mutate). */
 struct mutations {
     uint32_t no_crystal, no_pll, adc_uncalibrated, adc_dead, no_dll, fault_line, brown_out, clock_stuck, dma_dead,
-        hrtim_dead, supply_dip, crystal_stops;
+        hrtim_dead, supply_dip, crystal_stops, hard_fault, compare_dead;
 };
 extern struct mutations mutation;
 

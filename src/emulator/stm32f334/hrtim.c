@@ -441,6 +441,8 @@ void hrtim_reset(unsigned unit)
 {
     (void)unit;
     struct event update = h.update;
+    if (h.told && h.phase)
+        board.bridge_set(board.ctx, 0, now()); /* pins float: the drivers' pull-downs open the switches */
     memset(hr, 0, sizeof hr);
     memset(&h, 0, sizeof h);
     for (unsigned t = 0; t < HR_TIMERS; t++)
@@ -450,7 +452,6 @@ void hrtim_reset(unsigned unit)
     event_at(&h.update, NEVER);
     for (unsigned t = 0; t < HR_TIMERS; t++)
         planned[t] = NEVER;
-    /* the world's bridge is off: whoever restarts the chip has switched it off */
 }
 
 int hrtim_peek(const char *what, uint32_t *value)

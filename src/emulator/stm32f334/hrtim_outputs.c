@@ -11,7 +11,7 @@ void hr_fault_irq(void)
 
 /* ---- what the bridge does --------------------------------------------------------------------------- */
 
-static void tell(uint16_t phase)
+static void tell(uint16_t phase, int64_t lag)
 {
     if (h.told && phase == h.phase)
         return;
@@ -19,6 +19,7 @@ static void tell(uint16_t phase)
     h.phase = phase;
     h.told = 1;
     counters.phase_writes++;
+    record(RECORD_LAGS, now(), (uint32_t)lag);
     board.bridge_set(board.ctx, phase, now());
 }
 
@@ -49,7 +50,7 @@ void hr_evaluate(void)
         if (hr_leg_on(t) && n < 2)
             legs[n++] = t;
     if (n < 2) {
-        tell(0); /* one leg alone drives no current */
+        tell(0, 0); /* one leg alone drives no current */
         return;
     }
     check_leg(legs[0]);
@@ -57,7 +58,7 @@ void hr_evaluate(void)
     uint32_t period;
     int64_t lag = hr_lag(legs[0], legs[1], &period);
     if (lag >= 0)
-        tell((uint16_t)((lag * 2 * PHASE_MAX + period / 2) / period));
+        tell((uint16_t)((lag * 2 * PHASE_MAX + period / 2) / period), lag);
 }
 
 /* ---- faults ------------------------------------------------------------------------------------------------ */

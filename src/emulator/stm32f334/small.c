@@ -112,7 +112,15 @@ void iwdg_reset(unsigned unit)
 
 /* ---- CRC ---------------------------------------------------------------------------------------------------- */
 
+/* `value` stands left: its highest bit is bit 31 whatever the size. */
 static struct { uint32_t value, init, poly, cr, idr; } crc;
+
+/* CR.POLYSIZE */
+static unsigned crc_bits(void)
+{
+    static const uint8_t bits[] = { 32, 16, 8, 7 };
+    return bits[crc.cr >> 3 & 3u];
+}
 
 static uint32_t mirror(uint32_t value, unsigned bits)
 {
@@ -140,8 +148,14 @@ static void crc_feed(uint32_t value, unsigned bits)
     value = reverse_in(value, bits);
     for (unsigned i = bits; i-- > 0;) {
         uint32_t top = (crc.value >> 31 ^ value >> i) & 1u;
-        crc.value = crc.value << 1 ^ (top ? crc.poly : 0);
+        crc.value = crc.value << 1 ^ (top ? crc.poly << (32 - crc_bits()) : 0);
     }
+}
+
+static uint32_t crc_result(void)
+{
+    uint32_t value = crc.value >> (32 - crc_bits());
+    return crc.cr & 1u << 7 ? mirror(value, crc_bits()) : value;
 }
 
 uint32_t crc_read(unsigned unit, uint32_t offset)
@@ -149,7 +163,7 @@ uint32_t crc_read(unsigned unit, uint32_t offset)
     (void)unit;
     switch (offset) {
     case 0x00:
-        return crc.cr & 1u << 7 ? mirror(crc.value, 32) : crc.value;
+        return crc_result();
     case 0x04:
         return crc.idr;
     case 0x08:
@@ -176,14 +190,13 @@ void crc_write(unsigned unit, uint32_t offset, uint32_t value)
         return;
     case 0x08:
         must_be("CRC", "CR", value, 0xf9u);
-        if (value >> 3 & 3u)
-            fault("CRC polynomials of less than 32 bits are not modelled");
         crc.cr = value & 0xf8u;
         if (value & 1u)
-            crc.value = crc.init;
+            crc.value = crc.init << (32 - crc_bits());
         return;
     case 0x10:
-        crc.init = crc.value = value;
+        crc.init = value;
+        crc.value = value << (32 - crc_bits());
         return;
     case 0x14:
         crc.poly = value;
@@ -239,9 +252,7 @@ void syscfg_write(unsigned unit, uint32_t offset, uint32_t value)
     (void)unit;
     switch (offset) {
     case 0x00:
-        if ((value & 3u) == 1)
-            core_halt("the boot loader in ROM has been entered");
-        else if (value & 3u)
+        if (value & 2u)
             fault("SYSCFG MEM_MODE = %u: SRAM at address 0 is not modelled", value & 3u);
         cfgr1 = value;
         return;

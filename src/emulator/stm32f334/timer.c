@@ -83,7 +83,7 @@ static void update_lines(unsigned unit)
         if (FIXED[i].irq_compare == FIXED[unit].irq_compare)
             compare |= FIXED[i].irq == FIXED[i].irq_compare ? on : on & ~1u;
     }
-    nvic_line(FIXED[unit].irq, up != 0);
+    nvic_line(FIXED[unit].irq, up != 0 && !(unit == 0 && mutation.compare_dead));
     if (FIXED[unit].irq_compare != FIXED[unit].irq)
         nvic_line(FIXED[unit].irq_compare, compare != 0);
 }
