@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
 
+from extras.polynomial_thermistor import Polynomial
 from thermal.fit import FitError
 from thermal.fit_data import read_columns
 from thermal.fit_thermistor import MODELS, Array, Divider, ThermistorFit, ThermistorFitError, fit_thermistor
@@ -73,6 +74,21 @@ def config_section(fits: list[ThermistorFit], temp_c: Array, ohm: Array) -> str:
     return f"[thermistor my_sensor]    # {how}\n{body}"
 
 
+def polynomial_section(fits: list[ThermistorFit], volt: Array, supply_v: float) -> str:
+    """A [polynomial_thermistor] section, valid between the voltages of the table; a comment if it turns round there."""
+    best = min((f for f in fits if f.model == "polynomial"), key=lambda f: f.fitness_c)
+    values = list(best.coefficients.values())
+    try:
+        Polynomial(values, supply_v, float(volt.min()), float(volt.max()))
+    except ValueError as error:
+        return f"# no [polynomial_thermistor]: {error}"
+    return (
+        f"[polynomial_thermistor my_sensor]    # by {best.method}, fitness {best.fitness_c:.3f} degC\n"
+        f"coefficients: {', '.join(f'{v:.9g}' for v in values)}\n"
+        f"adc_voltage: {supply_v:g}\nmin_voltage: {volt.min():.6g}\nmax_voltage: {volt.max():.6g}"
+    )
+
+
 def draw(fits: list[ThermistorFit], temp_c: Array, path: Path) -> None:
     figure = Figure(figsize=(8, 4.5), layout="constrained")
     axes = figure.subplots()
@@ -125,6 +141,8 @@ def main(argv: list[str] | None = None) -> int:
     print(report(fits))
     if "ohm" in known:
         print("\n" + config_section(fits, temp_c, known["ohm"]))
+    if "volt" in known:
+        print("\n" + polynomial_section(fits, known["volt"], options.supply))
     if options.json:
         body = [
             {"model": f.model, "method": f.method, "fitness_c": f.fitness_c, **f.coefficients} for f in fits

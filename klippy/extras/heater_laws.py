@@ -157,12 +157,17 @@ def _read_watermark(config: Any, max_power: float, smooth_s: float) -> tuple[Any
     return control.WATERMARK, control.WatermarkParameters(max_delta_c, max_power)
 
 
-def _read_practical(config: Any, max_power: float, smooth_s: float) -> tuple[Any, Any]:
-    return practical.PRACTICAL, practical.PracticalParameters(
-        max_power,
+def read_practical(config: Any, output_high: float) -> practical.PracticalParameters:
+    """The options of `control: practical`; `output_high` is full drive in the heater's unit (duty or watts)."""
+    return practical.PracticalParameters(
+        output_high,
         config.getfloat("practical_turn", 0.3, above=0.0, maxval=5.0),
         config.getfloat("practical_cutoff", 15.0, above=0.0, maxval=50.0),
     )
+
+
+def _read_practical(config: Any, max_power: float, smooth_s: float) -> tuple[Any, Any]:
+    return practical.PRACTICAL, read_practical(config, max_power)
 
 
 def model_parameters(values: dict[str, float], max_power: float) -> ModelParameters:

@@ -16,6 +16,7 @@ from thermal import control_api, drill, loop
 
 from . import heater_tuning
 
+ABORT_HELP = "End the calibration"
 POLL_S = 0.1
 PROGRESS_S = 10.0
 FRESH_S = 3.0
@@ -152,18 +153,23 @@ class Session:
                 f"{self.what}: heater '{self.heater.name}' reads {temp_c:.1f} C. A sensor so cold is disconnected or of"
                 " another type than configured; nothing was heated"
             )
+        if temp_c > self.heater.max_temp:
+            raise gcmd.error(
+                f"{self.what}: heater '{self.heater.name}' reads {temp_c:.0f} C, above its max_temp. Either it is that"
+                " hot, or its sensor is shorted or of another type than configured; nothing was heated"
+            )
         return temp_c
 
     def start(self, run: Run, done: Callable[[], None], each: Callable[[], None] | None = None) -> None:
         """Take the heater; `done` when the run is over, the heater off and given back; `each` every 0.1 s before."""
         running = self.gcode.register_command("ABORT", None)
         if running is not None:
-            self.gcode.register_command("ABORT", running)
+            self.gcode.register_command("ABORT", running, desc=ABORT_HELP)
             raise self.printer.command_error("Another calibration is running; ABORT ends it")
         self.seat.take(run)
         self._run, self._done, self._each = run, done, each or (lambda: None)
         self.active = True
-        self.gcode.register_command("ABORT", self._cmd_abort, desc="End the calibration")
+        self.gcode.register_command("ABORT", self._cmd_abort, desc=ABORT_HELP)
         self._told_s = self._heard_s = self._reactor.monotonic()
         self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
 

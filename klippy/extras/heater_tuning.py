@@ -10,7 +10,7 @@ from typing import Any
 
 from configfile import ConfigWrapper, error
 from configtext import ConfigData, ConfigParser
-from thermal import control, control_api, plausible
+from thermal import control, control_api, plausible, practical
 
 from . import heater_laws, induction_settings
 from .heater_ordinary import Heater
@@ -24,6 +24,7 @@ INDUCTION_OPTIONS = (
         "pid_derivative_time",
         "max_delta",
     ),
+    *heater_laws.OPTIONS["practical"],
     *("heat_capacity_j_per_k", "loss_factor", "second_mass_factor", "ambient_temp"),
 )
 NUMBER = "{:.6g}"
@@ -103,6 +104,9 @@ def options_of(heater: Any) -> Tuning:
         values["pid_derivative_time"] = chosen.parameters.derivative_s
     if isinstance(chosen.parameters, control.WatermarkParameters):
         values["max_delta"] = chosen.parameters.max_delta_c
+    if isinstance(chosen.parameters, practical.PracticalParameters):
+        values["practical_turn"] = chosen.parameters.turn_c
+        values["practical_cutoff"] = chosen.parameters.cutoff_c
     texts = {name: NUMBER.format(value) for name, value in values.items()}
     return Tuning(control=chosen.law.name, **texts)
 
@@ -129,7 +133,7 @@ def _all_options() -> list[str]:
 
 
 def use(printer: Any, heater: Any, tuning: dict[str, str]) -> None:
-    """Work with this tuning from now on, target kept, no bump. Raises command_error."""
+    """Work with this tuning from now on, target kept, at the present power. Raises command_error."""
     meant = check(printer, heater, tuning)
     if not is_induction(heater):
         heater.set_control(meant, keep_target=True)

@@ -23,6 +23,7 @@ from thermal import (
     track,
 )
 
+from . import heater_laws
 from .induction_mcu import UnitSettings
 
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
@@ -142,13 +143,15 @@ def _control(
     power_max_w = config.getfloat("max_power_w", drive.power_max_w, above=0.0, maxval=drive.power_max_w)
     pid = _pid(config, power_max_w)
     watermark = control.WatermarkParameters(config.getfloat("max_delta", 2.0, above=0.0), power_max_w)
+    table = heater_laws.read_practical(config, power_max_w)
     held = model_nozzle.nozzle_model(heat, loss, power_max_w, timing)
     if choice == "pid":
         return loop.Control(control.PID, pid, power_max_w)
     if choice == "watermark":
-        return loop.Control(control.WATERMARK, watermark, power_max_w)
+        return loop.Control(control.WATERMARK, watermark, power_max_w, cycle_c=watermark.max_delta_c)
     if choice == "practical":
-        return loop.Control(practical.PRACTICAL, practical.PracticalParameters(power_max_w), power_max_w)
+        cycle_c = heater_laws.PRACTICAL_BUSY_C
+        return loop.Control(practical.PRACTICAL, table, power_max_w, cycle_c=cycle_c)
     return loop.Control(model_control.MODEL, held, power_max_w, models=True)
 
 

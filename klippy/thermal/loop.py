@@ -67,6 +67,9 @@ class Control:
     parameters: Any
     power_max_w: float
     models: bool = False  # the law knows losses, delays and flow itself
+    cycle_c: float = (
+        0.0  # the law swings: it is at its target from so far below on, and nothing comes of waiting
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,11 +187,23 @@ class InductionLoop:
             self.state.target_c = self.reference.at(now_s)
 
     def use(self, parameters: LoopParameters) -> None:
-        """Go on with other parameters; another law begins without memory."""
-        if parameters.control.law is not self.parameters.control.law:
-            self.state.law = parameters.control.law.start
-            self.state.samples = []
-        self.parameters = parameters
+        """Go on with other parameters; another law begins with the heat that holds the nozzle as it is now."""
+        state, before = self.state, self.parameters.control
+        chosen, self.parameters = parameters.control, parameters
+        if chosen.law is before.law:
+            return
+        state.law, state.samples, state.horizon = chosen.law.start, [], ()
+        news = state.estimate
+        if state.target_c <= 0.0 or not news.valid:
+            return
+        # What the filter does not explain is whatever the law before had learned: melt, fan, a cold second mass.
+        loss_w = model.loss_w(parameters.loss, news.temp_c)
+        holding_w = loss_w - parameters.track.heat.at(news.temp_c) * state.track.rate_k_s
+        seen = control_api.Sample(news.time_s, news.time_s, news.temp_c, 0.0, state.request.power_w)
+        inputs = control_api.ControlInput(
+            news.temp_c, news.temp_c, loss_w, samples=(seen,), flow_mm3_s=self.flow, fan=self.fan
+        )
+        state.law = chosen.law.follow(chosen.parameters, state.law, inputs, holding_w)
 
     def on_blocks(self, blocks: list[SampleBlock], now_s: float) -> list[PhaseCommand]:
         """Blocks of one message arrived."""
@@ -275,7 +290,9 @@ class InductionLoop:
 
     def _note_settled(self, news: TempEstimate) -> None:
         state = self.state
-        if abs(news.temp_c - state.target_c) > self.SETTLED_C:
+        below_c = state.target_c - news.temp_c
+        cycle_c = self.parameters.control.cycle_c
+        if below_c > cycle_c if cycle_c else abs(below_c) > self.SETTLED_C:
             state.settled_s = math.inf
         elif state.settled_s == math.inf:
             state.settled_s = news.time_s

@@ -25,7 +25,7 @@ from __future__ import annotations
 import math
 
 from .control_api import ControlInput, ControlOutput, Law, Planned, Sample
-from .model_filter import ModelState, observe
+from .model_filter import ModelState, observe, taken_over
 from .model_plant import ModelParameters, Nodes, advance, heat_per_output_w, hold_w
 
 __all__ = ["MODEL", "ModelParameters", "ModelState", "model_follow", "model_step"]
@@ -186,8 +186,18 @@ def model_step(
 
 
 def model_follow(p: ModelParameters, state: ModelState, inputs: ControlInput, output: float) -> ModelState:
-    """Somebody else's output: noted, so that prediction and slew rate start from it. Nothing is to be re-based."""
-    return state._replace(output=output)
+    """Somebody else's output: noted, so that prediction and slew rate start from it.
+
+    A filter that knows nothing yet begins at the newest of `inputs.samples`, with `output` as what holds it there.
+    """
+    if state.known or not inputs.samples:
+        return state._replace(output=output)
+    seen = inputs.samples[-1]
+    flow, fan = inputs.flow_mm3_s.at(seen.end_s), inputs.fan.at(seen.end_s)
+    expected_w = hold_w(p, seen.temp_c, flow, fan)
+    unknown_w = expected_w - output * heat_per_output_w(p, seen.temp_c)
+    state = taken_over(p, observe(p, state, (seen,)), unknown_w)
+    return state._replace(output=seen.output)
 
 
 MODEL: Law[ModelParameters, ModelState] = Law("model", model_step, ModelState(), model_follow)

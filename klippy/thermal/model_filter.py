@@ -26,7 +26,7 @@ from .control_api import IDLE, Planned, Sample, Schedule
 from .model import STEFAN_BOLTZMANN, ZERO_CELSIUS_K
 from .model_plant import ModelParameters, Nodes, advance, at_rest, capacity_j_k, heat_per_output_w, melt_w_k
 
-GAIN_LEAST, GAIN_MOST = 0.25, 4.0
+GAIN_LEAST, GAIN_MOST = 0.1, 10.0
 SURPRISE = 14.0  # innovation squared over its variance beyond which the disturbance is taken to have changed
 SURPRISED_W = 3.0  # by about this much at once
 JUMP_C, JUMP_SIGMA = 3.0, 6.0  # farther off than this within a message no heat goes: the thermometer jumped
@@ -37,6 +37,10 @@ OFFSET_C, OFFSET_SIGMA = (
     4.0,
 )  # beyond this it has, and the reading is put right as long as the drive stays
 OFFSET_SHARE = 0.5  # below this share of the drive it was seen at it is forgotten: little drive is the truth
+TAKEN_C, TAKEN_GAIN = (
+    1.0,
+    0.2,
+)  # 1 sigma of nodes, share of the gain's doubt after taking over from another law
 SECOND_MARGIN_C = 20.0  # the second mass lies between air and the hottest node, give or take this
 
 Matrix = tuple[tuple[float, ...], ...]
@@ -125,6 +129,24 @@ def begin(p: ModelParameters, temp_c: float, time_s: float, before: ModelState |
     output = before.output if before is not None else 0.0
     sent = before.sent if before is not None else ()
     return ModelState(time_s, nodes, 0.0, gain, tuple(rows), 0.0, time_s, output, sent=sent)
+
+
+def taken_over(p: ModelParameters, state: ModelState, disturbance_w: float) -> ModelState:
+    """A state just begun, told the disturbance: what was doubt about it, gain and second mass is mostly in it."""
+    places = layout(p)
+    doubts = {
+        places.temp: TAKEN_C,
+        places.disturbance: p.disturbance_w,
+        places.gain: TAKEN_GAIN * p.gain_start,
+    }
+    if places.second >= 0:
+        doubts[places.second] = TAKEN_C
+    rows = [list(row) for row in state.covariance]
+    for place, sigma in doubts.items():
+        rows[place][place] = min(rows[place][place], sigma * sigma)
+    most_w = p.disturbance_max_w
+    known_w = min(most_w, max(-most_w, disturbance_w))
+    return state._replace(disturbance_w=known_w, covariance=tuple(map(tuple, rows)))
 
 
 def _slopes(

@@ -18,7 +18,7 @@ source 000's nozzle and of an ordinary cartridge hotend; the figures are the hea
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from .control_api import require
@@ -115,6 +115,13 @@ class ModelParameters:
     @property
     def most_w(self) -> float:
         return self.output_w * self.output_high
+
+
+def stepped(p: ModelParameters, step_s: float) -> ModelParameters:
+    """The same heater, integrated with this step."""
+    other = replace(p)
+    object.__setattr__(other, "step_s", step_s)
+    return other
 
 
 class Nodes(NamedTuple):

@@ -169,3 +169,46 @@ def test_both_laws_hold_an_uncalibrated_nozzle(control: str) -> None:
     assert abs(skin[-1] - 250.0) < 3.0
     assert skin.max() < 253.0
     assert not math.isnan(rig.loop.state.request.power_w)
+
+
+def held_by(law: str, flow_mm3_s: float, until_s: float) -> Rig:
+    """The reference nozzle under this law with the target 250 degC, filament running from the start."""
+    plant = Plant(1)
+    rig = Rig(plant, default_parameters(law=true_law(), control=law))
+    plant.set_inputs(flow_mm3_s, 0.0)
+    rig.set_target(250.0)
+    rig.run(until_s)
+    return rig
+
+
+def swapped(rig: Rig, law: str, for_s: float) -> np.ndarray:
+    """True degC above 250 after the swap."""
+    start = len(rig.trace.t_s)
+    rig.loop.use(default_parameters(law=true_law(), control=law))
+    rig.run(for_s)
+    return np.asarray(rig.trace.skin_c[start:]) - 250.0
+
+
+@pytest.mark.parametrize("flow_mm3_s", [0.0, 10.0])
+@pytest.mark.parametrize(("before", "after"), [("model", "pid"), ("pid", "model")])
+def test_a_law_takes_over_at_temperature_without_a_bump(before: str, after: str, flow_mm3_s: float) -> None:
+    """Measured: 0.07 to 0.29 degC; a law that begins without memory makes 0.4 to 1.2."""
+    rig = held_by(before, flow_mm3_s, 4.0)
+    assert np.abs(swapped(rig, after, 1.0)).max() < 0.35
+
+
+def test_a_model_takes_over_from_a_swing_and_ends_it() -> None:
+    rig = held_by("watermark", 10.0, 4.0)
+    off_c = swapped(rig, "model", 1.0)
+    assert np.abs(off_c).max() < 7.0  # no farther than the watermark's own swing
+    assert np.abs(off_c[len(off_c) // 2 :]).max() < 0.3
+
+
+@pytest.mark.parametrize(("before", "after", "over_c"), [("pid", "model", 1.0), ("model", "pid", 2.0)])
+def test_a_law_takes_over_in_the_climb(before: str, after: str, over_c: float) -> None:
+    """The limits are those of the laws alone: 0.05 and 1.1 degC on this plant, with the product's margin."""
+    rig = held_by(before, 0.0, 0.7)
+    assert 100.0 < rig.trace.skin_c[-1] < 200.0
+    off_c = swapped(rig, after, 2.5)
+    assert off_c.max() < over_c
+    assert np.abs(off_c[-1000:]).max() < 0.5

@@ -9,6 +9,8 @@ import pytest
 
 from system.conftest import CONFIG, Simulate
 
+MEGA = CONFIG.parent / "sim-mega.cfg"
+
 
 def machine(folder: Path, more: str = "") -> Path:
     path = folder / "printer.cfg"
@@ -55,6 +57,51 @@ def test_a_bed_finds_its_model(simulate: Simulate, tmp_path: Path) -> None:
     loss = re.search(r"loss, W/K +([0-9.]+)", text)
     assert heat is not None and abs(float(heat[1]) - 100.0) < 8.0
     assert loss is not None and abs(float(loss[1]) - 1.2) < 0.08
+    # heat is lost at two places where the model has one: the share for the model's shape is needed here
+    within_three_sigma(text, "heat capacity, all, J/K", 100.0)
+    within_three_sigma(text, "loss, W/K", 1.2)
+
+
+def told(text: str, label: str) -> tuple[float, float]:
+    """(value, printed 1 sigma) of the line of MODEL_CALIBRATE's report that begins so."""
+    match = re.search(rf"{re.escape(label)} +([0-9.e+-]+) \+- ([0-9.e+-]+)", text)
+    assert match is not None, text[-2000:]
+    return float(match[1]), float(match[2])
+
+
+def within_three_sigma(text: str, label: str, true: float) -> None:
+    value, sigma = told(text, label)
+    assert abs(value - true) < 3.0 * sigma, (label, value, sigma)
+    assert sigma < 0.03 * true, (label, sigma)  # and the doubt is not so wide that it says nothing
+
+
+@pytest.mark.parametrize(("mass", "loss"), [(1.3, 0.7), (0.7, 1.3)])
+def test_another_nozzle_lies_within_three_sigma_of_what_is_told(
+    simulate: Simulate, tmp_path: Path, mass: float, loss: float
+) -> None:
+    log = tmp_path / "host.log"
+    plant = "simulator nozzle nozzle."
+    settings = (f"{plant}mass_factor={mass}", f"{plant}loss_factor={loss}")
+    gcode = "MODEL_CALIBRATE HEATER=extruder TARGET=220 WAIT=1\n"
+    run = simulate(gcode, settings=settings, more=["--log", str(log)])
+    assert run.status == 0, run.stderr
+    text = log.read_text()
+    within_three_sigma(text, "heat capacity at 25 C, J/K", 0.414 * mass)
+    within_three_sigma(text, "losses, x reference", loss)
+
+
+def test_another_hotend_lies_within_three_sigma_of_what_is_told(simulate: Simulate, tmp_path: Path) -> None:
+    """A quarter heavier, a quarter less loss: 2.5 + 18.75 J/K, 52.9 mW/K, fan untouched."""
+    log = tmp_path / "host.log"
+    plant = "simulator load extruder."
+    settings = (f"{plant}mass_factor=1.25", f"{plant}loss_factor=0.75")
+    gcode = "MODEL_CALIBRATE HEATER=extruder TARGET=200 WAIT=1 POWER=40 FAN=1\n"
+    run = simulate(gcode, config=MEGA, settings=settings, more=["--log", str(log)])
+    assert run.status == 0, run.stderr
+    text = log.read_text()
+    within_three_sigma(text, "heat capacity, all, J/K", 21.25)
+    within_three_sigma(text, "loss, W/K", 0.75 * 0.0705)
+    within_three_sigma(text, "fan at full speed, W/K", 0.030)
 
 
 def test_a_wrong_power_or_a_missing_one_is_said(simulate: Simulate, tmp_path: Path) -> None:
@@ -97,9 +144,6 @@ def test_the_mcu_switches_a_bed_by_itself(simulate: Simulate, tmp_path: Path) ->
     assert sum(told[-40:]) / 40 == pytest.approx(true, rel=0.15)  # 40 looks at an average over 10 s
 
 
-MEGA = CONFIG.parent / "sim-mega.cfg"
-
-
 def test_a_hotend_finds_heat_losses_and_fan_in_minutes(simulate: Simulate, tmp_path: Path) -> None:
     """Cartridge, block and thermistor of the simulated machine: 2 + 15 J/K, 70.5 mW/K, part fan 30 mW/K."""
     log = tmp_path / "host.log"
@@ -113,7 +157,6 @@ def test_a_hotend_finds_heat_losses_and_fan_in_minutes(simulate: Simulate, tmp_p
         assert match is not None, text[-2000:]
         return float(match[1])
 
-    # the printed +- are those of the noise; lags and Euler steps of the plant are worth some percent
     assert found("model_heat_j_per_k") + found("model_element_j_per_k") == pytest.approx(17.0, rel=0.03)
     assert found("model_loss_w_per_k") == pytest.approx(0.0705, rel=0.03)
     assert found("model_fan_w_per_k") == pytest.approx(0.030, rel=0.10)
@@ -135,3 +178,15 @@ def test_an_ended_run_leaves_the_heater_off_and_nothing_changed(simulate: Simula
     )
     power = run.column("power_w")
     assert max(power) > 30.0 and max(power[-50:]) == 0.0
+
+
+@pytest.mark.parametrize(("cutoff_c", "peak_c"), [(15, 277.2), (4, 266.0)])
+def test_the_published_table_swings_a_strong_nozzle_and_the_cutoff_bounds_it(
+    simulate: Simulate, tmp_path: Path, cutoff_c: int, peak_c: float
+) -> None:
+    more = f"[induction_heater nozzle]\ncontrol: practical\npractical_cutoff: {cutoff_c}\n"
+    more += "[simulator nozzle nozzle]\npreset: strong\n"
+    run = simulate("M109 S250\nG4 P5000\nM104 S0\n", config=machine(tmp_path, more))
+    assert run.status == 0, run.stderr  # M109 ended, no guard tripped
+    # above the cutoff comes what the loop's delay adds: some 12 degC at 600 degC/s
+    assert max(run.column("true_c")) == pytest.approx(peak_c, abs=3.0)

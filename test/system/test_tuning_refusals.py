@@ -55,6 +55,72 @@ def test_an_impossible_tuning_is_refused_by_name(
     assert status == 2 and words in text.lower(), text[-600:]
 
 
+BED_MODEL = (
+    "[heater_bed]\ncontrol: model\nheater_power_w: {heater_power_w}\nmodel_heat_j_per_k: {model_heat_j_per_k}\n"
+    "model_loss_w_per_k: {model_loss_w_per_k}\nmodel_element_j_per_k: {model_element_j_per_k}\n"
+    "model_element_w_per_k: 11\nmodel_sensor_lag: {model_sensor_lag}\nmodel_ambient_temp: {model_ambient_temp}\n"
+)
+GOOD = {
+    "heater_power_w": "200",
+    "model_heat_j_per_k": "410",
+    "model_loss_w_per_k": "1.2",
+    "model_element_j_per_k": "110",
+    "model_sensor_lag": "3",
+    "model_ambient_temp": "22",
+}
+
+
+def test_a_bed_with_a_possible_model_is_accepted(simulate: Simulate, tmp_path: Path) -> None:
+    status, text, _ = play(simulate, tmp_path, "G4 P100\n", BED_MODEL.format(**GOOD))
+    assert status == 0, text[-600:]
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("heater_power_w", "0"),
+        ("model_heat_j_per_k", "-410"),
+        ("model_heat_j_per_k", "nan"),
+        ("model_loss_w_per_k", "0"),
+        ("model_loss_w_per_k", "-1"),
+        ("model_element_j_per_k", "0"),
+        ("model_sensor_lag", "-3"),
+        ("model_ambient_temp", "-400"),
+        ("heater_power_w", "much"),
+    ],
+)
+def test_an_impossible_model_of_a_bed_is_refused_with_section_and_option(
+    simulate: Simulate, tmp_path: Path, option: str, value: str
+) -> None:
+    status, text, _ = play(simulate, tmp_path, "G4 P100\n", BED_MODEL.format(**GOOD | {option: value}))
+    said = text.lower()
+    assert status == 2 and "heater_bed" in said and option in said, text[-600:]
+
+
+@pytest.mark.parametrize("command", ["PID_CALIBRATE", "MODEL_CALIBRATE POWER=200"])
+def test_a_bed_that_does_not_warm_its_sensor_ends_the_run(
+    simulate: Simulate, tmp_path: Path, command: str
+) -> None:
+    broken = "[simulator load bed]\nfault: 3\n"
+    lines = f"{command} HEATER=heater_bed TARGET=60 WAIT=1\nG4 P1000\n"
+    status, text, _ = play(simulate, tmp_path, lines, broken)
+    assert status == 3, text[-600:]
+    assert "loose or broken heater or sensor" in text  # verify_heater's patience is the shorter one
+    assert f"{command.split(maxsplit=1)[0]} ended: the printer stopped. Nothing was changed." in text
+    assert "save_config: set" not in text
+
+
+@pytest.mark.parametrize(("fault", "words"), [(1, "disconnected"), (2, "shorted")])
+@pytest.mark.parametrize("command", ["PID_CALIBRATE", "MODEL_CALIBRATE POWER=200"])
+def test_a_bed_with_a_dead_sensor_is_not_calibrated(
+    simulate: Simulate, tmp_path: Path, command: str, fault: int, words: str
+) -> None:
+    lines = f"G4 P3000\n{command} HEATER=heater_bed TARGET=60 WAIT=1\nG4 P1000\n"
+    status, text, _ = play(simulate, tmp_path, lines, f"[simulator load bed]\nfault: {fault}\n")
+    assert status == 2 and "save_config: set" not in text
+    assert words in text and "'heater_bed' reads" in text, text[-800:]
+
+
 def test_a_pid_run_of_the_nozzle_can_be_ended_and_run_again(simulate: Simulate, tmp_path: Path) -> None:
     lines = "PID_CALIBRATE HEATER=extruder TARGET=220 WAIT=0\nG4 P2500\nABORT\nG4 P500\n"
     status, text, power = play(simulate, tmp_path, lines * 2 + "G4 P500\n")

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import fit_thermistor as script
+from configtext import ConfigData, ConfigParser
+from extras.polynomial_thermistor import Polynomial
 from thermal.fit_data import read_columns
 from thermal.fit_thermistor import Divider, ThermistorFitError, evaluate, fit_thermistor
 
@@ -85,6 +87,36 @@ def test_the_script_writes_section_json_and_plot(tmp_path: Path, capsys: pytest.
     assert "[thermistor my_sensor]" in text and "resistance3" in text
     assert {row["model"] for row in json.loads(out.read_text())} == {"beta", "steinhart"}
     assert plot.read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_printed_polynomial_section_reads_what_was_fitted(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The section is taken apart as printer.cfg would be."""
+    table = tmp_path / "liu.csv"
+    rows = zip(GRID_C, LIU["volt"], strict=True)
+    table.write_text("temp_c,volt\n" + "".join(f"{t},{v}\n" for t, v in rows))
+    assert script.main([str(table), "--supply", "5"]) == 0
+    data = ConfigData()
+    ConfigParser(data).parse_text(capsys.readouterr().out.partition("\n\n")[2], "printed")
+    section = {k: o.value for k, o in data.sections["polynomial_thermistor my_sensor"].options.items()}
+    low_v, high_v, adc_v = (float(section[k]) for k in ("min_voltage", "max_voltage", "adc_voltage"))
+    curve = Polynomial([float(c) for c in section["coefficients"].split(",")], adc_v, low_v, high_v)
+    best = fit_thermistor("polynomial", "lsq", LIU["volt"], GRID_C)
+    read_c = np.array([curve.calc_temp(v / 5.0) for v in LIU["volt"]])
+    assert read_c - GRID_C == pytest.approx(best.residual_c, abs=2e-3)
+
+
+def test_a_polynomial_that_turns_round_is_not_offered(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    table = tmp_path / "bent.csv"
+    table.write_text(
+        "temp_c,volt\n" + "".join(f"{100 - (v - 2) ** 2 * 20},{v}\n" for v in (0.5, 1, 1.5, 2.5, 3, 3.5))
+    )
+    assert script.main([str(table), "--supply", "5"]) == 0
+    text = capsys.readouterr().out
+    assert "# no [polynomial_thermistor]: the polynomial turns round" in text
 
 
 @pytest.mark.parametrize(
