@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-plan soak-motion fuzz clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-plan soak soak-motion fuzz clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -24,8 +24,9 @@ help:
 	@echo "make bench-motion       moves a second in batch mode (PEER=\"CMD\": a peer beside it; QUICK=1)"
 	@echo "make bench-steady       printing in real time beside a busy computer; memory of ten hours (QUICK=1)"
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
-	@echo "make bench-firmware     cost of samples, steps, commands on the STM32F334 image (QUICK=1)"
+	@echo "make bench-firmware     cost of samples, steps, commands on the images of both chips (QUICK=1)"
 	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it"
+	@echo "make soak               a long print in closed loop: does it leak? (HOURS=10, hours of wall time, too)"
 	@echo "make soak-motion        random moves on every machine against the analytic path (SECONDS=600)"
 	@echo "make fuzz    fuzz the firmware's message parser (FUZZ_SECONDS=600)"
 	@echo "make sim     build the simulated MCU and the world it lives in"
@@ -81,6 +82,9 @@ bench-control: setup-test sim chelper
 
 bench-motion: setup chelper
 	@$(PYTHON) scripts/bench_motion.py $(if $(QUICK),--quick) $(if $(PEER),--peer "$(PEER)")
+
+soak: setup sim chelper
+	@$(PYTHON) scripts/soak_print.py --hours $(or $(HOURS),10)
 
 soak-motion: setup-test chelper
 	@$(PYTHON) scripts/soak_motion.py --seconds $(or $(SECONDS),600)

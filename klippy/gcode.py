@@ -293,6 +293,7 @@ class GCodeDispatch:
         if func is None:
             old = self._ready_handlers.pop(cmd, None)
             self._base_handlers.pop(cmd, None)
+            self._help.pop(cmd, None)
             self._note_commands()
             return old
         if cmd in self._ready_handlers:

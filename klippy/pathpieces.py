@@ -39,8 +39,8 @@ class Layers:
         return self.height_mm if math.isnan(told_mm) else told_mm
 
 
-# (print time of the piece's start, layer, z) -> (wish_c, base_c, layer height told or NaN)
-Asker = Callable[[float, int, float], tuple[float, float, float]]
+# (print time of the piece's start, layer, z) -> (wish_c, base_c, layer height told or NaN, pace)
+Asker = Callable[[float, int, float], tuple[float, float, float, float]]
 
 
 class PathPieces:
@@ -64,9 +64,9 @@ class PathPieces:
             if flow <= 0.0:
                 yield self._travel(move, duration_s, ask, fan)
                 continue
-            _, _, told_mm = ask(move.print_time, self.layers.number, z_mm)
+            _, _, told_mm, _ = ask(move.print_time, self.layers.number, z_mm)
             height_mm = self.layers.note(z_mm, told_mm)
-            wish_c, base_c, _ = ask(move.print_time, self.layers.number, z_mm)
+            wish_c, base_c, _, pace = ask(move.print_time, self.layers.number, z_mm)
             volume_mm3 = move.axes_d[3] * self.filament_area_mm2
             for from_s, to_s, a, b in self._parts(move):
                 flow = volume_mm3 * (b - a) / (to_s - from_s)
@@ -81,6 +81,7 @@ class PathPieces:
                     fan,
                     wish_c,
                     base_c,
+                    pace,
                 )
 
     def _parts(self, move: Any) -> Iterator[tuple[float, float, float, float]]:
@@ -104,7 +105,7 @@ class PathPieces:
                 way += share / count
 
     def _travel(self, move: Any, duration_s: float, ask: Asker, fan: float) -> Piece:
-        _, base_c, _ = ask(move.print_time, self.layers.number, move.end_pos[2])
+        _, base_c, _, _ = ask(move.print_time, self.layers.number, move.end_pos[2])
         start, end = move.start_pos[:3], move.end_pos[:3]
         height_mm = self.layers.height_mm
         return Piece(

@@ -75,7 +75,7 @@ class PrinterPins:
         self.chips: dict[str, Any] = {}
         self.active_pins: dict[str, dict[str, Any]] = {}
         self._resolvers: dict[str, PinResolver] = {}
-        self._multi_use: set[str] = set()
+        self._multi_use: set[tuple[str, str]] = set()  # chip, pin
 
     def register_chip(self, chip_name: str, chip: Any) -> None:
         """Make a chip's pins available as `chip_name:PIN`; `chip.setup_pin(type, params)` makes the objects."""
@@ -128,7 +128,10 @@ class PrinterPins:
         if holder is None:
             self.active_pins[key] = params
             return params
-        if key in self._multi_use:
+        if any(
+            name == params["chip_name"] and resolver.aliases.get(pin, pin) == own_name
+            for name, pin in self._multi_use
+        ):
             return params
         if share_type is None or share_type != holder["share_type"]:
             raise PinError(
@@ -154,9 +157,11 @@ class PrinterPins:
         self.active_pins.pop(f"{pin_params['chip_name']}:{own_name}", None)
 
     def allow_multi_use_pin(self, pin_desc: str) -> None:
-        """Allow a pin to be claimed by several ([duplicate_pin_override])."""
-        params = self.parse_pin(pin_desc)
-        self._multi_use.add(f"{params['chip_name']}:{params['pin']}")
+        """Allow a pin to be claimed by several ([duplicate_pin_override]); its chip may be unknown yet."""
+        found = _DESCRIPTION.fullmatch(pin_desc.strip())
+        if found is None or found["mods"].strip():
+            self._malformed(pin_desc, False, False)
+        self._multi_use.add((found["chip"] or "mcu", found["pin"]))
 
     # --- messages ---
     def _malformed(self, pin_desc: str, can_invert: bool, can_pullup: bool) -> NoReturn:
@@ -187,4 +192,8 @@ def get_printer_pins(printer: Any) -> PrinterPins:
 def add_printer_objects(config: Any) -> None:
     """Make the object `pins`."""
     printer = config.get_printer()
-    printer.add_object("pins", PrinterPins(printer))
+    pins = PrinterPins(printer)
+    printer.add_object("pins", pins)
+    if config.has_section("duplicate_pin_override"):  # wherever it stands in the file
+        for pin_desc in config.getsection("duplicate_pin_override").getlist("pins"):
+            pins.allow_multi_use_pin(pin_desc)

@@ -90,6 +90,10 @@ class StepStream:
         if code:
             self._fail(code)
 
+    def last_step_time(self) -> float:
+        """print_time of the last step worked out; of a long time ago if there was none."""
+        return float(self.mcu.clock_to_print_time(self._lib.steppersync_last_clock(self._sync)))
+
     def flush(self, print_time: float | None) -> None:
         """Hand over the commands needed before print_time (None: all there are)."""
         if self._sync is None:
@@ -153,11 +157,12 @@ class StepStreams:
         return self._done_time + self.look_ahead_s()
 
     def _follow_clocks(self, print_time: float) -> None:
-        """From print_time on, further MCUs may correct their relation to the main one's clock."""
+        """From print_time on, further MCUs may correct their relation to the main one's clock; after a rest (a dwell of
+        minutes is worked out at its beginning) from their last step on."""
         eventtime = self._reactor.monotonic()
-        for mcu in self.streams:
+        for mcu, stream in self.streams.items():
             if not mcu.is_fileoutput():
-                mcu.check_active(print_time, eventtime)
+                mcu.check_active(min(print_time, stream.last_step_time()), eventtime)
 
     def advance(self, print_time: float, hold_back: bool = True) -> None:
         """Generate up to print_time and send; without hold_back every command goes out."""

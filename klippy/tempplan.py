@@ -19,11 +19,12 @@ from thermal.deposit import Surroundings
 from thermal.materials import Material
 from thermal.model import loss_w
 from thermal.nozzle_melt import NozzleLimits, highest_c
+from thermal.pace import Ages
 
 CORE_STEP_MM3_S = 0.5
 CORE_FLOW_MAX_MM3_S = 60.0
 HISTORIES = ("planned", "fixed")
-_PIECE = struct.Struct("=17d")
+_PIECE = struct.Struct("=18d")
 _POINT = struct.Struct("=2d")
 _DONE_FIELDS = 9
 
@@ -40,6 +41,7 @@ class Piece(NamedTuple):
     fan: float = 0.0
     wish_c: float = math.nan
     base_c: float = 0.0  # the user's own nozzle target
+    pace: float = 1.0  # part of its own speed at which it is laid
 
 
 class Laid(NamedTuple):
@@ -147,7 +149,8 @@ class TemperaturePlan:
             "floor_c": self._floor_c,
             "ceiling_c": self._ceiling_c,
             "power_w": limits.power_w,
-            "cooling_share": limits.cooling_share,
+            "holder_w_k": limits.holder_w_k,
+            "holder_s": limits.holder_s,
             "ua_w_k": exchange.ua_w_k,
             "heat_mj_m3k": exchange.heat_mj_m3k,
             "inlet_c": exchange.inlet_c,
@@ -188,7 +191,7 @@ class TemperaturePlan:
         for i, piece in enumerate(pieces):
             _PIECE.pack_into(
                 buffer, i * size, piece.start_s, piece.end_s, *piece.start_mm, *piece.end_mm, piece.flow_mm3_s,
-                piece.height_mm, piece.fan, piece.wish_c, piece.base_c, 0.0, 0.0, 0.0, 0.0,
+                piece.height_mm, piece.fan, piece.wish_c, piece.base_c, piece.pace, 0.0, 0.0, 0.0, 0.0,
             )  # fmt: skip
         if self._lib.tempplan_add(self._plan, rows, len(pieces)):
             raise MemoryError("no memory for the temperature plan")
@@ -208,6 +211,20 @@ class TemperaturePlan:
         done = self._ffi.new("double[]", max(1, rows) * _DONE_FIELDS)
         count = self._lib.tempplan_finish(self._plan, until_s, done if rows else self._ffi.NULL, rows)
         return [Laid(*done[i * _DONE_FIELDS : (i + 1) * _DONE_FIELDS]) for i in range(count)]
+
+    def shift(self, from_s: float, delta_c: float) -> None:
+        """The user's own target moves: from then on all that is not asked for by name moves with it."""
+        self._lib.tempplan_shift(self._plan, from_s, delta_c)
+
+    @property
+    def interface_c(self) -> float:
+        """What the weld is wanted at now; NaN: it has no say."""
+        return float(self._lib.tempplan_interface(self._plan))
+
+    def ages(self) -> Ages:
+        """How long ago the layer below was laid, summed since the beginning."""
+        report = self._lib.tempplan_report(self._plan)
+        return Ages(report.above_mm, report.age_s, report.laying_s, report.full_speed_s, report.side_per_mm)
 
     def cut(self, time_s: float) -> None:
         """Forget what lies ahead: the motion was stopped."""

@@ -40,7 +40,7 @@ STEP_BATCH_S = 0.200
 # A stop forced by a low buffer followed by a new move within this time counts as a stall.
 STALL_WINDOW_S = 1.0
 STALL_REPORT_S = 60.0
-# Homing: how far the steps run ahead of the MCU, so that little has to be thrown away at the trigger.
+# Homing: the steps run that far ahead of the MCU: little has to be thrown away at the trigger.
 DRIP_AHEAD_S = 0.100
 DRIP_STEP_S = 0.050
 WAIT_POLL_S = 0.100
@@ -83,13 +83,12 @@ class ToolHead:
         self.print_time = 0.0
         self._at_rest = True  # nothing planned runs on: print_time may have passed
         self._next_check_time = -math.inf
+        self._motion_end = 0.0  # print_time at which the head's last motion ends
         self._forced_stop = False
         self._drip_done = 0.0  # print_time before which steps are out already after a drip move
         self._others_end = 0.0  # print_time up to which others move beside the head
-        self.print_stall = 0
-        self._next_stall_report = 0.0
-        self._watch_timer = self.reactor.register_timer(self._watch)
-        self._watching = False
+        self.print_stall, self._next_stall_report = 0, 0.0
+        self._watch_timer, self._watching = self.reactor.register_timer(self._watch), False
 
         from kinematics.extruder import DummyExtruder  # the extruder module needs this one
 
@@ -103,9 +102,8 @@ class ToolHead:
         self.max_velocity = config.getfloat("max_velocity", above=0.0)
         self.max_accel = config.getfloat("max_accel", above=0.0)
         default_ratio = 0.5
-        to_decel = config.getfloat(
-            "max_accel_to_decel", None, above=0.0
-        )  # the option's name before it was a ratio
+        # the option's name before it was a ratio
+        to_decel = config.getfloat("max_accel_to_decel", None, above=0.0)
         if to_decel is not None:
             config.deprecate("max_accel_to_decel")
             default_ratio = 1.0 - min(1.0, to_decel / self.max_accel)
@@ -133,9 +131,8 @@ class ToolHead:
         gcode.register_command("G4", self.cmd_G4)
         gcode.register_command("M400", self.cmd_M400)
         gcode.register_command("M204", self.cmd_M204)
-        gcode.register_command(
-            "SET_VELOCITY_LIMIT", self.cmd_SET_VELOCITY_LIMIT, desc="Set printer velocity limits"
-        )
+        set_limit = self.cmd_SET_VELOCITY_LIMIT
+        gcode.register_command("SET_VELOCITY_LIMIT", set_limit, desc="Set printer velocity limits")
         self.printer.register_event_handler("klippy:shutdown", self._handle_shutdown)
         for module in ("gcode_move", "homing"):
             self.printer.load_object(config, module)
@@ -156,8 +153,7 @@ class ToolHead:
                 self.print_stall += 1
                 self._report_stall(now)
         self._forced_stop = False
-        if self._others_end:  # their steps may be worked out farther than the head's last motion
-            earliest = max(earliest, self._streams.done_time)
+        earliest = max(earliest, self._streams.done_time)
         if self.print_time < earliest:
             self.print_time = earliest
             self.printer.send_event(
@@ -207,7 +203,7 @@ class ToolHead:
                     callback(print_time)
         for listener in self._listeners:
             listener(moves)
-        self.print_time = print_time
+        self.print_time = self._motion_end = print_time
         self._make_steps()
 
     def _commit_unseen(self, count: int) -> None:
@@ -223,7 +219,7 @@ class ToolHead:
             told += [(callback, time) for callback in callbacks]
         if filament[0] != start:
             extruder.last_position = filament[0]
-        self.print_time = time
+        self.print_time = self._motion_end = time
         for callback, end in told:
             callback(end)
         self._make_steps()
@@ -236,11 +232,9 @@ class ToolHead:
 
     def _flush_lookahead(self, lazy: bool = False) -> None:
         count = self.lookahead.plan(lazy)
-        if not count:
-            return
-        if self._listeners or self.extra_axes or not is_done_in_c(self.extruder.process_move):
+        if count and (self._listeners or self.extra_axes or not is_done_in_c(self.extruder.process_move)):
             self._commit(self.lookahead.take(count))
-        else:
+        elif count:
             self._commit_unseen(count)
 
     def _settle(self) -> None:
@@ -248,9 +242,10 @@ class ToolHead:
         self._flush_lookahead()
         if self._at_rest:
             return
-        end = self.print_time + self._streams.look_ahead_s()
+        # what is shaped or smoothed runs on after the motion; after a mere rest nothing does
+        end = max(self.print_time, self._motion_end + self._streams.look_ahead_s())
         self._streams.advance(end, hold_back=False)
-        self.print_time = max(self.print_time, self._streams.done_time)
+        self.print_time = end
         self._at_rest = True
         self._next_check_time = -math.inf
 
@@ -411,6 +406,7 @@ class ToolHead:
         )  # fmt: skip
         start = self.print_time
         self.print_time += move.accel_t + move.cruise_t + move.decel_t
+        self._motion_end = self.print_time
         return start
 
     def _drip(self, start: float, completion: Any) -> None:
@@ -437,7 +433,7 @@ class ToolHead:
     def _cut_plan(self, print_time: float) -> None:
         """The head rests from print_time on, where the plan has it then: what is shaped or smoothed runs out without a
         jump (the motors have been halted already; homing tells where)."""
-        self.print_time = print_time
+        self.print_time = self._motion_end = print_time
         self._lib.trapq_state_at(self.trapq, print_time, self._cut_xyz, self._cut_speed)
         self._trapq_set_position(self.trapq, print_time, *self._cut_xyz)
 
@@ -580,12 +576,9 @@ class ToolHead:
             ratio = 1.0 - min(1.0, to_decel / (accel or self.max_accel))
         if velocity is not None:
             self.max_velocity = velocity
-        if accel is not None:
-            self.max_accel = accel
-        if corner is not None:
-            self.square_corner_velocity = corner
-        if ratio is not None:
-            self.min_cruise_ratio = ratio
+        self.max_accel = self.max_accel if accel is None else accel
+        self.square_corner_velocity = self.square_corner_velocity if corner is None else corner
+        self.min_cruise_ratio = self.min_cruise_ratio if ratio is None else ratio
         self._derive_limits()
         text = (
             f"max_velocity: {self.max_velocity:.6f}\nmax_accel: {self.max_accel:.6f}\n"

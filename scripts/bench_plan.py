@@ -3,9 +3,12 @@
 
     scripts/bench_plan.py [--seconds 450] [--out out/bench/plan]
 
-    whole file, offline        interface temperature along the path, planned against one fixed temperature
+    whole file, offline        interface temperature along the path, planned against one fixed temperature at the
+                               file's own speed; once more as PC without an enclosure, where one fixed temperature
+                               does not always bond
     the first --seconds of it  printed on the simulated machine in closed loop: the melt that leaves the plant's nozzle,
-                               planned, with the same targets set at the borders (no preview), with one fixed target
+                               planned, with the same targets set at the borders (no preview), and what one fixed
+                               target would give on a nozzle that holds it without fail
     steps                      15 degC every 1.5 s at constant flow: planned against set at the border
 
 Melt of the plant at the flow of the moment, weighted with it. "against the plan": the melt that the planned nozzle
@@ -47,11 +50,13 @@ FILES = {  # kind, file of pyGCodeDecode's examples
 # The files are sliced for PLA; what is printed here is ABS, with the targets of ABS.
 SECTION = {"material": "ABS", "bed_temp": "100", "chamber_temp": "40", "melt_min": "205", "melt_max": "265"}
 NOZZLE_C, BED_C = 245, 100
+HARD_SECTION = {"material": "PC", "bed_temp": "100", "chamber_temp": "25", "melt_max": "300"}
+HARD_NOZZLE_C = 265
 WIDER = "[stepper_x]\nposition_max: 200\n"  # the flat part reaches X 190
 UA_W_K, HEAT_MJ_M3K, INLET_C = 0.0276, 2.1, 25.0  # of the reference plant
 LEAST_FLOW_MM3_S = 0.3
 AVERAGE_S = 0.5
-STEP_C, STEP_S, STEPS = 15.0, 1.5, 24
+STEP_C, STEP_S, STEPS = 15.0, 1.5, 14
 Table = dict[str, Any]
 
 
@@ -73,35 +78,38 @@ def data_file(name: str) -> Path:
     return Path(spec.origin).parent / "examples" / "data" / name
 
 
-def as_abs(source: Path, folder: Path) -> Path:
-    """The file with ABS's targets; nothing waits for the bed."""
+def with_targets(source: Path, folder: Path, nozzle_c: int) -> Path:
+    """The file with other targets; nothing waits for the bed."""
     target = folder / source.name
+    folder.mkdir(parents=True, exist_ok=True)
     text = source.read_text(encoding="utf-8", errors="replace")
-    text = re.sub(r"(?m)^(M10[49])\b[^;\n]*S[1-9][0-9.]*.*", rf"\1 S{NOZZLE_C}", text)
+    text = re.sub(r"(?m)^(M10[49])\b[^;\n]*S[1-9][0-9.]*.*", rf"\1 S{nozzle_c}", text)
     text = re.sub(r"(?m)^M1[49]0\b[^;\n]*S[1-9][0-9.]*.*", f"M140 S{BED_C}", text)
     target.write_text(text, encoding="utf-8")
     return target
 
 
-def offline(path: Path) -> tuple[plan_offline.OfflinePlan, Table, float]:
+def offline(
+    path: Path, section: dict[str, str], base_c: float
+) -> tuple[plan_offline.OfflinePlan, Table, float]:
     """(plan, its figures, µs a move for planning alone)."""
     data = configtext.ConfigData()
-    for name, value in SECTION.items():
+    for name, value in section.items():
         data.set("temperature_plan", name, value, configtext.Origin("bench", 0))
     settings = temperature_plan.read_settings(ConfigWrapper(None, data, {}, "temperature_plan"))
     limits = gcode_path.Limits(180.0, 2500.0)
-    base_c = float(NOZZLE_C)
 
     def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
         return plan_offline.Planning(settings, NozzleLimits(), replace(limits)).run(
             path, base_c, lambda n: None
         )
 
-    first = run(settings)
+    first = run(replace(settings, slowest=1.0, longest_pause_s=0.0))
     usual_c = round(max(first.summary.interface_5_50_95_c[1][1], settings.craft.interface_c or 0.0))
     found = run(replace(settings, craft=replace(settings.craft, interface_c=usual_c, follow_mm=0.0)))
-    figures = plan_report.figures(found, settings.material)
+    figures = plan_report.figures(found, settings.material, first.summary)
     figures["interface_wanted_c"] = usual_c
+    figures["duration_fixed_s"] = round(first.duration_s, 1)
     return found, figures, planning_us(found)
 
 
@@ -169,8 +177,8 @@ def first_flow_s(run: Table) -> float:
     return float(trace["t_s"][np.argmax(trace["flow_mm3_s"] > 1.0)])
 
 
-def tracking(run: Table, plan: Any, offset_s: float) -> Tracking:
-    """The melt of `run` against a plan's rows."""
+def tracking(run: Table, plan: Any, offset_s: float, fixed_c: float | None = None) -> Tracking:
+    """The melt of `run` against a plan's rows; `fixed_c`: that of a nozzle which holds it, at the run's flow."""
     trace = run["trace"]
     times = trace["t_s"] + offset_s
     row = np.searchsorted(plan["start_s"], times, side="right") - 1
@@ -179,6 +187,8 @@ def tracking(run: Table, plan: Any, offset_s: float) -> Tracking:
     row = np.clip(row, 0, None)
     laid &= times < plan["end_s"][row]
     row, weight, melt = row[laid], flow[laid], trace["melt_c"][laid]
+    if fixed_c is not None:
+        melt = INLET_C - (fixed_c - INLET_C) * np.expm1(-UA_W_K / (1e-3 * HEAT_MJ_M3K * weight))
     share = -np.expm1(-UA_W_K / (1e-3 * HEAT_MJ_M3K * weight))
     against_plan = melt - (INLET_C + (plan["wall_c"][row] - INLET_C) * share)
     slot = np.floor(times[laid] / AVERAGE_S).astype(int)
@@ -196,13 +206,12 @@ def tracking(run: Table, plan: Any, offset_s: float) -> Tracking:
 
 
 def compare(
-    gcode: Path, folder: Path, name: str, seconds: float, options: dict[str, str]
+    gcode: Path, folder: Path, name: str, seconds: float, options: dict[str, str], fixed_c: float
 ) -> dict[str, Tracking]:
     """The same path three ways."""
     planned = simulate(gcode, folder, f"{name}-planned", seconds, options, plan=True)
     offset_s = clock_offset_s(planned)
     border = simulate(gcode, folder, f"{name}-border", seconds, {**options, "preview": "no"}, plan=True)
-    fixed = simulate(gcode, folder, f"{name}-fixed", seconds, options, plan=False)
     plan = planned["plan"]
 
     def shifted(run: Table) -> float:  # waiting for the first temperature takes another time in each run
@@ -211,21 +220,46 @@ def compare(
     return {
         "planned": tracking(planned, plan, offset_s),
         "set at the border": tracking(border, plan, shifted(border)),
-        "one fixed target": tracking(fixed, plan, shifted(fixed)),
+        "one fixed target": tracking(planned, plan, offset_s, fixed_c),
     }
 
 
 def steps_gcode() -> str:
-    """15 degC up and down every 1.5 s, one line of constant flow each."""
-    feed_mm_s, flow_mm3_s = 40.0, 5.0
+    """15 degC up and down every 1.5 s on one straight way: nothing changes but the temperature."""
+    feed_mm_s, flow_mm3_s = 8.0, 5.0
     length_mm = feed_mm_s * STEP_S
     filament_mm = flow_mm3_s * STEP_S / (math.pi / 4.0 * 1.75**2)
-    lines = ["M104 S215", "G28", "M83", "G1 X40 Y40 Z0.3 F6000", "M109 S215"]
+    lines = [
+        "M104 S215",
+        "G28",
+        "M83",
+        "G1 X6 Y40 Z0.3 F6000",
+        "M109 S215",
+        "G4 P30000",
+    ]  # the holder takes 10 s
     for i in range(STEPS):
         lines.append(f"SET_SEGMENT_TEMPERATURE TEMP={200.0 + STEP_C * (i % 2)}")
-        x = 40.0 + length_mm * (i % 2 == 0)
-        lines.append(f"G1 X{x} Y{40 + 0.4 * i:.1f} E{filament_mm:.5f} F{60 * feed_mm_s:.0f}")
+        lines.append(f"G1 X{6 + length_mm * (i + 1)} E{filament_mm:.5f} F{60 * feed_mm_s:.0f}")
     return "\n".join([*lines, "M400", ""])
+
+
+OFFLINE_HEAD = (
+    "whole files, offline             interface 5..95 %, spread     fixed, spread        ratio  below bonding: plan,"
+    " fixed   slowest  longer  us/move"
+)
+
+
+def offline_row(kind: str, found: Table, us: float) -> str:
+    low, _, high = found["interface_5_50_95_c"]
+    low_fixed, _, high_fixed = found["interface_5_50_95_fixed_c"]
+    longer = found["duration_s"] / found["duration_fixed_s"] - 1.0
+    return (
+        f"{kind:<32} {low:5.0f}..{high:3.0f} C {found['spread_c']:5.1f}"
+        f"         {low_fixed:5.0f}..{high_fixed:3.0f} C {found['spread_fixed_c']:5.1f}"
+        f"   {found['spread_c'] / found['spread_fixed_c']:6.2f}"
+        f"     {1 - found['bonded_share']:8.3%} {1 - found['bonded_share_fixed']:8.3%}"
+        f"   {found['slowest_pace']:6.2f} {longer:7.1%} {us:7.1f}"
+    )
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -238,20 +272,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     folder = options.out
     folder.mkdir(parents=True, exist_ok=True)
     table: Table = {}
-    print(
-        "whole files, offline     interface 5..95 %, spread     fixed, spread        ratio"
-        "  below bonding: plan, fixed  us/move"
-    )
+    print(OFFLINE_HEAD)
     for kind, name in FILES.items():
-        _, figures, us = offline(as_abs(data_file(name), folder))
-        table[kind] = {"offline": figures, "planning_us": us}
-        low, _, high = figures["interface_5_50_95_c"]
-        low_fixed, _, high_fixed = figures["interface_5_50_95_fixed_c"]
+        path = with_targets(data_file(name), folder, NOZZLE_C)
+        _, figures, us = offline(path, SECTION, NOZZLE_C)
+        hard = with_targets(data_file(name), folder / "pc", HARD_NOZZLE_C)
+        _, hard_figures, _ = offline(hard, HARD_SECTION, HARD_NOZZLE_C)
+        table[kind] = {"offline": figures, "planning_us": us, "offline, PC": hard_figures}
         print(
-            f"{kind:<28} {low:5.0f}..{high:3.0f} C {figures['spread_c']:5.1f}"
-            f"         {low_fixed:5.0f}..{high_fixed:3.0f} C {figures['spread_fixed_c']:5.1f}"
-            f"   {figures['spread_c'] / figures['spread_fixed_c']:6.2f}"
-            f"     {1 - figures['bonded_share']:8.3%} {1 - figures['bonded_share_fixed']:8.3%}  {us:12.1f}"
+            offline_row(f"{kind}, ABS", figures, us), offline_row(f"{kind}, PC", hard_figures, us), sep="\n"
         )
     steps = folder / "steps.gcode"
     steps.write_text(steps_gcode())
@@ -263,7 +292,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             if kind in table
             else {"melt_min": "180"}
         )
-        found_by_run = compare(path, folder, path.stem, options.seconds, extra)
+        found_by_run = compare(path, folder, path.stem, options.seconds, extra, NOZZLE_C)
         table.setdefault(kind, {})["closed loop"] = {k: asdict(v) for k, v in found_by_run.items()}
         for run, t in found_by_run.items():
             print(

@@ -24,7 +24,7 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
         ("thermal", "thermal"),
         (
             "base",
-            "util mathutil queuelogger reactor configtext configfile gcode gcode_io pins msgproto chelper",
+            "util mathutil meshmath queuelogger reactor configtext configfile gcode gcode_io pins msgproto chelper",
         ),
         ("link", "serialport serialhdl clockfit clocksync mcu mcu_io mcu_homing mcu_session"),
         ("motion", "stepper stepstream kinematics lookahead g1path toolhead tempplan pathpieces"),

@@ -109,6 +109,20 @@ def residual_table(result: fit.Regression, points: fit.Points) -> str:
     return "\n".join(rows)
 
 
+def json_report(result: fit.Regression, points: fit.Points) -> dict[str, Any]:
+    return {
+        "law": result.law,
+        "coefficients": result.values(),
+        "std_errors": {c.name: c.std_error for c in result.coefficients},
+        "r": result.r,
+        "f": result.f,
+        "f_critical": result.f_critical,
+        "residual_sd_units": result.residual_sd,
+        "points": result.n_points,
+        "accuracy": accuracy(result, points),
+    }
+
+
 def draw(result: fit.Regression, points: fit.Points, path: Path) -> None:
     figure = Figure(figsize=(11, 4.5), layout="constrained")
     left, right = figure.subplots(1, 2)
@@ -129,7 +143,10 @@ def draw(result: fit.Regression, points: fit.Points, path: Path) -> None:
     right.axhspan(-3, 3, color="0.9", zorder=0)
     right.set(xlabel="temperature, °C", ylabel="inverted − reference, °C", title="residual (grey: ±3 °C)")
     left.legend(title="power")
-    figure.savefig(path, dpi=110)
+    try:
+        figure.savefig(path, dpi=110)
+    except ValueError as error:  # the ending is no known format
+        raise fit.FitError(f"{path}: {error}") from None
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -149,27 +166,27 @@ def main(argv: list[str] | None = None) -> int:
     try:
         points, runs = load_points(options.trace, options.recipe)
         result = fit.FITTERS[options.law](points)
-    except (fit.FitError, OSError, UnicodeDecodeError) as error:
-        print(f"fit_sensor: {error}", file=sys.stderr)
-        return 2
-    print(text_report(result, points, runs))
-    print(residual_table(result, points))
-    if options.json:
-        body = {
-            "law": result.law,
-            "coefficients": result.values(),
-            "std_errors": {c.name: c.std_error for c in result.coefficients},
-            "r": result.r,
-            "f": result.f,
-            "f_critical": result.f_critical,
-            "residual_sd_units": result.residual_sd,
-            "points": result.n_points,
-            "accuracy": accuracy(result, points),
-        }
-        options.json.write_text(json.dumps(body, indent=2) + "\n", encoding="utf-8")
-    if options.plot:
-        draw(result, points, options.plot)
+        print(text_report(result, points, runs))
+        print(residual_table(result, points))
+        if options.json:
+            options.json.write_text(
+                json.dumps(json_report(result, points), indent=2) + "\n", encoding="utf-8"
+            )
+        if options.plot:
+            draw(result, points, options.plot)
+    except UnicodeDecodeError:
+        return refuse(f"{options.trace} is no text file")
+    except OSError as error:
+        return refuse(f"{error.filename}: {error.strerror}")
+    except fit.FitError as error:
+        return refuse(str(error))
     return 0
+
+
+def refuse(reason: str) -> int:
+    """Say why it cannot be done; the exit status."""
+    print(f"fit_sensor: {reason}", file=sys.stderr)
+    return 2
 
 
 if __name__ == "__main__":

@@ -40,6 +40,7 @@ HEATERS = {
         power_w=32.0,
         capacity=HeatCapacity(20.0, 0.0),
         loss=LossLaw(conductance_w_k=0.075, radiation_m2=5e-4),
+        holder_w_k=0.0,  # the block is all there is
     ),
 }
 
@@ -93,9 +94,7 @@ def limits_of(heater: str, config: ConfigWrapper) -> NozzleLimits:
     base = HEATERS[heater]
     low_c = section.getfloat("min_extrude_temp", 170.0)
     high_c = section.getfloat("max_temp", 300.0)
-    return NozzleLimits(
-        0.0, high_c, low_c, base.power_w, base.cooling_share, base.loss, base.capacity, base.exchange
-    )
+    return replace(base, min_c=0.0, max_c=high_c, min_extrude_c=low_c)
 
 
 def plan(options: argparse.Namespace) -> dict[str, Any]:
@@ -104,21 +103,24 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
     heater = options.heater or ("induction" if induction else "slow")
     settings = temperature_plan.read_settings(config)
     limits = gcode_path.read_limits(config.getsection("printer"), config.getsection("extruder"))
+    arc_mm = config.getsection("gcode_arcs").getfloat("resolution", 1.0, above=0.0)
     base_c = 0.5 * (settings.material.low_c + settings.material.high_c)
     with Progress(console=Console(stderr=True), transient=True) as progress:
         total = sum(1 for _ in options.gcode.open("rb"))
         task = progress.add_task("planning", total=total)
 
         def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
-            planning = plan_offline.Planning(settings, limits_of(heater, config), replace(limits))
+            planning = plan_offline.Planning(settings, limits_of(heater, config), replace(limits), arc_mm)
             return planning.run(options.gcode, base_c, lambda lines: progress.update(task, completed=lines))
 
-        found = run(settings)
-        if (
-            settings.craft.follow_mm and found.moves
-        ):  # the whole file is known: hold the weld at its usual temperature
-            usual_c = round(max(found.summary.interface_5_50_95_c[1][1], settings.craft.interface_c or 0.0))
-            found = run(replace(settings, craft=replace(settings.craft, interface_c=usual_c, follow_mm=0.0)))
+        found = plain = run(replace(settings, slowest=1.0, longest_pause_s=0.0))
+        follows = settings.craft.follow_mm > 0.0
+        if follows and found.moves:  # the whole file is known: hold the weld at its usual temperature
+            usual_c = round(max(plain.summary.interface_5_50_95_c[1][1], settings.craft.interface_c or 0.0))
+            settings = replace(settings, craft=replace(settings.craft, interface_c=usual_c, follow_mm=0.0))
+        if follows or settings.slowest < 1.0 or settings.longest_pause_s > 0.0:
+            found = run(settings)
+        if follows and found.moves:
             print(
                 f"interface_temp: {usual_c} is what one fixed temperature gives half of this path; planned with it"
             )
@@ -131,14 +133,22 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
         )
     if found.summary.hot_share > 0.01:
         print(
-            f"{100 * found.summary.hot_share:.0f} % is too hot even for the coolest melt: print it slower, or pause"
+            f"{100 * found.summary.hot_share:.0f} % is too hot even for the coolest melt: a lower minimum_speed_factor,"
+            " max_layer_pause or more fan would help"
+        )
+    slowest = min(move.pace for move in found.moves)
+    if slowest < 1.0:
+        low_c, _, high_c = plain.summary.interface_5_50_95_c[1]
+        print(
+            f"hot layers are laid at down to {100 * slowest:.0f} % of the file's speed; at its own speed one fixed"
+            f" temperature gives {low_c:.0f}..{high_c:.0f} C"
         )
     if options.report:
-        plan_report.write(options.report, options.gcode.name, found, settings.material)
+        plan_report.write(options.report, options.gcode.name, found, settings.material, plain.summary)
     if options.emit:
         count = plan_emit.write(options.gcode, options.emit, found, options.step)
-        print(f"{options.emit}: {count} M104 commands")
-    return plan_report.figures(found, settings.material)
+        print(f"{options.emit}: {count} commands")
+    return plan_report.figures(found, settings.material, plain.summary)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

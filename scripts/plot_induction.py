@@ -1,19 +1,21 @@
 #!/usr/bin/env python3
 """Draw raw coil telemetry: a file of INDUCTION_DUMP, or the trace of a calibration run.
 
-    scripts/plot_induction.py DUMP.csv --out dump.png
+    scripts/plot_induction.py DUMP.csv                               leaves DUMP.png beside it
     scripts/plot_induction.py induction-nozzle-....csv --out calibration.png
 
-Exit status 0 drawn, 2 the file is neither.
+Exit status 0 drawn, 2 the file is neither, or the picture cannot be written.
 """
 
 from __future__ import annotations
 
 import argparse
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
@@ -49,11 +51,12 @@ def draw_sweep(path: Path, figure: Figure) -> None:
     points = result.points
     best = result.laws[result.best].regression
     residual = fit.temperature_residuals(best.law, best.values(), points)
-    for index, ticks in enumerate(np.unique(points.phase_ticks)):
+    for ticks in np.unique(points.phase_ticks):
         mask = points.phase_ticks == ticks
-        label = f"{100 * float(fit.power_of_ticks(ticks)):.3g} %"
-        middle.plot(points.temp_c[mask], points.error[mask], ".", color=f"C{index % 10}", ms=3, label=label)
-        right.plot(points.temp_c[mask], residual[mask], ".", color=f"C{index % 10}", ms=3)
+        power = float(fit.power_of_ticks(ticks))
+        colour, label = colormaps["turbo"](0.05 + 0.9 * power), f"{100 * power:.3g} %"
+        middle.plot(points.temp_c[mask], points.error[mask], ".", color=colour, ms=3, label=label)
+        right.plot(points.temp_c[mask], residual[mask], ".", color=colour, ms=3)
     middle.set(xlabel="skin, °C", ylabel="error, units", title="all powers at all temperatures")
     middle.legend(fontsize=7)
     right.axhspan(-2, 2, color="0.92", zorder=0)
@@ -62,7 +65,14 @@ def draw_sweep(path: Path, figure: Figure) -> None:
 
 def _numeric(path: Path) -> dict[str, fit.Array]:
     """Columns of a dump; an empty cell is NaN."""
-    table = np.genfromtxt(path, delimiter=",", names=True, max_rows=ROWS_MAX)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # a last row cut short: its dump was ended half way
+            table = np.genfromtxt(path, delimiter=",", names=True, max_rows=ROWS_MAX, invalid_raise=False)
+    except ValueError as error:
+        raise FitError(f"{path}: {error}") from None
+    if not table.size:
+        raise FitError(f"{path}: there is a header but no data")
     return {name: np.atleast_1d(table[name]) for name in table.dtype.names or ()}
 
 
@@ -71,7 +81,7 @@ def main(argv: list[str] | None = None) -> int:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("file", type=Path)
-    parser.add_argument("--out", type=Path, required=True, metavar="OUT.png")
+    parser.add_argument("--out", type=Path, metavar="OUT.png", help="default: beside the file")
     options = parser.parse_args(argv)
     figure = Figure(figsize=(11, 5), layout="constrained")
     try:
@@ -84,11 +94,20 @@ def main(argv: list[str] | None = None) -> int:
             draw_dump(_numeric(options.file), figure)
         else:
             raise FitError(f"{options.file}: neither a dump nor the trace of a calibration run")
-    except (FitError, OSError, UnicodeDecodeError) as error:
-        print(f"plot_induction: {error}", file=sys.stderr)
-        return 2
-    figure.savefig(options.out, dpi=90)
+        figure.savefig(options.out or options.file.with_suffix(".png"), dpi=90)
+    except UnicodeDecodeError:
+        return refuse(f"{options.file} is no text file")
+    except OSError as error:
+        return refuse(f"{error.filename}: {error.strerror}")
+    except (FitError, ValueError) as error:  # ValueError: the ending of OUT is no format
+        return refuse(str(error))
     return 0
+
+
+def refuse(reason: str) -> int:
+    """Say why it cannot be done; the exit status."""
+    print(f"plot_induction: {reason}", file=sys.stderr)
+    return 2
 
 
 if __name__ == "__main__":

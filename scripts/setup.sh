@@ -24,6 +24,7 @@ demo_packages=(
 )
 moonraker_packages=(
   "libsodium23       /usr/lib/*/libsodium.so.23"
+  "iproute2          ip"
 )
 test_packages=(
   "${moonraker_packages[@]}"
@@ -35,6 +36,8 @@ test_packages=(
   "gcc-avr                  avr-gcc"
   "avr-libc                 /usr/lib/avr/include/avr/io.h"
   "libsimavr-dev            /usr/include/simavr/sim_avr.h"
+  "avrdude                  avrdude"
+  "openocd                  openocd"
   "chromium                 chromium"
 )
 

@@ -197,4 +197,6 @@ extruder_set_pressure_advance(struct stepper_kinematics *sk, double advance_s, d
     ex->advance_s = advance_s;
     ex->half_window_s = advance_s > 0. ? .5 * smooth_time_s : 0.;
     sk->look_behind = sk->look_ahead = ex->half_window_s;
+    if (sk->tq)
+        sk->reader = sk->tq->next;      /* what was done before is not done again in a longer window */
 }

@@ -129,6 +129,12 @@ stepcompress_last_clock(const struct stepcompress *sc)
     return sc->last_clock;
 }
 
+double
+stepcompress_last_known(const struct stepcompress *sc)
+{
+    return sc->tail > sc->head ? sc->steps[sc->tail - 1] : (double)sc->last_clock;
+}
+
 struct queue_message **
 stepcompress_output(struct stepcompress *sc)
 {

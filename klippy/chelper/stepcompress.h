@@ -49,6 +49,8 @@ int64_t stepcompress_position_at(const struct stepcompress *sc, uint64_t clock);
 int stepcompress_history(const struct stepcompress *sc, struct step_record *out, int max,
                          uint64_t start_clock, uint64_t end_clock);
 uint64_t stepcompress_last_clock(const struct stepcompress *sc);
+/* ... of those waiting to become commands, too */
+double stepcompress_last_known(const struct stepcompress *sc);
 
 /* --- for the step solver --- */
 struct step_time_map { double time_offset, freq; };

@@ -1,6 +1,7 @@
 /* The steppers of one MCU and its move queue: see steppersync.h. */
 #include "steppersync.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -84,6 +85,15 @@ steppersync_generate(struct steppersync *ss, double print_time, int *failed)
         }
     }
     return 0;
+}
+
+double
+steppersync_last_clock(const struct steppersync *ss)
+{
+    double last = 0.;
+    for (int i = 0; i < ss->member_count; i++)
+        last = fmax(last, stepcompress_last_known(ss->members[i].sc));
+    return last;
 }
 
 /* Occupy the place that comes free first until `clock`; returns since when it is free. */

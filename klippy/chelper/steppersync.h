@@ -24,6 +24,8 @@ int steppersync_set_kinematics(struct steppersync *ss, int stepper, struct stepp
 void steppersync_set_time(struct steppersync *ss, double time_offset, double freq);
 /* Work out the steps of every stepper up to print_time; 0 or the negative error of stepper *failed. */
 int steppersync_generate(struct steppersync *ss, double print_time, int *failed);
+/* Clock of the last step worked out, whether sent or not. */
+double steppersync_last_clock(const struct steppersync *ss);
 /* Messages needed up to clock, in the order they are needed; the caller owns the list.
  * Look-up history older than history_clock is let go. *failed as above, -1 if all is well. */
 struct queue_message *steppersync_flush(struct steppersync *ss, uint64_t clock, uint64_t history_clock, int *failed);

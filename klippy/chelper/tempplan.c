@@ -10,20 +10,20 @@
 static const double PIECE_C = 5.0;          /* as in thermal/plan.py */
 static const double NEGLIGIBLE_C = 0.05;
 static const double LEAST_RATE_K_S = 1e-6;
-static const double SAME_PASS_CELLS = 1.5;  /* the diagonal of a cell is 1.41 */
-static const double SAME_LAYER = 0.5;       /* of the road's thickness */
 
 struct tempplan {
     struct tempplan_params p;
     double *loss_w, *capacity_j_k, *core_share;
     int degrees, cores;
     struct deposit_map map;
+    struct pace_clock clock;
     double usual_c, usual_mm;               /* interface by the user's own temperature, averaged over so much path */
     struct tempplan_piece *pieces;          /* those of the future and of the part planned but not yet laid */
     double *starts, *melts_w_k, *walls_c;
     int count, room;
     struct tempplan_point *points;
     int point_count, point_room;
+    double holder_c, holder_from_s;         /* nozzle temperature at which the holder would be in balance, and when */
     struct tempplan_report report;
 };
 
@@ -67,64 +67,28 @@ static double wall_for(const struct tempplan *tp, double melt_c, double flow_mm3
     return fmin(p->ceiling_c, fmax(p->floor_c, wall_c));
 }
 
-static double rate_k_s(const struct tempplan *tp, double start_c, double end_c, double melt_w_k)
+static double rate_k_s(const struct tempplan *tp, double start_c, double end_c, double melt_w_k, double holder_c)
 {
     const struct tempplan_params *p = &tp->p;
     int floor_c = end_c > 0.0 ? (int)end_c : 0;
     if (floor_c > tp->degrees - 2)
         floor_c = tp->degrees - 2;
     double capacity_j_k = tp->capacity_j_k[floor_c + 1];
-    double melt_w = melt_w_k * fmax(0.0, end_c - p->inlet_c);
+    double melt_w = melt_w_k * fmax(0.0, end_c - p->inlet_c), holder_w = p->holder_w_k * (end_c - holder_c);
     if (end_c > start_c)
-        return fmax(LEAST_RATE_K_S, (p->power_w - tp->loss_w[floor_c + 1] - melt_w) / capacity_j_k);
-    return fmax(LEAST_RATE_K_S, p->cooling_share * (tp->loss_w[floor_c] + melt_w) / capacity_j_k);
+        return fmax(LEAST_RATE_K_S, (p->power_w - holder_w - tp->loss_w[floor_c + 1] - melt_w) / capacity_j_k);
+    return fmax(LEAST_RATE_K_S, (holder_w + tp->loss_w[floor_c] + melt_w) / capacity_j_k);
 }
 
 /* -- part -- */
 
-static double road_c(const struct tempplan_params *p, const struct road *road, int history, double time_s, double fan)
+static void note_age(struct tempplan_report *r, const struct column *c, const struct dab *below, const struct dab *dab)
 {
-    double age_s = time_s - road->time_s;
-    if (age_s <= 0.0)
-        return road->laid_c[history];
-    double h = p->still_w_m2k + fan * p->fan_w_m2k;
-    double around_c = p->chamber_c + (p->bed_c - p->chamber_c) * exp(-fmax(0.0, road->z_mm) / p->bed_reach_mm);
-    double reach_mm = 2e3 * sqrt(p->diffusivity_m2_s * age_s);
-    double kept = exp(-age_s * h / (p->rho_c * road->thick_mm * 1e-3));
-    double base_c = road->base_c[history];
-    return around_c + (base_c - around_c + (road->laid_c[history] - base_c) * erf(road->thick_mm / reach_mm)) * kept;
-}
-
-/* Put the piece's road into this column: what it meets, and the road itself, whose own temperature [0] is not known yet
- * (NaN). A pass through a column lasts several samples; what counts is what lay there when it began, not the pass's
- * own fresh road. */
-static void lay(const struct tempplan *tp, struct column *c, const struct tempplan_piece *q, double time_s,
-                double width_mm, double fixed_c)
-{
-    const struct tempplan_params *p = &tp->p;
-    int empty = c->top.time_s < 0.0;
-    int same_layer = !empty && fabs(c->top.z_mm - q->end_pos[2]) < SAME_LAYER * q->height_mm;
-    double passed_mm = tp->map.odometer_mm - c->odometer_mm;
-    c->odometer_mm = tp->map.odometer_mm;
-    if (same_layer && passed_mm <= SAME_PASS_CELLS * p->cell_mm)
-        return;
-    struct road fresh = { .time_s = time_s, .z_mm = q->end_pos[2], .thick_mm = q->height_mm };
-    for (int k = 0; k < TEMPPLAN_HISTORIES; k++) {
-        double top_c = empty ? p->bed_c : road_c(p, &c->top, k, time_s, q->fan);
-        c->met_c[k] = fresh.base_c[k] = top_c;
-        if (same_layer) {                   /* the layer below under it, its neighbour beside it */
-            double below_c = c->has_under ? road_c(p, &c->under, k, time_s, q->fan) : p->bed_c;
-            c->met_c[k] = (width_mm * below_c + q->height_mm * top_c) / (width_mm + q->height_mm);
-            fresh.base_c[k] = c->top.base_c[k];
-        }
-    }
-    fresh.laid_c[0] = NAN;
-    fresh.laid_c[1] = fixed_c;
-    if (!empty && !same_layer) {
-        c->under = c->top;
-        c->has_under = 1;
-    }
-    c->top = fresh;
+    r->side_per_mm += dab->length_mm * c->side_per_mm;
+    r->above_mm += dab->length_mm;
+    r->age_s += dab->length_mm * (dab->time_s - below->time_s);
+    r->laying_s += dab->length_mm * (dab->clock.laying_s - below->clock.laying_s);
+    r->full_speed_s += dab->length_mm * (dab->clock.full_speed_s - below->clock.full_speed_s);
 }
 
 static int samples_of(const struct tempplan_params *p, const struct tempplan_piece *q, double *length_mm)
@@ -141,14 +105,20 @@ static double wanted_melt_c(struct tempplan *tp, const struct tempplan_piece *q,
     double melt_c = q->wish_c;
     if (isnan(melt_c)) {
         melt_c = p->inlet_c + (q->base_c - p->inlet_c) * melt_share(p, q->flow_mm3_s);
-        if (!isnan(p->interface_c)) {
-            double interface_c = p->follow_mm > 0.0 ? fmax(p->interface_c, tp->usual_c) : p->interface_c;
-            melt_c = 2.0 * interface_c - q->substrate_c[0];     /* like media meet at the mean */
-        }
+        if (!isnan(p->interface_c))
+            melt_c = 2.0 * tempplan_interface(tp) - q->substrate_c[0];     /* like media meet at the mean */
         tp->report.cold_mm += melt_c > p->high_c ? length_mm : 0.0;
         tp->report.hot_mm += melt_c < p->low_c ? length_mm : 0.0;
     }
     return fmin(p->high_c, fmax(p->low_c, melt_c));
+}
+
+static struct column *column_at(struct tempplan *tp, const struct tempplan_piece *q, double along)
+{
+    double x = q->start_pos[0] + along * (q->end_pos[0] - q->start_pos[0]);
+    double y = q->start_pos[1] + along * (q->end_pos[1] - q->start_pos[1]);
+    double cell_mm = tp->p.cell_mm;
+    return map_column(&tp->map, (int32_t)floor(x / cell_mm), (int32_t)floor(y / cell_mm));
 }
 
 /* One piece with extrusion: what it meets, what it should be, and the map with it laid. */
@@ -161,32 +131,31 @@ static void settle(struct tempplan *tp, struct tempplan_piece *q)
     double width_mm = q->flow_mm3_s / fmax(speed_mm_s * q->height_mm, 1e-9);
     width_mm = fmin(5.0, fmax(0.1, width_mm));
     double fixed_c = p->inlet_c + (q->base_c - p->inlet_c) * melt_share(p, q->flow_mm3_s);
-    double met[TEMPPLAN_HISTORIES] = { 0.0, 0.0 };
-    for (int turn = 0; turn < 2; turn++) {  /* the melt is chosen by the whole piece, then written into its roads */
-        for (int i = 0; i < n; i++) {
-            double along = (i + 0.5) / n;
-            double x = q->start_pos[0] + along * (q->end_pos[0] - q->start_pos[0]);
-            double y = q->start_pos[1] + along * (q->end_pos[1] - q->start_pos[1]);
-            struct column *c = map_column(&tp->map, (int32_t)floor(x / p->cell_mm), (int32_t)floor(y / p->cell_mm));
-            if (turn) {
-                if (isnan(c->top.laid_c[0]))
-                    c->top.laid_c[0] = q->melt_c;
-                continue;
-            }
-            tp->map.odometer_mm += length_mm / n;
-            lay(tp, c, q, q->start_s + along * (q->end_s - q->start_s), width_mm, fixed_c);
-            met[0] += c->met_c[0] / n;
-            met[1] += c->met_c[1] / n;
-        }
-        if (!turn) {
-            memcpy(q->substrate_c, met, sizeof(met));
-            tp->usual_mm = fmin(p->follow_mm, tp->usual_mm + length_mm);
-            if (tp->usual_mm > 0.0)
-                tp->usual_c += (0.5 * (fixed_c + met[1]) - tp->usual_c) * fmin(1.0, length_mm / tp->usual_mm);
-            q->melt_c = wanted_melt_c(tp, q, length_mm);
-        }
+    double met[TEMPPLAN_HISTORIES] = { 0.0, 0.0 }, duration_s = q->end_s - q->start_s;
+    for (int i = 0; i < n; i++) {
+        double since_s = (i + 0.5) / n * duration_s;
+        struct dab below, dab = {
+            .time_s = q->start_s + since_s, .z_mm = q->end_pos[2], .thick_mm = q->height_mm, .width_mm = width_mm,
+            .length_mm = length_mm / n, .fan = q->fan, .fixed_c = fixed_c,
+            .clock = { tp->clock.laying_s + since_s, tp->clock.full_speed_s + since_s * q->pace },
+        };
+        struct column *c = column_at(tp, q, (i + 0.5) / n);
+        tp->map.odometer_mm += dab.length_mm;
+        if (column_lay(&tp->map, c, p, &dab, &below) && isnan(q->wish_c))
+            note_age(&tp->report, c, &below, &dab);    /* what is asked for by name is no matter of pace */
+        met[0] += c->met_c[0] / n;
+        met[1] += c->met_c[1] / n;
     }
+    memcpy(q->substrate_c, met, sizeof(met));
+    tp->usual_mm = fmin(p->follow_mm, tp->usual_mm + length_mm);
+    if (tp->usual_mm > 0.0)
+        tp->usual_c += (0.5 * (fixed_c + met[1]) - tp->usual_c) * fmin(1.0, length_mm / tp->usual_mm);
+    q->melt_c = wanted_melt_c(tp, q, length_mm);    /* by the whole piece; then it is in all its columns */
+    for (int i = 0; i < n; i++)
+        column_melt(column_at(tp, q, (i + 0.5) / n), q->melt_c);
     q->wall_c = wall_for(tp, q->melt_c, q->flow_mm3_s);
+    tp->clock.laying_s += duration_s;
+    tp->clock.full_speed_s += duration_s * q->pace;
 }
 
 static int reserve(struct tempplan *tp, int more)
@@ -296,7 +265,7 @@ static void find_starts(struct tempplan *tp, int first, double from_s, double st
         if (fabs(step_c) > NEGLIGIBLE_C) {
             int sign = step_c > 0.0 ? 1 : -1;
             double melt_w_k = i > first ? tp->melts_w_k[i - 1] : 0.0;
-            double needed_s = fabs(step_c) / rate_k_s(tp, before_c, tp->walls_c[i], melt_w_k);
+            double needed_s = fabs(step_c) / rate_k_s(tp, before_c, tp->walls_c[i], melt_w_k, tp->holder_c);
             demand_s = needed_s + (sign == direction ? demand_s : 0.0);
             direction = sign;
         }
@@ -324,12 +293,31 @@ static int add_point(struct tempplan *tp, double time_s, double temp_c)
     return 0;
 }
 
+static double holder_after(const struct tempplan *tp, double holder_c, double nozzle_c, double time_s)
+{
+    return holder_c - (nozzle_c - holder_c) * expm1(-time_s / tp->p.holder_s);
+}
+
+/* The holder at from_s, where the nozzle is at start_c: it has followed what was planned. */
+static void bring_holder(struct tempplan *tp, double from_s, double start_c)
+{
+    if (!tp->point_count || from_s - tp->holder_from_s > 5.0 * tp->p.holder_s)
+        tp->holder_c = start_c;
+    else
+        for (double step_s = 0.1, at_s = tp->holder_from_s; at_s < from_s; at_s += step_s) {
+            step_s = fmin(step_s, from_s - at_s);
+            tp->holder_c = holder_after(tp, tp->holder_c, tempplan_at(tp, at_s + 0.5 * step_s, start_c), step_s);
+        }
+    tp->holder_from_s = from_s;
+}
+
 /* Move towards the target until until_s, a corner wherever the slope changes. */
-static int ramp(struct tempplan *tp, double now_s, double *now_c, double until_s, double target_c, double melt_w_k)
+static int ramp(struct tempplan *tp, double now_s, double *now_c, double until_s, double target_c, double melt_w_k,
+                double *holder_c)
 {
     while (now_s < until_s && fabs(target_c - *now_c) > 1e-9) {
         double step_c = fmin(PIECE_C, fmax(-PIECE_C, target_c - *now_c));
-        double rate = rate_k_s(tp, *now_c, *now_c + step_c, melt_w_k);
+        double rate = rate_k_s(tp, *now_c, *now_c + step_c, melt_w_k, *holder_c), before_s = now_s, before_c = *now_c;
         if (tp->points[tp->point_count - 1].time_s < now_s && add_point(tp, now_s, *now_c))
             return -1;
         double needed_s = fabs(step_c) / rate;
@@ -342,13 +330,15 @@ static int ramp(struct tempplan *tp, double now_s, double *now_c, double until_s
         }
         if (add_point(tp, now_s, *now_c))
             return -1;
+        *holder_c = holder_after(tp, *holder_c, 0.5 * (before_c + *now_c), now_s - before_s);
     }
+    *holder_c = holder_after(tp, *holder_c, *now_c, fmax(0.0, until_s - now_s));
     return 0;
 }
 
 static int follow(struct tempplan *tp, int first, double from_s, double start_c)
 {
-    double now_s = from_s, now_c = start_c;
+    double now_s = from_s, now_c = start_c, holder_c = tp->holder_c;
     double target_c = fmin(tp->p.ceiling_c, fmax(tp->p.floor_c, start_c));
     double end_s = tp->pieces[tp->count - 1].end_s;
     int flow = first, turn = first;
@@ -365,7 +355,7 @@ static int follow(struct tempplan *tp, int first, double from_s, double start_c)
         if (turn < tp->count)
             border_s = fmin(border_s, tp->starts[turn]);
         border_s = fmin(border_s, end_s);
-        if (ramp(tp, now_s, &now_c, border_s, target_c, inside ? tp->melts_w_k[flow] : 0.0))
+        if (ramp(tp, now_s, &now_c, border_s, target_c, inside ? tp->melts_w_k[flow] : 0.0, &holder_c))
             return -1;
         now_s = border_s;
     }
@@ -382,6 +372,7 @@ int tempplan_make(struct tempplan *tp, double from_s, double start_c)
     for (int i = first; i < tp->count; i++)
         tp->melts_w_k[i] = melt_heat_w_k(&tp->p, tp->pieces[i].flow_mm3_s);
     smooth_walls(tp, first);
+    bring_holder(tp, from_s, start_c);
     find_starts(tp, first, from_s, start_c);
     /* what was planned up to from_s stays: pieces not yet booked look back at it */
     while (tp->point_count && tp->points[tp->point_count - 1].time_s >= from_s)
@@ -478,6 +469,26 @@ int tempplan_finish(struct tempplan *tp, double until_s, double *done, int capac
         memmove(tp->points, tp->points + stale, tp->point_count * sizeof(*tp->points));
     }
     return rows;
+}
+
+void tempplan_shift(struct tempplan *tp, double from_s, double delta_c)
+{
+    if (tp->usual_mm > 0.0)
+        tp->usual_c += 0.5 * delta_c;
+    for (int i = tp->count - 1; i >= 0 && tp->pieces[i].start_s >= from_s; i--) {
+        struct tempplan_piece *q = &tp->pieces[i];
+        q->base_c += delta_c;
+        if (!isnan(q->wish_c))
+            continue;
+        q->melt_c += delta_c;               /* NaN of a travel stays */
+        q->wall_c = fmin(tp->p.ceiling_c, fmax(tp->p.floor_c, q->wall_c + delta_c));
+    }
+}
+
+double tempplan_interface(const struct tempplan *tp)
+{
+    double least_c = tp->p.interface_c;     /* fmax would drop the NaN */
+    return tp->p.follow_mm > 0.0 && tp->usual_c > least_c ? tp->usual_c : least_c;
 }
 
 void tempplan_cut(struct tempplan *tp, double time_s)

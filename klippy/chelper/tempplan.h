@@ -16,7 +16,7 @@ enum { TEMPPLAN_HISTORIES = 2, TEMPPLAN_BINS = 600 };
 
 struct tempplan_params {
     /* limits of the nozzle; losses and capacity come as tables per whole degree */
-    double floor_c, ceiling_c, power_w, cooling_share;
+    double floor_c, ceiling_c, power_w, holder_w_k, holder_s;
     double ua_w_k, heat_mj_m3k, inlet_c, bore_lag_s, melt_mm3;
     /* material: window of the melt, diffusivity m2/s, rho c in J/(m3 K) */
     double low_c, high_c, diffusivity_m2_s, rho_c, bonding_c;
@@ -40,6 +40,7 @@ struct tempplan_piece {
     double flow_mm3_s, height_mm, fan;
     double wish_c;                  /* melt temperature asked for by name, NaN: none, bonding may choose */
     double base_c;                  /* nozzle temperature of the user's own target */
+    double pace;                    /* part of its own speed at which it is laid, 1: not slowed down */
     /* filled in */
     double substrate_c[TEMPPLAN_HISTORIES], melt_c, wall_c;
 };
@@ -55,6 +56,9 @@ struct tempplan_report {
     double off_sum, off_squares;    /* planned less wanted melt, length weighted */
     double cold_mm;                 /* wanted melt lay above the window's top: the substrate was too cold */
     double hot_mm;                  /* below its bottom: too hot even for the coolest melt */
+    /* Path laid on a layer below, and sums over it (times mm): how long ago that was laid; of this, extrusion;
+     * the same extrusion at full speed; open flanks per volume, 1/mm. Counted when added, not when laid. */
+    double above_mm, age_s, laying_s, full_speed_s, side_per_mm;
     uint64_t pieces;
 };
 
@@ -73,6 +77,11 @@ const struct tempplan_point *tempplan_points(const struct tempplan *tp);
 double tempplan_at(const struct tempplan *tp, double time_s, double otherwise_c);
 /* Pieces that end before until_s have been laid: book them and let them go. Returns the rows of `done`, if given. */
 int tempplan_finish(struct tempplan *tp, double until_s, double *done, int capacity);
+/* The user's own target moves by delta_c: what is not asked for by name from from_s on moves with it, and so does the
+ * interface that the plan follows. */
+void tempplan_shift(struct tempplan *tp, double from_s, double delta_c);
+/* The interface wanted where nothing is asked for by name; NaN: bonding has no say. */
+double tempplan_interface(const struct tempplan *tp);
 /* Forget what lies ahead of time_s (a stop); what has been laid stays. */
 void tempplan_cut(struct tempplan *tp, double time_s);
 const struct tempplan_report *tempplan_report(const struct tempplan *tp);

@@ -1,9 +1,15 @@
 /* The grid of columns as an open-addressed hash table: memory goes with the area of the part. */
 #include "tempplan_map.h"
 
+#include <math.h>
 #include <stdlib.h>
+#include <string.h>
 
 enum { FIRST_COLUMNS = 1024 };
+
+/* As in thermal/deposit.py, where the reasons are. */
+static const double SAME_PASS_CELLS = 1.5, SAME_LAYER = 0.5, NEXT_LAYER = 1.5;
+static const double FAR_MM = 3.0, FIRST_STEP = 0.4, GROWTH = 2.5, LEAST_COVER = 0.05, LEAST_MM2 = 1e-6;
 
 static uint64_t place(int32_t x, int32_t y)
 {
@@ -59,7 +65,212 @@ struct column *map_column(struct deposit_map *map, int32_t x, int32_t y)
         *c = (struct column){ .x = x, .y = y };
         map->used++;
         c->used = 1;
-        c->top.time_s = -1.0;       /* nothing laid yet */
+        c->kept = 1.0;
     }
     return c;
+}
+
+/* -- a column's heat -- */
+
+/* Of the balance of the nodes: mass, exchange with the next, and with the surroundings, all in mm and mm/s. */
+struct balance {
+    int count;
+    double mass[PILE_NODES], link[PILE_NODES], out[PILE_NODES], gain[PILE_NODES];
+};
+
+static double around_c(const struct tempplan_params *p, double z_mm)
+{
+    return p->chamber_c + (p->bed_c - p->chamber_c) * exp(-fmax(0.0, z_mm) / p->bed_reach_mm);
+}
+
+static double cover_of(const struct column *c)
+{
+    return c->below_mm2 <= 0.0 ? 1.0 : fmin(1.0, fmax(LEAST_COVER, c->area_mm2 / c->below_mm2));
+}
+
+static void set_balance(struct balance *b, const struct column *c, const struct tempplan_params *p, double fan)
+{
+    double air_c = around_c(p, c->z_mm);
+    double alpha = 1e6 * p->diffusivity_m2_s, cover = cover_of(c), height_mm = 0.0;
+    double loss = 1e3 * (p->still_w_m2k + fan * p->fan_w_m2k) / p->rho_c;
+    int last = c->nodes - 1;
+    b->count = c->nodes;
+    for (int i = 0; i <= last; i++) {
+        height_mm += c->thick_mm[i];
+        b->mass[i] = c->thick_mm[i] * (i ? 1.0 : cover);
+        b->out[i] = loss * c->side_per_mm * b->mass[i];
+        if (i < last)
+            b->link[i] = 2.0 * alpha / (c->thick_mm[i] + c->thick_mm[i + 1]);
+    }
+    b->out[0] += loss * cover;
+    if (last) {
+        b->link[0] *= cover;
+        b->out[1] += loss * (1.0 - cover);
+    }
+    for (int i = 0; i <= last; i++)
+        b->gain[i] = b->out[i] * air_c;
+    if (height_mm >= c->z_mm - SAME_LAYER * c->thick_mm[0]) {      /* the pile reaches the bed */
+        b->out[last] += 2.0 * alpha / c->thick_mm[last];
+        b->gain[last] += 2.0 * alpha / c->thick_mm[last] * p->bed_c;
+    }
+}
+
+typedef double pair[TEMPPLAN_HISTORIES];    /* of a node: all histories go through the same matrix side by side */
+
+/* (mass + part (links + out)) T = right with the inverse pivots found, three diagonals. */
+static void solve(const struct balance *b, const double *inverse, const double *upper, double part_s, pair *temps)
+{
+    for (int k = 0; k < TEMPPLAN_HISTORIES; k++)
+        temps[0][k] *= inverse[0];
+    for (int i = 1; i < b->count; i++) {
+        double above = part_s * b->link[i - 1];
+        for (int k = 0; k < TEMPPLAN_HISTORIES; k++)
+            temps[i][k] = (temps[i][k] + above * temps[i - 1][k]) * inverse[i];
+    }
+    for (int i = b->count - 2; i >= 0; i--)
+        for (int k = 0; k < TEMPPLAN_HISTORIES; k++)
+            temps[i][k] += upper[i] * temps[i + 1][k];
+}
+
+/* Two stages with the same matrix, second order, L-stable (deposit.py, _step). */
+static void step(const struct balance *b, pair *temps, double step_s)
+{
+    static const double gamma = 0.29289321881345254;    /* 1 - 1/sqrt(2) */
+    double inverse[PILE_NODES], upper[PILE_NODES], part_s = gamma * step_s, above = 0.0;
+    pair first[PILE_NODES];
+    for (int i = 0; i < b->count; i++) {
+        double below = i + 1 < b->count ? part_s * b->link[i] : 0.0;
+        inverse[i] = 1.0 / (b->mass[i] + above + below + part_s * b->out[i] - (i ? above * upper[i - 1] : 0.0));
+        upper[i] = below * inverse[i];
+        above = below;
+        for (int k = 0; k < TEMPPLAN_HISTORIES; k++)
+            first[i][k] = b->mass[i] * temps[i][k] + part_s * b->gain[i];
+    }
+    solve(b, inverse, upper, part_s, first);
+    for (int i = 0; i < b->count; i++)
+        for (int k = 0; k < TEMPPLAN_HISTORIES; k++) {
+            double between_c = temps[i][k] + (1.0 - gamma) / gamma * (first[i][k] - temps[i][k]);
+            temps[i][k] = b->mass[i] * between_c + part_s * b->gain[i];
+        }
+    solve(b, inverse, upper, part_s, temps);
+}
+
+static void cool(struct column *c, const struct tempplan_params *p, double time_s, double fan)
+{
+    double left_s = time_s - c->time_s;
+    if (left_s <= 0.0 || !c->nodes)
+        return;
+    c->time_s = time_s;
+    struct balance b;
+    set_balance(&b, c, p, fan);
+    double step_s = FIRST_STEP * c->thick_mm[0] * c->thick_mm[0] / (1e6 * p->diffusivity_m2_s);
+    while (left_s > 0.0) {
+        double now_s = left_s < 1.5 * step_s ? left_s : step_s;
+        step(&b, c->temp_c, now_s);
+        left_s -= now_s;
+        step_s *= GROWTH;
+    }
+}
+
+/* -- laying -- */
+
+/* An empty layer on top; the two lowest become one when there is no room. */
+static void begin_layer(struct column *c, const struct tempplan_params *p, const struct dab *dab)
+{
+    if (c->nodes)
+        c->side_per_mm = 2.0 * (1.0 - fmin(1.0, c->area_mm2 / (p->cell_mm * p->cell_mm))) / dab->width_mm;
+    c->below_mm2 = c->area_mm2;
+    c->area_mm2 = 0.0;
+    c->z_mm = dab->z_mm;
+    if (c->nodes == PILE_NODES) {
+        double a = c->thick_mm[PILE_NODES - 2], b = c->thick_mm[PILE_NODES - 1];
+        for (int k = 0; k < TEMPPLAN_HISTORIES; k++)
+            c->temp_c[PILE_NODES - 2][k] =
+                (a * c->temp_c[PILE_NODES - 2][k] + b * c->temp_c[PILE_NODES - 1][k]) / (a + b);
+        c->thick_mm[PILE_NODES - 2] = fmin(FAR_MM, a + b);
+        c->nodes--;
+    }
+    memmove(c->thick_mm + 1, c->thick_mm, c->nodes * sizeof(c->thick_mm[0]));
+    memmove(c->temp_c + 1, c->temp_c, c->nodes * sizeof(c->temp_c[0]));
+    c->thick_mm[0] = dab->thick_mm;
+    memset(c->temp_c, 0, sizeof(c->temp_c[0]));
+    c->nodes++;
+}
+
+/* Nothing lies right below: a leaning wall. Its road lies on the pile of a neighbour. */
+static void adopt(const struct deposit_map *map, struct column *c, const struct dab *dab)
+{
+    static const int8_t sides[4][2] = { { 1, 0 }, { -1, 0 }, { 0, 1 }, { 0, -1 } };
+    for (int i = 0; i < 4; i++) {
+        const struct column *other = find(map->columns, map->mask, c->x + sides[i][0], c->y + sides[i][1]);
+        if (!other->used || !other->nodes)
+            continue;
+        double gap_mm = dab->z_mm - other->z_mm;
+        int has_this = fabs(gap_mm) < SAME_LAYER * dab->thick_mm;   /* it has this layer already */
+        if (gap_mm > NEXT_LAYER * dab->thick_mm || gap_mm <= -SAME_LAYER * dab->thick_mm || other->nodes <= has_this)
+            continue;
+        c->time_s = other->time_s;
+        c->side_per_mm = other->side_per_mm;
+        c->z_mm = other->z_mm - (has_this ? other->thick_mm[0] : 0.0);
+        c->area_mm2 = has_this ? other->below_mm2 : other->area_mm2;
+        c->below_mm2 = other->below_mm2;
+        c->nodes = (uint8_t)(other->nodes - has_this);
+        memcpy(c->thick_mm, other->thick_mm + has_this, c->nodes * sizeof(c->thick_mm[0]));
+        memcpy(c->temp_c, other->temp_c + has_this, c->nodes * sizeof(c->temp_c[0]));
+        return;
+    }
+}
+
+static double air_or_bed_c(const struct tempplan_params *p, const struct dab *dab)
+{
+    return dab->z_mm <= NEXT_LAYER * dab->thick_mm ? p->bed_c : around_c(p, dab->z_mm);
+}
+
+static double met_c(const struct column *c, const struct tempplan_params *p, const struct dab *dab, int same_layer, int k)
+{
+    if (!c->nodes)
+        return air_or_bed_c(p, dab);
+    double top_c = c->temp_c[0][k];
+    if (!same_layer)
+        return top_c;
+    double below_c = c->nodes > 1 ? c->temp_c[1][k] : p->bed_c;    /* below it and its neighbour beside it */
+    return (dab->width_mm * below_c + dab->thick_mm * top_c) / (dab->width_mm + dab->thick_mm);
+}
+
+int column_lay(struct deposit_map *map, struct column *c, const struct tempplan_params *p, const struct dab *dab,
+               struct dab *before)
+{
+    double odometer_mm = map->odometer_mm;
+    int same_layer = c->nodes && fabs(c->z_mm - dab->z_mm) < SAME_LAYER * dab->thick_mm;
+    int same_pass = same_layer && odometer_mm - c->odometer_mm <= SAME_PASS_CELLS * p->cell_mm;
+    double gap_mm = dab->z_mm - (c->nodes ? c->z_mm : 0.0);
+    int above = c->nodes && !same_layer && gap_mm <= NEXT_LAYER * dab->thick_mm;
+    if (!same_layer && gap_mm > NEXT_LAYER * dab->thick_mm)
+        adopt(map, c, dab);
+    c->odometer_mm = odometer_mm;
+    if (!same_pass) {
+        cool(c, p, dab->time_s, dab->fan);
+        c->time_s = dab->time_s;
+        for (int k = 0; k < TEMPPLAN_HISTORIES; k++)
+            c->met_c[k] = met_c(c, p, dab, same_layer, k);
+    }
+    if (!same_layer) {
+        before->time_s = c->laid_s;
+        before->clock = c->clock;
+        c->laid_s = dab->time_s;
+        c->clock = dab->clock;
+        begin_layer(c, p, dab);
+    }
+    double area_mm2 = fmax(LEAST_MM2, dab->width_mm * dab->length_mm);
+    c->area_mm2 += area_mm2;
+    double share = area_mm2 / c->area_mm2;
+    c->temp_c[0][1] += share * (dab->fixed_c - c->temp_c[0][1]);
+    c->kept *= 1.0 - share;
+    return above;
+}
+
+void column_melt(struct column *c, double melt_c)
+{
+    c->temp_c[0][0] = c->kept * c->temp_c[0][0] + (1.0 - c->kept) * melt_c;
+    c->kept = 1.0;
 }

@@ -1,21 +1,26 @@
 #ifndef FERRITE_TEMPPLAN_MAP_H
 #define FERRITE_TEMPPLAN_MAP_H
-/* Which road lies on top in each column of a square grid, and how warm it is. */
+/* What lies in each column of a square grid, layer by layer, and how warm: class DepositMap in thermal/deposit.py. */
 #include <stdint.h>
 
 #include "tempplan.h"
 
-struct road {
-    double time_s, z_mm, thick_mm;
-    double laid_c[TEMPPLAN_HISTORIES], base_c[TEMPPLAN_HISTORIES];
+enum { PILE_NODES = 6 };
+
+/* Extrusion so far: as long as it took, and as long as it would have taken at full speed. */
+struct pace_clock {
+    double laying_s, full_speed_s;
 };
 
+/* History [0] of the newest layer wait for the piece's melt: `kept` is the share they keep then. */
 struct column {
     int32_t x, y;
-    uint8_t used, has_under;
-    double odometer_mm;             /* path laid when it was last touched */
-    double met_c[TEMPPLAN_HISTORIES];  /* substrate the present pass met */
-    struct road top, under;
+    uint8_t used, nodes;
+    double time_s, z_mm, odometer_mm, area_mm2, below_mm2, side_per_mm, kept;
+    struct pace_clock clock;        /* when the newest layer began here */
+    double laid_s;
+    double met_c[TEMPPLAN_HISTORIES];
+    double thick_mm[PILE_NODES], temp_c[PILE_NODES][TEMPPLAN_HISTORIES];
 };
 
 struct deposit_map {
@@ -24,10 +29,22 @@ struct deposit_map {
     double odometer_mm;
 };
 
+/* A short piece of road over one column. */
+struct dab {
+    double time_s, z_mm, thick_mm, width_mm, length_mm, fan;
+    double fixed_c;                 /* melt of history [1] */
+    struct pace_clock clock;
+};
+
 int map_init(struct deposit_map *map);
 void map_free(struct deposit_map *map);
 /* Room for `more` columns; 0, or -1: no memory. */
 int map_reserve(struct deposit_map *map, uint64_t more);
 struct column *map_column(struct deposit_map *map, int32_t x, int32_t y);
+/* Lay it; met_c of the column is then what it met. 1: it is the first of its layer there, on another below, and
+ * `before` is what the clocks were for that; else 0. The melt of history [0] follows with column_melt(). */
+int column_lay(struct deposit_map *map, struct column *c, const struct tempplan_params *p, const struct dab *dab,
+               struct dab *before);
+void column_melt(struct column *c, double melt_c);
 
 #endif

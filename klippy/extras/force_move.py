@@ -89,7 +89,7 @@ class ForceMove:
     def _force_enable(self, stepper: Any) -> bool:
         """Switch the motor on; True if it was off."""
         enable = self.printer.lookup_object("stepper_enable")
-        return enable.set_motors_enable([stepper.get_name()], True)
+        return enable.set_motors_enable([stepper.get_name()], True, at_once=True)
 
     def cmd_STEPPER_BUZZ(self, gcmd: Any) -> None:
         """STEPPER_BUZZ STEPPER=<name>: ten times forth and back by 1 mm."""

@@ -46,6 +46,7 @@ class _Modes:
     extrude_factor: float = 1.0
     base_position: list[float] = field(default_factory=lambda: [0.0] * 4)  # toolhead position of G-code zero
     homing_position: list[float] = field(default_factory=lambda: [0.0] * 4)  # its value after G28
+    pace: float = 1.0  # further factor of moves that extrude, beside the user's own (temperature_plan)
 
 
 class GCodeMove:
@@ -198,9 +199,17 @@ class GCodeMove:
             raise self._bad_number(gcmd)
         if speed <= 0.0:
             raise gcmd.error(f"Invalid speed in '{gcmd.get_commandline()}': F must be above zero")
-        self._move(target, speed * modes.speed_factor)
+        factor = modes.speed_factor
+        if modes.pace != 1.0 and self._lays(target):
+            factor *= modes.pace
+        self._move(target, speed * factor)
         modes.speed = speed
         self.last_position = target
+
+    def _lays(self, target: Sequence[float]) -> bool:
+        """Is this move a road: does it extrude on its way across the bed?"""
+        x, y, _, e = self.last_position[:4]
+        return target[3] > e and (target[0] != x or target[1] != y)
 
     def _bad_number(self, gcmd: Any) -> Exception:
         """The error that names the parameter at fault."""
@@ -324,6 +333,7 @@ class GCodeMove:
             state.extrude_factor,
             [*state.base_position[:3], state.base_position[3] + e_diff, *modes.base_position[4:]],
             list(state.homing_position),
+            modes.pace,
         )
         if move:
             self.last_position = target

@@ -247,10 +247,16 @@ class Homing:
         endstops = [endstop for rail in rails for endstop in rail.get_endstops()]
         info = rails[0].get_homing_info()
         move = HomingMove(self.printer, endstops)
+        self._rest()
         move.homing_move(homepos, info.speed)
         if info.retract_dist:
             move = self._approach_again(info, endstops, startpos, homepos)
         self._finish(rails, move, homepos, homing_axes)
+
+    def _rest(self) -> None:
+        """Motion before and after is kept apart: all steps are out, and what comes next begins a little later."""
+        self.toolhead.get_last_move_time()
+        self.toolhead.flush_step_generation()
 
     def _approach_again(
         self, info: Any, endstops: Any, startpos: list[float], homepos: list[float]
@@ -269,6 +275,7 @@ class Homing:
         again = [r - d * share for r, d in zip(retractpos, axes_d, strict=True)]
         self.toolhead.set_position(again)
         move = HomingMove(self.printer, endstops)
+        self._rest()
         move.homing_move(home, info.second_homing_speed)
         name = move.check_no_movement()
         if name is not None:
@@ -279,7 +286,7 @@ class Homing:
         self, rails: Sequence[Any], move: HomingMove, homepos: list[float], homing_axes: list[int]
     ) -> None:
         """The trigger happened at homepos: place the head by how far each stepper ran on after it."""
-        self.toolhead.flush_step_generation()
+        self._rest()
         self.trigger_mcu_pos = {p.stepper_name: p.trig_pos for p in move.stepper_positions}
         self.adjust_pos = {}
         self.printer.send_event("homing:home_rails_end", self, rails)

@@ -98,8 +98,9 @@ class InductionCalibrate:
         self._seen = (-1e9, 0.0)
         self.gcode.register_command("ABORT", self.cmd_abort, desc="End the calibration")
         self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
+        against = "readings you enter by INDUCTION_REFERENCE" if self._reference is None else reference
         self._say(
-            f"Calibrating '{self.heater.section_name}' against {reference} up to {limit_c:.0f} C; ABORT ends it."
+            f"Calibrating '{self.heater.section_name}' up to {limit_c:.0f} C against {against}; ABORT ends it."
         )
         if gcmd.get_int("WAIT", 0):
             eventtime = self._reactor.monotonic()
@@ -113,7 +114,15 @@ class InductionCalibrate:
             found = self.printer.lookup_object(prefix + name, None)
             if found is not None and found is not self.heater:
                 return found
-        raise gcmd.error(f"There is no temperature sensor '{name}' to calibrate against")
+        known = [
+            full.split()[-1]
+            for full, _ in self.printer.lookup_objects()
+            if full.startswith("temperature_sensor ")
+        ]
+        raise gcmd.error(
+            f"There is no temperature sensor '{name}' to calibrate against (known: {', '.join(known) or 'none'};"
+            " or REFERENCE=manual)"
+        )
 
     def cmd_abort(self, gcmd: Any) -> None:
         if self._run is None:
@@ -296,12 +305,14 @@ class InductionCalibrate:
             f"Induction heater '{self.heater.section_name}': law {name}"
             + ("" if parameters.supervise.calibrated else " (NOT CALIBRATED)"),
             "  " + ", ".join(f"{key}={value:.6g}" for key, value in values.items()),
-            f"  temperature {status['estimate']} C, 1 sigma {status['sigma']} C, latency {status['latency']} s",
-            f"  phase {status['phase']} ticks, power {status['power_w']} W, supply x{status['supply']}",
+            f"  temperature {_or_unknown(status['estimate'], 'C')}, 1 sigma {_or_unknown(status['sigma'], 'C')},"
+            f" latency {status['latency']} s",
+            f"  phase {status['phase']} ticks, power {status['power_w']} W,"
+            f" supply {100 * status['supply']:.1f} % of vdc_reference",
             f"  noise at the ADC {'unknown' if noise is None else f'{noise:.2f} LSB'},"
             f" blocks {status['blocks']}, lost {status['blocks_lost']}",
             f"  drift against the heat balance: {_or_unknown(status['drift'], 'C')},"
-            f" heat capacity x{_or_unknown(status['capacity_ratio'], '')}",
+            f" heat capacity found: {_or_unknown(status['capacity_ratio'], 'times the configured one')}",
         ]
         if status["warning"]:
             lines.append(f"  WARNING: {status['warning']}")

@@ -16,9 +16,10 @@ HEADER = ("time", "phase", "count", "raw_mean", "raw_min", "raw_max", "temperatu
 class InductionDump:
     """Listens to the loop only while somebody wants rows."""
 
-    def __init__(self, printer: Any, heater: Any) -> None:
+    def __init__(self, printer: Any, heater: Any, folder: str) -> None:
         self.printer = printer
         self.heater = heater
+        self._folder = Path(folder).expanduser()
         self._clients: list[tuple[Any, dict[str, Any]]] = []
         self._rows: list[tuple[Any, ...]] = []
         self._file: TextIO | None = None
@@ -99,9 +100,11 @@ class InductionDump:
     def cmd_dump(self, gcmd: Any) -> None:
         if self._file is not None:
             raise gcmd.error("INDUCTION_DUMP is writing already")
-        path = Path(gcmd.get("FILE", f"/tmp/induction-{self.heater.section_name}.csv")).expanduser()
+        name = gcmd.get("FILE", f"induction-{self.heater.section_name}-dump.csv")
+        path = self._folder / Path(name).expanduser()  # an absolute one stays what it is
         duration_s = gcmd.get_float("DURATION", 2.0, above=0.0, maxval=3600.0)
         try:
+            self._folder.mkdir(parents=True, exist_ok=True)
             self._file = path.open("w", newline="", encoding="utf-8")
         except OSError as e:
             raise gcmd.error(f"INDUCTION_DUMP cannot write {path}: {e.strerror}") from None

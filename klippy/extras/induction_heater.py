@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 import math
+from pathlib import Path
 from typing import Any, Protocol
 
 from thermal import features, laws, loop
@@ -31,6 +32,13 @@ class Driver(Protocol):
     def on_blocks(self, blocks: list[SampleBlock], now_s: float) -> list[PhaseCommand]: ...
     def on_timer(self, now_s: float) -> list[PhaseCommand]: ...
     def abort(self, reason: str) -> None: ...
+
+
+class Planner(Protocol):
+    """What moves the target along the path while one is under way: [temperature_plan]."""
+
+    def take_target(self, target_c: float) -> bool: ...
+    def is_on_path(self) -> bool: ...
 
 
 class InductionHeater:
@@ -61,6 +69,7 @@ class InductionHeater:
         self._reactor = printer.get_reactor()
         self._timer: Any = None
         self._driver: Driver | None = None
+        self.planner: Planner | None = None
         self._quiet_s = -math.inf
         self._warned = ""
         self._ahead: induction_flow.FlowAhead | None = None
@@ -206,9 +215,10 @@ class InductionHeater:
     def use(self, parameters: loop.LoopParameters) -> None:
         """Work with other parameters from now on (a new calibration); the MCU's own limits stay as configured."""
         parameters = settings.remodelled(parameters)
-        self.parameters = parameters
+        before, self.parameters = self.parameters, parameters
         self.loop.use(parameters)
-        self.loop.state.estimate = loop.NOT_MEASURED
+        if (parameters.estimator, parameters.front) != (before.estimator, before.front):
+            self.loop.state.estimate = loop.NOT_MEASURED  # told by another sensing law
 
     def _smooth(self) -> None:
         """The displayed temperature: first-order, over `smooth_time`."""
@@ -234,6 +244,8 @@ class InductionHeater:
             raise self.printer.command_error(
                 heater_registry.range_error(degrees, self.min_temp, self.max_temp)
             )
+        if degrees and self.planner is not None and self.planner.take_target(degrees):
+            return  # path is under way: the plan moves with it
         if self._running:
             self._send(self.loop.set_target(degrees, self._now_s()))
         else:
@@ -251,6 +263,8 @@ class InductionHeater:
 
     def check_busy(self, eventtime: float) -> bool:
         """Still on the way to the target?"""
+        if self.planner is not None and self.planner.is_on_path():
+            return not self.batch
         return not self.batch and not self.loop.is_settled()
 
     @property
@@ -343,6 +357,12 @@ class InductionSection:
             registry.add_heater(self._config, self.heater)
 
 
+def _log_folder(printer: Any) -> str:
+    """Where the log is; traces lie beside it, so that front ends offer both."""
+    log_file = printer.get_start_args().get("log_file")
+    return str(Path(log_file).parent) if log_file else "~/printer_data/logs"
+
+
 def load_config_prefix(config: Any) -> InductionSection:
     printer = config.get_printer()
     printer.load_object(config, "heaters")
@@ -368,9 +388,9 @@ def load_config_prefix(config: Any) -> InductionSection:
     heater.config = config
     section = InductionSection(config, heater)
     section.register()
-    folder = config.get("calibration_folder", "~/printer_data/logs")
+    folder = config.get("calibration_folder", _log_folder(printer))
     induction_calibrate.InductionCalibrate(printer, heater, config.get_name(), folder).register()
-    induction_dump.InductionDump(printer, heater).register()
+    induction_dump.InductionDump(printer, heater, folder).register()
     supply = induction_supply.read(config)
     if supply is not None:
         supply.serve(heater)

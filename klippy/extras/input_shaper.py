@@ -117,12 +117,9 @@ class InputShaper:
         self._apply(self.axes)
 
     def _apply(self, axes: list[AxisShaper]) -> None:
-        """From the next motion on, which begins late enough for its first copy."""
-        toolhead = self.printer.lookup_object("toolhead")
-        toolhead.flush_step_generation()
+        """From the next motion on; the toolhead begins it late enough for its first copy."""
+        self.printer.lookup_object("toolhead").flush_step_generation()
         self._set_pulses(axes)
-        toolhead.dwell(max((-delay for axis in axes for delay in axis.pulses()[1]), default=0.0))
-        toolhead.flush_step_generation()
 
     def _set_pulses(self, axes: list[AxisShaper]) -> None:
         """Give every motor of the kinematics the pulses of the axes that turn it."""

@@ -104,8 +104,9 @@ class ManualStepper:
 
     def do_enable(self, enable: bool) -> None:
         self.sync_print_time()
-        names = [motor.get_name() for motor in self.steppers]
-        self.printer.lookup_object("stepper_enable").set_motors_enable(names, enable)
+        lookup = self.printer.lookup_object("stepper_enable").lookup_enable
+        for line in (lookup(motor.get_name()) for motor in self.steppers):
+            (line.motor_enable if enable else line.motor_disable)(self._end_time)
 
     def do_set_position(self, setpos: float) -> None:
         """Where it stands is called setpos from now on."""

@@ -11,6 +11,7 @@ from typing import Any
 
 from . import (
     adc_temperature,
+    i2c_temperature,
     spi_temperature,
     temperature_combined,
     temperature_host,
@@ -24,6 +25,7 @@ BUILTIN: tuple[Callable[[Any], None], ...] = (
     thermistor.register_builtin,
     adc_temperature.register_builtin,
     spi_temperature.register_builtin,
+    i2c_temperature.register_builtin,
     temperature_mcu.register_builtin,
     temperature_host.register_builtin,
     temperature_combined.register_builtin,

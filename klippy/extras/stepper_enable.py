@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+import stepstream
+
 # Between the last step and switching off, and before anything else: lets the motors settle.
 DISABLE_STALL_S = 0.100
 
@@ -110,14 +112,18 @@ class PrinterStepperEnable:
     def register_stepper(self, config: Any, mcu_stepper: Any) -> None:
         self.enable_lines[mcu_stepper.get_name()] = EnableTracking(mcu_stepper, self._setup_pin(config))
 
-    def set_motors_enable(self, stepper_names: list[str], enable: bool) -> bool:
-        """Switch motors on or off after the queued moves; True if any changed."""
+    def set_motors_enable(self, stepper_names: list[str], enable: bool, at_once: bool = False) -> bool:
+        """Switch motors on or off after the queued moves, and (not at_once) some rest; True if any changed."""
         toolhead = self.printer.lookup_object("toolhead")
+        toolhead.get_last_move_time()
         changing = [n for n in stepper_names if self.enable_lines[n].is_motor_enabled() != enable]
         if not changing:
             return False
-        toolhead.dwell(DISABLE_STALL_S)
-        toolhead.flush_step_generation()
+        if not at_once:
+            toolhead.dwell(DISABLE_STALL_S)
+            # all steps are out before: one that is worked out later would switch its motor on again, too late
+            streams = stepstream.lookup_streams(self.printer)
+            streams.advance(toolhead.get_last_move_time() - streams.look_ahead_s(), hold_back=False)
         print_time = toolhead.get_last_move_time()
         for name in changing:
             line = self.enable_lines[name]

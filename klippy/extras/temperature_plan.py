@@ -23,6 +23,7 @@ from thermal import wishes
 from thermal.deposit import Surroundings
 from thermal.materials import MATERIALS, Material
 from thermal.nozzle_melt import MeltExchange, NozzleLimits
+from thermal.pace import Pace, Pacer, Place
 
 REPLAN_S = 0.25  # so much new motion is worth another plan
 COMMIT_S = 0.20  # the plan nearer than this stays: commands for it may be on their way
@@ -32,6 +33,7 @@ RETURN_S = 0.5  # so long after the last piece the nozzle goes back to the user'
 RETURN_K_S = 10.0  # ... no faster than it can cool
 FOLLOW_MM = 60000.0  # a fair part of a print: the weld is held where the user's own target has it on average
 ROWS_AT_ONCE = 4096
+SLOWEST = 0.2  # of the file's speed; slicers go down to a tenth for their least time of a layer
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +47,8 @@ class Settings:
     table: wishes.WishTable
     exchange: MeltExchange
     power_share: float
+    slowest: float  # least part of the file's speed
+    longest_pause_s: float  # before a layer
     enabled: bool
     record: str | None  # file for a row of each laid piece
 
@@ -72,8 +76,13 @@ class TemperaturePlanner:
         self._reference: Any = None  # as we set it: another one means that the user has spoken
         self._base_c = 0.0
         self._end_s = -math.inf
+        self._going_home = False  # nothing more came: the reference leads back to the user's target
         self._printing = False
         self._path = PathPieces(0.0)
+        self._pacer = Pacer(1.0, 0.0)
+        self._paced_s = -math.inf  # end of what was planned at the newest pace
+        self._moved_c = 0.0  # by so much the user moved the target within the print
+        self._fan = 0.0
 
     def _on_connect(self) -> None:
         """All sections are read: find the heater."""
@@ -88,9 +97,11 @@ class TemperaturePlanner:
             self._begin()
         except ValueError as e:
             raise self.printer.config_error(f"[temperature_plan]: {e}") from None
+        self.heater.planner = self
 
     def _limits(self) -> NozzleLimits:
         heater, parameters = self.heater, self.heater.parameters
+        holder = parameters.plausible.loss
         return NozzleLimits(
             min_c=heater.min_temp,
             max_c=heater.max_temp,
@@ -99,12 +110,17 @@ class TemperaturePlanner:
             loss=parameters.loss,
             capacity=parameters.track.heat,
             exchange=self.settings.exchange,
+            holder_w_k=holder.link_w_k**2 / (holder.link_w_k + holder.second_w_k),
+            holder_s=holder.second_j_k / (holder.link_w_k + holder.second_w_k),
         )
 
     def _begin(self) -> None:
         """An empty bed."""
         self.plan = TemperaturePlan(self._limits(), self.material, self.settings.surroundings, self.craft)
         self._path = PathPieces(math.pi / 4.0 * self.craft.filament_mm**2)
+        self._pacer = Pacer(self.settings.slowest, self.settings.longest_pause_s)
+        self._paced_s, self._moved_c = -math.inf, 0.0
+        self._set_factor(1.0)
 
     def register(self) -> None:
         self.printer.register_event_handler("klippy:connect", self._on_connect)
@@ -158,6 +174,8 @@ class TemperaturePlanner:
         found = wishes.read_comment(line)
         if found is not None:
             self._mark(self._state.comment(found))
+            if found.kind == "layer":
+                self._begin_layer()
 
     def _on_object(self, name: str | None) -> None:
         self._mark(self._state.inside(name or ""))
@@ -178,13 +196,44 @@ class TemperaturePlanner:
         if serving.get_name() and serving.get_heater() is not self.heater:
             return  # another tool prints
         fan = self.printer.lookup_object("fan", None)
-        speed = fan.get_status(self._reactor.monotonic())["speed"] if fan is not None else 0.0
+        self._fan = fan.get_status(self._reactor.monotonic())["speed"] if fan is not None else 0.0
 
-        def ask(time_s: float, layer: int, z_mm: float) -> tuple[float, float, float]:
+        def ask(time_s: float, layer: int, z_mm: float) -> tuple[float, float, float, float]:
             state = self._at(time_s)
-            return state.wish_c(self.settings.table, time_s, layer, z_mm), self._base_c, state.height_mm
+            wish_c = state.wish_c(self.settings.table, time_s, layer, z_mm)
+            return wish_c, self._base_c, state.height_mm, state.pace
 
-        self._waiting.extend(self._path.pieces(moves, ask, speed))
+        self._waiting.extend(self._path.pieces(moves, ask, self._fan))
+
+    # Pace: what is left where even the coolest melt is too hot
+
+    def _begin_layer(self) -> None:
+        """The file says that a layer begins; called before its first move is queued."""
+        if self.enabled and self._timer is not None and self._pacer.is_used:
+            self._choose_pace()
+            if self._pacer.pace.pause_s > 0.0:
+                self._toolhead.dwell(self._pacer.pace.pause_s)
+
+    def _choose_pace(self) -> None:
+        layers = self._path.layers
+        place = Place(layers.z_mm, layers.height_mm, self._fan)
+        ages, around = self.plan.ages(), self.settings.surroundings
+        pace = self._pacer.layer(ages, self.plan.interface_c, self.material, around, place)
+        self._set_factor(pace.factor)
+        self._paced_s = self._end_s
+
+    def _pace_without_layers(self) -> None:
+        """The file tells no layers: another pace whenever about one has been laid."""
+        if self._state.layer or not self._pacer.is_used:
+            return
+        if self._pacer.is_round(self.plan.ages(), self._end_s - self._paced_s):
+            self._choose_pace()
+
+    def _set_factor(self, factor: float) -> None:
+        modes = self.printer.lookup_object("gcode_move").modes
+        if factor != modes.pace:
+            modes.pace = factor
+            self._mark(replace(self._state, pace=factor))
 
     # The plan
 
@@ -210,6 +259,34 @@ class TemperaturePlanner:
             return
         self._let_go(loop.state.target_c)
 
+    def is_on_path(self) -> bool:
+        """Does the plan hold the heater? Asked by the heater: M109 waits until it is back at the user's target."""
+        return self._reference is not None and self.heater.loop.reference is self._reference
+
+    def take_target(self, target_c: float) -> bool:
+        """The user's M104 while path is under way. The plan moves with it and goes on; True: it has been done."""
+        now_s = self.heater.now_s()
+        ahead = not self._going_home and now_s + COMMIT_S < self._end_s
+        if not self.enabled or not self.is_on_path() or not ahead:
+            return False
+        moved_c, self._base_c = target_c - self._base_c, target_c
+        if not moved_c:
+            return True  # slicers repeat themselves
+        self._moved_c += moved_c
+        self._waiting = [piece._replace(base_c=target_c) for piece in self._waiting]
+        self._use_craft()
+        from_s = now_s + COMMIT_S
+        self.plan.shift(from_s, moved_c)
+        self._set(self.plan.make(from_s, self._reference.at(from_s)), now_s)
+        return True
+
+    def _use_craft(self) -> None:
+        """Material and wishes as they are now; an interface told by name moves with the user's target."""
+        craft = self.craft
+        if craft.interface_c is not None and not craft.follow_mm:
+            craft = replace(craft, interface_c=craft.interface_c + 0.5 * self._moved_c)
+        self.plan.change(self.material, self.settings.surroundings, craft)
+
     def _let_go(self, base_c: float) -> None:
         if self._reference is not None and base_c <= 0.0:
             self.plan.cut(self.heater.now_s())
@@ -225,6 +302,8 @@ class TemperaturePlanner:
         self.plan.add(pieces)
         if not self.enabled:
             return
+        self._pace_without_layers()
+        self._going_home = False
         from_s = now_s + COMMIT_S
         start_c = self.heater.loop.state.target_c
         if self._reference is not None:
@@ -242,6 +321,7 @@ class TemperaturePlanner:
         target_c = loop.state.target_c
         if loop.reference is not self._reference:
             return
+        self._going_home = True
         away_s = abs(target_c - self._base_c) / RETURN_K_S
         self._set([(now_s, target_c), (now_s + away_s, self._base_c)] if away_s > 1e-3 else [], now_s)
         self._end_s = now_s + away_s - RETURN_S
@@ -268,6 +348,8 @@ class TemperaturePlanner:
             self._book(math.inf)
             if self.enabled and self.plan.summary().pieces:
                 self._gcode.respond_info(report_line(self.plan.summary(), self.material))
+            self._pacer.pace = Pace()
+            self._set_factor(1.0)
         self._printing = printing
 
     # Commands
@@ -305,7 +387,7 @@ class TemperaturePlanner:
         if interface_c is not None:
             self.craft = replace(self.craft, interface_c=interface_c or None, follow_mm=0.0)
         if material is not None or interface_c is not None:
-            self.plan.change(self.material, self.settings.surroundings, self.craft)
+            self._use_craft()
         if enable is not None:
             self._enable(bool(enable))
         if gcmd.get_int("REPORT", 0) or (enable, material, interface_c) == (None, None, None):
@@ -315,6 +397,9 @@ class TemperaturePlanner:
         if enable == self.enabled:
             return
         self.enabled = enable
+        if not enable:
+            self._pacer.pace = Pace()
+            self._set_factor(1.0)
         if not enable and self._reference is not None:
             now_s = self.heater.now_s()
             self.plan.cut(now_s)
@@ -337,6 +422,7 @@ class TemperaturePlanner:
             "planned_until": round(self._end_s, 3) if active else None,
             "layer": self._path.layers.number,
             "feature": self._state.feature,
+            "speed_factor": round(self._pacer.pace.factor, 3),
             "length": round(books.length_mm, 1),
             "bonded_share": round(books.bonded_share[0], 4),
             "bonded_share_fixed": round(books.bonded_share[1], 4),
@@ -416,6 +502,8 @@ def read_settings(config: Any) -> Settings:
             volume_mm3=config.getfloat("melt_volume", 0.0, minval=0.0),
         ),
         config.getfloat("power_share", 0.8, above=0.0, maxval=1.0),
+        config.getfloat("minimum_speed_factor", SLOWEST, above=0.0, maxval=1.0),
+        config.getfloat("max_layer_pause", 0.0, minval=0.0, maxval=120.0),
         config.getboolean("enable", True),
         config.get("record", None),
     )

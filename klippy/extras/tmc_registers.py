@@ -1,19 +1,13 @@
-"""Registers of Trinamic stepper drivers as named fields, and what is common to them: currents, speeds, microsteps.
+"""Registers of Trinamic stepper drivers as named fields, and what is common to them: speeds, microsteps.
 
-Pure tables and arithmetic; tmc2209.py puts them to use. Source of the fields: datasheet of the TMC2209, rev. 1.09,
-chapter 5; of the formulas: chapters 9 (sense resistors) and 5.2 (TSTEP).
+Pure; the tables are in tmc_chips.py. TSTEP: datasheet of the TMC2209, rev. 1.09, chapter 5.2.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-CLOCK_HZ = 12_000_000  # internal clock
-FULL_SCALE_V = (0.325, 0.180)  # at the sense resistor, by vsense
-INNER_OHM = 0.020  # of the chip, in series with the sense resistor
-CURRENT_STEPS = 32
 TSTEP_MAX = 0xFFFFF
 MICROSTEPS_MAX = 256
 
@@ -74,32 +68,12 @@ class Fields:
         return f"{register + ':':<11} {word:08x} {' '.join(parts)}".rstrip()
 
 
-def largest_current_a(sense_ohm: float) -> float:
-    """RMS, at full scale."""
-    return FULL_SCALE_V[0] / (sense_ohm + INNER_OHM) / math.sqrt(2.0)
-
-
-def current_bits(current_a: float, sense_ohm: float) -> tuple[int, int]:
-    """(vsense, current scale 0..31) for an RMS current: the finer range if it reaches."""
-    for vsense in (1, 0):
-        full_a = FULL_SCALE_V[vsense] / (sense_ohm + INNER_OHM) / math.sqrt(2.0)
-        scale = round(current_a / full_a * CURRENT_STEPS) - 1
-        if scale < CURRENT_STEPS or not vsense:
-            break
-    return vsense, min(CURRENT_STEPS - 1, max(0, scale))
-
-
-def scale_current_a(vsense: int, scale: int, sense_ohm: float) -> float:
-    """RMS current of a scale."""
-    return (scale + 1) / CURRENT_STEPS * FULL_SCALE_V[vsense] / (sense_ohm + INNER_OHM) / math.sqrt(2.0)
-
-
-def speed_threshold(speed_mm_s: float, step_mm: float, microsteps: int) -> int:
+def speed_threshold(speed_mm_s: float, step_mm: float, microsteps: int, clock_hz: float) -> int:
     """TSTEP (clocks per 1/256 step) at a speed; 0 mm/s: never reached (the largest)."""
     if speed_mm_s <= 0.0:
         return TSTEP_MAX
     fine_step_mm = step_mm * microsteps / MICROSTEPS_MAX
-    return min(TSTEP_MAX, round(CLOCK_HZ * fine_step_mm / speed_mm_s))
+    return min(TSTEP_MAX, round(clock_hz * fine_step_mm / speed_mm_s))
 
 
 def microstep_bits(microsteps: int) -> int:

@@ -121,11 +121,14 @@ def lookup_wire(config: Any) -> Wire:
 class RegisterLink:
     """Registers of one driver on a wire."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: Any, addresses: int = 4) -> None:
         self.printer = config.get_printer()
         self.name = config.get_name().split(None, 1)[-1]
         self.wire = lookup_wire(config)
-        self.address = config.getint("uart_address", 0, minval=0, maxval=3)
+        self.mcu = self.wire.mcu
+        self.address = (
+            config.getint("uart_address", 0, minval=0, maxval=addresses - 1) if addresses > 1 else 0
+        )
         other = self.wire.addresses.setdefault(self.address, self.name)
         if other != self.name:
             raise config.error(

@@ -98,18 +98,6 @@ class ExtruderStepper:
         self.pressure_advance = pressure_advance
         self.pressure_advance_smooth_time = smooth_time
 
-    def _change_pressure_advance(self, pressure_advance: float, smooth_time: float) -> None:
-        """While printing: a longer smooth time begins sooner before a move, so the next move has to come later, or its
-        first steps would be wanted in the past."""
-        streams = stepstream.lookup_streams(self.printer)
-        reach_s = streams.look_ahead_s()
-        self._set_pressure_advance(pressure_advance, smooth_time)
-        longer_s = streams.look_ahead_s() - reach_s
-        if longer_s > 0.0:
-            toolhead = self.printer.lookup_object("toolhead")
-            toolhead.dwell(longer_s)
-            toolhead.flush_step_generation()
-
     cmd_SET_PRESSURE_ADVANCE_help = "Set pressure advance parameters"
 
     def cmd_default_SET_PRESSURE_ADVANCE(self, gcmd: Any) -> None:
@@ -126,7 +114,7 @@ class ExtruderStepper:
         smooth_time = gcmd.get_float(
             "SMOOTH_TIME", self.pressure_advance_smooth_time, minval=0.0, maxval=MAX_SMOOTH_TIME_S
         )
-        self._change_pressure_advance(advance, smooth_time)
+        self._set_pressure_advance(advance, smooth_time)
         text = f"pressure_advance: {advance:.6f}\npressure_advance_smooth_time: {smooth_time:.6f}"
         self.printer.set_rollover_info(self.name, f"{self.name}: {text}")
         gcmd.respond_info(text, log=False)
@@ -190,18 +178,16 @@ class PrinterExtruder:
         self.nozzle_diameter = config.getfloat("nozzle_diameter", above=0.0)
         filament_diameter = config.getfloat("filament_diameter", minval=self.nozzle_diameter)
         self.filament_area = math.pi * (0.5 * filament_diameter) ** 2
-        cross_section = config.getfloat(
-            "max_extrude_cross_section", DEFAULT_CROSS_SECTION_FACTOR * self.nozzle_diameter**2, above=0.0
-        )
+        usual_mm2 = DEFAULT_CROSS_SECTION_FACTOR * self.nozzle_diameter**2
+        cross_section = config.getfloat("max_extrude_cross_section", usual_mm2, above=0.0)
         self.max_extrude_ratio = cross_section / self.filament_area
+        usual_ratio = usual_mm2 / self.filament_area  # retractions do not get faster by a wider limit
         toolhead = self.printer.lookup_object("toolhead")
         max_velocity, max_accel = toolhead.get_max_velocity()
         self.max_e_velocity = config.getfloat(
-            "max_extrude_only_velocity", max_velocity * self.max_extrude_ratio, above=0.0
+            "max_extrude_only_velocity", max_velocity * usual_ratio, above=0.0
         )
-        self.max_e_accel = config.getfloat(
-            "max_extrude_only_accel", max_accel * self.max_extrude_ratio, above=0.0
-        )
+        self.max_e_accel = config.getfloat("max_extrude_only_accel", max_accel * usual_ratio, above=0.0)
         self.max_e_dist = config.getfloat(
             "max_extrude_only_distance", DEFAULT_MAX_EXTRUDE_ONLY_MM, minval=0.0
         )

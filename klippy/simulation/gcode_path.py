@@ -3,7 +3,7 @@
     lines ─► modal state ─► Move ─► look-ahead ─► moves with print times, and the line each came from
 
 For planning offline. Homing, probing and macros take no time here; what a slicer writes between moves is understood as
-far as it changes the path or its temperatures. Arcs are taken as straight lines to their end.
+far as it changes the path or its temperatures.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from extras import gcode_arcs
 from lookahead import LookAheadQueue, Move
 from thermal.wishes import Wishes, read_comment
 
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
 _PARAMETER = re.compile(r"([A-Z_]+)=(\S+)")
 RIGHT_ANGLE_FACTOR = math.sqrt(2.0) - 1.0
-BATCH_MOVES = 2000
+BATCH_MOVES = 500
 
 
 @dataclass(slots=True)
@@ -64,36 +65,57 @@ class _Modes:
     absolute: bool = True
     absolute_e: bool = True
     speed_mm_s: float = 25.0
+    speed_factor: float = 1.0
+    extrude_factor: float = 1.0
+    plane: gcode_arcs.Plane = gcode_arcs.PLANES["G17"]
     nozzle_c: float = 0.0
     fan: float = 0.0
     wishes: Wishes = field(default_factory=Wishes)
 
 
 class GcodePath:
-    """Reads one file. `bed_c`: newest bed target met; `lines`: read so far."""
+    """Reads one file. `bed_c`: newest bed target met; `lines`: read so far; `arc_mm`: longest chord of an arc."""
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: Limits, arc_mm: float = gcode_arcs.DEFAULT_RESOLUTION_MM) -> None:
         self.limits = limits
+        self.arc_mm = arc_mm
+        self.layer_begins = False  # the line read last begins a layer
         self.bed_c = math.nan
         self.lines = 0
         self._modes = _Modes()
         self._position = [0.0, 0.0, 0.0, 0.0]
-        self._origin_e = 0.0
+        self._origin = [0.0, 0.0, 0.0, 0.0]
         self._time_s = 0.0
         self._queue = LookAheadQueue(limits)
         self._facts: list[tuple[Wishes, float, float, int]] = []  # of the moves in the queue
         self._ready: list[TimedMove] = []
 
     def moves(self, path: Path) -> Iterator[list[TimedMove]]:
-        """Batches of moves in order of time."""
+        """Batches of moves in order of time; one ends before each layer: the caller may choose its pace then."""
         with path.open(encoding="utf-8", errors="replace") as stream:
             for number, line in enumerate(stream):
                 self.lines = number + 1
+                self.layer_begins = False
                 self._take(line, number)
-                if len(self._ready) >= BATCH_MOVES:
+                if self.layer_begins or len(self._ready) >= BATCH_MOVES:
                     yield self._hand_out()
+        self.layer_begins = False
         self._flush(lazy=False)
         yield self._hand_out()
+
+    def set_pace(self, factor: float) -> None:
+        """What is read from now on is laid at this part of the file's speed."""
+        self._modes.wishes = replace(self._modes.wishes, pace=factor)
+
+    def pause(self, time_s: float) -> None:
+        """Rest after all that has been read."""
+        self._flush(lazy=False)
+        self._time_s += time_s
+
+    @property
+    def has_layers(self) -> bool:
+        """Has the file told a layer by a comment?"""
+        return self._modes.wishes.layer > 0
 
     def _hand_out(self) -> list[TimedMove]:
         ready, self._ready = self._ready, []
@@ -105,13 +127,18 @@ class GcodePath:
             found = read_comment(text)
             if found is not None:
                 self._modes.wishes = self._since(self._modes.wishes.comment(found))
+                self.layer_begins = found.kind == "layer"
             return
         text = text.partition(";")[0].strip().upper()
         if not text:
             return
         command, _, rest = text.partition(" ")
         if command in ("G0", "G1", "G2", "G3"):
-            self._move(dict(_WORD.findall(rest)), number)
+            words = {letter: float(value) for letter, value in _WORD.findall(rest)}
+            if words.get("F", 0.0) > 0.0:
+                self._modes.speed_mm_s = words["F"] / 60.0
+            for end in self._ways(command, words):
+                self._move(end, number)
             return
         handler = getattr(self, "_on_" + command.replace(".", "_").lower(), None)
         if handler is not None:
@@ -126,17 +153,29 @@ class GcodePath:
         self._flush(lazy=False)
         return replace(wishes, since_s=self._time_s)
 
-    def _move(self, words: dict[str, str], number: int) -> None:
-        modes = self._modes
-        if "F" in words and float(words["F"]) > 0.0:
-            modes.speed_mm_s = float(words["F"]) / 60.0
-        end = list(self._position)
+    def _ways(self, command: str, words: dict[str, float]) -> list[list[float]]:
+        """Ends of the straight moves that a line stands for, x y z e in mm."""
+        modes, start = self._modes, self._position
+        end = list(start)
         for i, letter in enumerate("XYZE"):
             if letter in words:
-                value = float(words[letter])
-                absolute = modes.absolute_e if letter == "E" else modes.absolute
-                end[i] = value + (self._origin_e if letter == "E" else 0.0) if absolute else end[i] + value
-        move = Move(self.limits, self._position, end, modes.speed_mm_s)  # type: ignore[arg-type]  # its four limits
+                value = words[letter] * (modes.extrude_factor if letter == "E" else 1.0)
+                absolute = modes.absolute and (letter != "E" or modes.absolute_e)
+                end[i] = value + (self._origin[i] if absolute else start[i])
+        plane = modes.plane
+        centre = tuple(words.get("IJK"[axis], 0.0) for axis in (plane.first, plane.second))
+        if command in ("G0", "G1") or not any(centre):
+            return [end]
+        points = gcode_arcs.arc_points(plane, start, end, centre, command == "G2", self.arc_mm)  # type: ignore[arg-type]  # a pair
+        step_e = (end[3] - start[3]) / len(points)
+        return [[*point, start[3] + step_e * number] for number, point in enumerate(points, 1)]
+
+    def _move(self, end: list[float], number: int) -> None:
+        modes, start = self._modes, self._position
+        speed_mm_s = modes.speed_mm_s * modes.speed_factor
+        if end[3] > start[3] and end[:2] != start[:2]:
+            speed_mm_s *= modes.wishes.pace
+        move = Move(self.limits, self._position, end, speed_mm_s)  # type: ignore[arg-type]  # its four limits
         self._position = end
         if not move.move_d:
             return
@@ -167,8 +206,32 @@ class GcodePath:
         self._modes.absolute_e = False
 
     def _on_g92(self, words: dict[str, str]) -> None:
-        if "E" in words:
-            self._origin_e = self._position[3] - float(words["E"])
+        values = {i: float(words[letter]) for i, letter in enumerate("XYZE") if letter in words}
+        for i in values or range(4):
+            factor = self._modes.extrude_factor if i == 3 else 1.0
+            self._origin[i] = self._position[i] - values.get(i, 0.0) * factor
+
+    def _on_g17(self, words: dict[str, str]) -> None:
+        self._modes.plane = gcode_arcs.PLANES["G17"]
+
+    def _on_g18(self, words: dict[str, str]) -> None:
+        self._modes.plane = gcode_arcs.PLANES["G18"]
+
+    def _on_g19(self, words: dict[str, str]) -> None:
+        self._modes.plane = gcode_arcs.PLANES["G19"]
+
+    def _on_m220(self, words: dict[str, str]) -> None:
+        if float(words.get("S", 100.0)) > 0.0:
+            self._modes.speed_factor = float(words.get("S", 100.0)) / 100.0
+
+    def _on_m221(self, words: dict[str, str]) -> None:
+        if float(words.get("S", 100.0)) > 0.0:
+            before, self._modes.extrude_factor = (
+                self._modes.extrude_factor,
+                float(words.get("S", 100.0)) / 100.0,
+            )
+            shown = (self._position[3] - self._origin[3]) / before
+            self._origin[3] = self._position[3] - shown * self._modes.extrude_factor
 
     def _on_g4(self, words: dict[str, str]) -> None:
         self._flush(lazy=False)

@@ -1,7 +1,8 @@
-"""A sliced file with the plan as M104 commands, for firmware that has no plan of its own.
+"""A sliced file with the plan as M104, M220 and G4 commands, for firmware that has no plan of its own.
 
 M104 acts when it is read, some motion before the path it stands at; the plan's own preview is far longer, so that is
-left out. What the file itself says with M104/M109 while it extrudes is taken out: the plan holds it already.
+left out. What the file itself says with M104/M109 while it extrudes is taken out: the plan holds it already. Its own
+M220 are multiplied with the plan's pace (M220 slows travel, too, which the plan does not).
 """
 
 from __future__ import annotations
@@ -12,22 +13,41 @@ from pathlib import Path
 from .plan_offline import OfflinePlan
 
 _TARGET = re.compile(rb"^\s*M10[49](?![.\d])[^;]*S\s*([0-9.]+)", re.IGNORECASE)
+_FACTOR = re.compile(rb"^\s*M220(?![.\d])[^;]*S\s*([0-9.]+)", re.IGNORECASE)
 
 
 def write(source: Path, target: Path, plan: OfflinePlan, step_c: float) -> int:
     """Write `target`; returns how many commands it got. `step_c`: least change. Raises OSError."""
     commands = _commands(plan, step_c)
+    paces = {change.line: change.pace for change in plan.paces}
     first, last = plan.moves[0].line, plan.moves[-1].line
+    count, file_percent, factor = len(commands), 100.0, 1.0
     with source.open("rb") as lines, target.open("wb") as out:
         for number, line in enumerate(lines):
-            told = _TARGET.match(line)
-            if told is not None and first < number < last and float(told[1]) > 0.0:
-                out.write(b";planned: " + line.lstrip())
-                continue
             if number in commands:
                 out.write(b"M104 S%d ;planned\n" % commands[number])
-            out.write(line)
-    return len(commands)
+            if number in paces:
+                pace = paces[number]
+                if pace.factor != factor:
+                    factor = pace.factor
+                    out.write(b"M220 S%d ;planned\n" % round(file_percent * factor))
+                    count += 1
+                if pace.pause_s > 0.0:
+                    out.write(b"G4 P%d ;planned\n" % round(1000.0 * pace.pause_s))
+                    count += 1
+            kept = line
+            told = _TARGET.match(line)
+            if told is not None and first < number < last and float(told[1]) > 0.0:
+                kept = b";planned: " + line.lstrip()
+            told = _FACTOR.match(line)
+            if told is not None:
+                file_percent = float(told[1])
+                kept = b"M220 S%d ;planned, was: %s" % (round(file_percent * factor), line.lstrip())
+            out.write(kept)
+        if factor != 1.0:
+            out.write(b"M220 S%d ;planned\n" % round(file_percent))
+            count += 1
+    return count
 
 
 def _commands(plan: OfflinePlan, step_c: float) -> dict[int, int]:

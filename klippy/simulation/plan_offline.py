@@ -9,13 +9,16 @@ import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
 from extras.temperature_plan import Settings
 from pathpieces import PathPieces
 from tempplan import Laid, Piece, Summary, TemperaturePlan
+from thermal.deposit import Surroundings
 from thermal.nozzle_melt import NozzleLimits
+from thermal.pace import Pace, Pacer, Place
 
 from .gcode_path import GcodePath, Limits, TimedMove
 
@@ -38,6 +41,14 @@ class PlannedMove:
     substrate_c: float
     interface_c: float
     interface_fixed_c: float
+    pace: float  # part of the file's own speed
+
+
+class PaceChange(NamedTuple):
+    """Before this line of the file the print gets another speed, or waits."""
+
+    line: int
+    pace: Pace
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +60,20 @@ class OfflinePlan:
     summary: Summary
     duration_s: float
     base_c: float
+    paces: list[PaceChange]
 
 
 class Planning:
     """Plans one file; `progress(lines)` is called now and then."""
 
-    def __init__(self, settings: Settings, nozzle: NozzleLimits, limits: Limits) -> None:
+    def __init__(self, settings: Settings, nozzle: NozzleLimits, limits: Limits, arc_mm: float = 1.0) -> None:
         self._settings = settings
         self._nozzle = nozzle
-        self._path = GcodePath(limits)
+        self._path = GcodePath(limits, arc_mm)
+        self._pacer = Pacer(settings.slowest, settings.longest_pause_s)
+        self._paces: list[PaceChange] = []
+        self._paced_s = 0.0
+        self._fan = 0.0
         self._pieces = PathPieces(math.pi / 4.0 * settings.craft.filament_mm**2)
         self._plan: TemperaturePlan | None = None
         self._owners: list[tuple[TimedMove, int, int]] = []  # (move, its layer, pieces that are laid)
@@ -73,20 +89,45 @@ class Planning:
         for batch in self._path.moves(path):
             for pieces in self._batches(batch):
                 self._take(pieces)
+            if self._pacer.is_used and self._plan is not None:
+                self._keep_pace()
             progress(self._path.lines)
         self._make(math.inf)
         plan = self._planner()
         self._book(math.inf)
         corners = np.array(self._corners or [(0.0, base_c)])
-        return OfflinePlan(self._moves, corners, plan.summary(), max(0.0, self._end_s), self._base_c)
+        duration_s = max(0.0, self._end_s)
+        return OfflinePlan(self._moves, corners, plan.summary(), duration_s, self._base_c, self._paces)
+
+    def _keep_pace(self) -> None:
+        """A layer begins (or, in a file that tells none, has about been laid): how fast may it come?"""
+        plan, path, pacer = self._planner(), self._path, self._pacer
+        if path.has_layers:
+            if not path.layer_begins:
+                return
+        elif not pacer.is_round(plan.ages(), self._end_s - self._paced_s):
+            return
+        layers, before = self._pieces.layers, pacer.pace
+        place = Place(layers.z_mm, layers.height_mm, self._fan)
+        pace = pacer.layer(plan.ages(), plan.interface_c, self._settings.material, self._around(), place)
+        self._paced_s = self._end_s
+        path.set_pace(pace.factor)
+        if not path.has_layers:
+            pace = Pace(pace.factor)
+        elif pace.pause_s > 0.0:
+            path.pause(pace.pause_s)
+        if pace.factor != before.factor or pace.pause_s > 0.0:
+            self._paces.append(PaceChange(path.lines - 1, pace))
+
+    def _around(self) -> Surroundings:
+        around, bed_c = self._settings.surroundings, self._path.bed_c
+        return around if math.isnan(bed_c) else replace(around, bed_c=bed_c)
 
     def _planner(self) -> TemperaturePlan:
         """Made when the first path comes: by then the file has told its bed."""
         if self._plan is None:
-            settings, around = self._settings, self._settings.surroundings
-            if not math.isnan(self._path.bed_c):
-                around = replace(around, bed_c=self._path.bed_c)
-            self._plan = TemperaturePlan(self._nozzle, settings.material, around, settings.craft)
+            settings = self._settings
+            self._plan = TemperaturePlan(self._nozzle, settings.material, self._around(), settings.craft)
         return self._plan
 
     def _batches(self, moves: Sequence[TimedMove]) -> Iterator[list[Piece]]:
@@ -97,10 +138,11 @@ class Planning:
 
             def ask(
                 time_s: float, layer: int, z_mm: float, at: TimedMove = timed
-            ) -> tuple[float, float, float]:
+            ) -> tuple[float, float, float, float]:
                 wish_c = at.wishes.wish_c(self._settings.table, time_s, layer, z_mm)
-                return wish_c, self._base_c, at.wishes.height_mm
+                return wish_c, self._base_c, at.wishes.height_mm, at.wishes.pace
 
+            self._fan = timed.fan
             own = list(self._pieces.pieces([timed.move], ask, timed.fan))
             laid = sum(piece.flow_mm3_s > 0.0 for piece in own)
             if laid:
@@ -156,4 +198,6 @@ def _planned(timed: TimedMove, layer: int, part: Sequence[Laid]) -> PlannedMove:
     move = timed.move
     names = ("wall_c", "melt_c", "substrate_c", "interface_c", "interface_fixed_c")
     place = (move.start_pos[:3], move.end_pos[:3], move.print_time)
-    return PlannedMove(timed.line, layer, *place, *map(mean, names))
+    wall_c, melt_c, substrate_c, interface_c, fixed_c = map(mean, names)
+    pace = timed.wishes.pace
+    return PlannedMove(timed.line, layer, *place, wall_c, melt_c, substrate_c, interface_c, fixed_c, pace)

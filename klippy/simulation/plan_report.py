@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tempplan import Summary
 from thermal.materials import Material
 
 from .plan_offline import OfflinePlan
@@ -19,10 +20,11 @@ HUNDREDTH_MM = 100.0
 MOST_MOVES = 300_000  # above, neighbours are left out: the page stays under 5 MB
 
 
-def figures(plan: OfflinePlan, material: Material) -> dict[str, Any]:
-    """The table of the page, for programs."""
-    books = plan.summary
-    planned, fixed = books.interface_5_50_95_c
+def figures(plan: OfflinePlan, material: Material, plain: Summary | None = None) -> dict[str, Any]:
+    """The table of the page, for programs. `plain`: of the file at its own speed, if the plan slows it down; that is
+    what "fixed" means then."""
+    books, fixed_books = plan.summary, plain or plan.summary
+    planned, fixed = books.interface_5_50_95_c[0], fixed_books.interface_5_50_95_c[1]
     return {
         "material": material.name,
         "bonding_c": material.bonding_c,
@@ -30,22 +32,40 @@ def figures(plan: OfflinePlan, material: Material) -> dict[str, Any]:
         "moves": len(plan.moves),
         "duration_s": round(plan.duration_s, 1),
         "bonded_share": round(books.bonded_share[0], 5),
-        "bonded_share_fixed": round(books.bonded_share[1], 5),
+        "bonded_share_fixed": round(fixed_books.bonded_share[1], 5),
         "interface_5_50_95_c": [round(v, 1) for v in planned],
         "interface_5_50_95_fixed_c": [round(v, 1) for v in fixed],
         "spread_c": round(books.spread_c[0], 1),
-        "spread_fixed_c": round(books.spread_c[1], 1),
+        "spread_fixed_c": round(fixed_books.spread_c[1], 1),
+        "spread_fixed_same_pace_c": round(books.spread_c[1], 1),
         "melt_against_wanted_rms_c": round(books.melt_rms_c, 2),
         "cold_share": round(books.cold_share, 4),
         "hot_share": round(books.hot_share, 4),
+        "slowest_pace": round(min((move.pace for move in plan.moves), default=1.0), 3),
+        "pauses_s": round(sum(change.pace.pause_s for change in plan.paces), 1),
     }
+
+
+_UNITS = {"c": "°C", "mm": "mm", "s": "s"}
+
+
+def _label(key: str) -> str:
+    """ "spread_fixed_c" -> "spread fixed, °C"."""
+    words, _, last = key.rpartition("_")
+    if last not in _UNITS:
+        return key.replace("_", " ")
+    return f"{words.replace('5_50_95', '5, 50, 95 %').replace('_', ' ')}, {_UNITS[last]}"
+
+
+def _shown(value: Any) -> str:
+    return " · ".join(map(str, value)) if isinstance(value, list) else str(value)
 
 
 def _packed(values: np.ndarray, kind: str) -> str:
     return base64.b64encode(values.astype(kind).tobytes()).decode("ascii")
 
 
-def write(path: Path, name: str, plan: OfflinePlan, material: Material) -> None:
+def write(path: Path, name: str, plan: OfflinePlan, material: Material, plain: Summary | None = None) -> None:
     """Raises OSError."""
     moves = plan.moves[:: 1 + len(plan.moves) // MOST_MOVES]
     ways = np.array([(*m.start_mm[:2], *m.end_mm[:2]) for m in moves])
@@ -63,8 +83,8 @@ def write(path: Path, name: str, plan: OfflinePlan, material: Material) -> None:
         "corners": _packed(plan.corners[:: 1 + len(plan.corners) // 4000].astype("<f4"), "<f4"),
     }
     rows = "".join(
-        f"<tr><th>{html.escape(key.replace('_', ' '))}</th><td>{html.escape(str(value))}</td></tr>"
-        for key, value in figures(plan, material).items()
+        f"<tr><th>{html.escape(_label(key))}</th><td>{html.escape(_shown(value))}</td></tr>"
+        for key, value in figures(plan, material, plain).items()
     )
     page = PAGE.read_text(encoding="utf-8")
     page = page.replace("@TITLE@", html.escape(name)).replace("@ROWS@", rows)

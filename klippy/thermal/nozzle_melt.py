@@ -1,8 +1,10 @@
 """What the melt takes from the nozzle and how hot it leaves, and how fast the nozzle can follow a plan.
 
-One thermal node in quasi-static contact with its holder: C(T) dT/dt = P - loss(T) - melt(T, flow). It gives
-10.3 K/s idle at 250 degC, against the 10-14 K/s of the real nozzle. In a long fall the holder stays behind and
-warms the nozzle: after 15 K at 200 degC the true rate is about a tenth lower. `cooling_share` leaves room for it.
+A thermal node and its holder: C(T) dT/dt = P - loss(T) - melt(T, flow), with the holder in balance, gives 10.1 K/s
+idle at 250 degC, against the 10-14 K/s of the real nozzle. In a fall the holder stays behind and
+warms it, in a rise it takes heat: with h the nozzle temperature at which the holder would be in balance,
+
+    extra loss = link^2/(link + second) (T - h)        dh/dt = (T - h) (link + second)/C_second
 """
 
 from __future__ import annotations
@@ -51,9 +53,8 @@ class NozzleLimits:
     max_c: float = 300.0
     min_extrude_c: float = 170.0
     power_w: float = 65.0  # 80 % of the reference plant's 81 W: the rest is the controller's
-    # Part of the quasi-static cooling rate that is planned with. Steps of 15 K each 1.5 s on a two-node nozzle,
-    # melt rms: 0.8 3.30, 0.9 3.13, 0.95 3.05, 1.0 2.98 degC (turned at the border: 6.20).
-    cooling_share: float = 0.95
+    holder_w_k: float = 0.0296  # reference plant: 41.1^2/(41.1 + 16.0) mW/K
+    holder_s: float = 10.0  # 0.572 J/K/(41.1 + 16.0) mW/K
     loss: LossLaw = field(default_factory=LossLaw)
     capacity: HeatCapacity = field(default_factory=HeatCapacity)
     exchange: MeltExchange = field(default_factory=MeltExchange)
@@ -71,8 +72,8 @@ def heating_k_s(limits: NozzleLimits, temp_c: float, flow_mm3_s: float) -> float
 
 
 def cooling_k_s(limits: NozzleLimits, temp_c: float, flow_mm3_s: float) -> float:
-    """Fastest fall planned with the power off, a positive number."""
-    return limits.cooling_share * hold_w(limits, temp_c, flow_mm3_s) / limits.capacity.at(temp_c)
+    """Fastest fall with the power off and the holder in balance, a positive number."""
+    return hold_w(limits, temp_c, flow_mm3_s) / limits.capacity.at(temp_c)
 
 
 def highest_c(limits: NozzleLimits) -> float:

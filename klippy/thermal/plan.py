@@ -61,19 +61,23 @@ class Planner:
         self._loss_w = [loss_w(limits.loss, t) for t in degrees]
         self._capacity_j_k = [limits.capacity.at(t) for t in degrees]
 
-    def _rate(self, start_c: float, end_c: float, melt_w_k: float) -> float:
+    def _rate(self, start_c: float, end_c: float, melt_w_k: float, holder_c: float) -> float:
         """Slowest of the limit rates (K/s) between two temperatures, rounded to the slow side.
 
         Both rates fall towards the end of a ramp. The capacity is taken a degree up in either direction.
+        `holder_c`: nozzle temperature at which the holder would be in balance now.
         """
         limits = self.limits
+        holder_w = limits.holder_w_k * (end_c - holder_c)
         floor = max(0, int(end_c))
         capacity_j_k = self._capacity_j_k[floor + 1]
         if end_c > start_c:
-            taken_w = self._loss_w[floor + 1] + melt_w_k * max(0.0, end_c - limits.exchange.inlet_c)
+            taken_w = (
+                holder_w + self._loss_w[floor + 1] + melt_w_k * max(0.0, end_c - limits.exchange.inlet_c)
+            )
             return max(LEAST_RATE_K_S, (limits.power_w - taken_w) / capacity_j_k)
-        given_w = self._loss_w[floor] + melt_w_k * max(0.0, end_c - limits.exchange.inlet_c)
-        return max(LEAST_RATE_K_S, limits.cooling_share * given_w / capacity_j_k)
+        given_w = holder_w + self._loss_w[floor] + melt_w_k * max(0.0, end_c - limits.exchange.inlet_c)
+        return max(LEAST_RATE_K_S, given_w / capacity_j_k)
 
     def plan(
         self, segments: Sequence[FlowSegment], melts_c: Sequence[float], start_c: float
@@ -122,7 +126,7 @@ class Planner:
             if abs(step_c) > NEGLIGIBLE_C:
                 sign = 1 if step_c > 0.0 else -1
                 melt_w_k = melts_w_k[i - 1] if i else 0.0
-                needed_s = abs(step_c) / self._rate(before_c, walls[i], melt_w_k)
+                needed_s = abs(step_c) / self._rate(before_c, walls[i], melt_w_k, start_c)
                 demand_s = needed_s + (demand_s if sign == direction else 0.0)
                 direction = sign
             later_s = at_s
@@ -146,6 +150,7 @@ class Planner:
         now_s, now_c = segments[0].start_s, start_c
         target_c = min(self.ceiling_c, max(self.floor_c, start_c))
         points = [PlanPoint(now_s, now_c)]
+        holder_c = start_c
         flow_i = turn_i = 0
         end_s = segments[-1].end_s
         while now_s < end_s:
@@ -162,7 +167,7 @@ class Planner:
                 border_s = min(border_s, starts[turn_i])
             border_s = min(border_s, end_s)
             melt_w_k = melts_w_k[flow_i] if inside else 0.0
-            now_c = self._ramp(points, now_s, now_c, border_s, target_c, melt_w_k)
+            now_c, holder_c = self._ramp(points, now_s, now_c, border_s, target_c, melt_w_k, holder_c)
             now_s = border_s
         points.append(PlanPoint(end_s, now_c))
         return points
@@ -175,11 +180,13 @@ class Planner:
         until_s: float,
         target_c: float,
         melt_w_k: float,
-    ) -> float:
-        """Move towards the target until `until_s`; append a corner wherever the slope changes."""
+        holder_c: float,
+    ) -> tuple[float, float]:
+        """Move towards the target until `until_s`; append a corner wherever the slope changes. (nozzle, holder)."""
         while now_s < until_s and abs(target_c - now_c) > 1e-9:
             step_c = min(PIECE_C, max(-PIECE_C, target_c - now_c))
-            rate = self._rate(now_c, now_c + step_c, melt_w_k)
+            rate = self._rate(now_c, now_c + step_c, melt_w_k, holder_c)
+            before_s, before_c = now_s, now_c
             if points[-1].time_s < now_s:
                 points.append(PlanPoint(now_s, now_c))
             needed_s = abs(step_c) / rate
@@ -190,4 +197,8 @@ class Planner:
                 now_s += needed_s
                 now_c += step_c
             points.append(PlanPoint(now_s, now_c))
-        return now_c
+            holder_c = self._holder(holder_c, 0.5 * (before_c + now_c), now_s - before_s)
+        return now_c, self._holder(holder_c, now_c, max(0.0, until_s - now_s))
+
+    def _holder(self, holder_c: float, nozzle_c: float, time_s: float) -> float:
+        return holder_c - (nozzle_c - holder_c) * math.expm1(-time_s / self.limits.holder_s)

@@ -79,6 +79,7 @@ class PlausibleParameters:
     drift_most_c: float = 60.0  # 0.4 % of C1: no capacitor drifts more, another steel in the coil does
     run_c: float = 60.0  # a heat-up by this much tells the capacity
     run_w: float = 25.0  # mean heat over it, so that losses are a correction
+    doubt_most_c: float = 2.0  # of the second mass, unknown at a start: with more only gross drift is told
     capacity_band: float = 0.35  # capacity off by more: not the nozzle this was set up for
 
 
@@ -89,8 +90,10 @@ class PlausibleState:
     time_s: float = math.nan
     temp_c: float = math.nan
     second_c: float = math.nan
+    second_doubt_c: float = 0.0  # how wrong that may be; at a start it is between ambient and skin
     quiet_s: float = 0.0  # for so long nothing else took heat
     left_w: float = 0.0  # averaged remainder of the balance
+    doubt_w: float = 0.0  # averaged likewise: what of it the second mass may be to blame for
     drift_c: float | None = None  # reading minus plausible; None: nothing can be said now
     run_start_c: float = math.nan  # heat-up under way
     run_j: float = 0.0
@@ -135,7 +138,9 @@ def observe(
     loss = parameters.loss
     dt_s = time_s - state.time_s
     if not 0.0 < dt_s < 2.0:
-        state.second_c = temp_c if math.isnan(state.second_c) else state.second_c
+        if math.isnan(state.second_c):
+            state.second_c = 0.5 * (temp_c + loss.ambient_c)
+            state.second_doubt_c = abs(temp_c - state.second_c)
         state.time_s, state.temp_c, state.run_start_c = time_s, temp_c, math.nan
         return
     mid_c = 0.5 * (temp_c + state.temp_c)
@@ -144,18 +149,22 @@ def observe(
     net_w = energy_j / dt_s - out_w
     _run(parameters, state, dt_s, temp_c, net_w)
     state.second_c += dt_s * loss.second_rate(mid_c, state.second_c)
+    state.second_doubt_c *= math.exp(-dt_s * (loss.link_w_k + loss.second_w_k) / loss.second_j_k)
     state.time_s, state.temp_c = time_s, temp_c
     # A fast change would judge the capacity, not the losses.
     still = quiet and abs(temp_c - mid_c) < 5.0 * dt_s
     state.quiet_s = state.quiet_s + dt_s if still else 0.0
     if not still:
         state.drift_c = None
-        state.left_w = 0.0
+        state.left_w = state.doubt_w = 0.0
         return
     share = dt_s / max(min(state.quiet_s, parameters.window_s), dt_s)
     state.left_w += (net_w - stored_w - state.left_w) * share
-    if state.quiet_s >= parameters.ready_s:
-        state.drift_c = -state.left_w / loss.slope_w_k(temp_c)
+    state.doubt_w += (loss.link_w_k * state.second_doubt_c - state.doubt_w) * share
+    slope_w_k = loss.slope_w_k(temp_c)
+    drift_c, doubt_c = -state.left_w / slope_w_k, state.doubt_w / slope_w_k
+    sure = doubt_c <= parameters.doubt_most_c or abs(drift_c) - doubt_c > parameters.drift_most_c
+    state.drift_c = drift_c if sure and state.quiet_s >= parameters.ready_s else None
 
 
 def uncertainty_c(parameters: PlausibleParameters, temp_c: float) -> float:

@@ -102,6 +102,7 @@ class Wishes:
     object_name: str = ""
     layer: int = 0  # counted by comments; 0: none seen
     height_mm: float = math.nan  # layer height by comments
+    pace: float = 1.0  # part of the file's speed at which it is laid (thermal/pace.py)
 
     def comment(self, found: Comment) -> Wishes:
         """After a slicer's comment."""

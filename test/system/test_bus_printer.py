@@ -123,3 +123,12 @@ def test_a_bus_the_board_does_not_have_is_named(simulate: Simulate, tmp_path: Pa
     run = simulate("G28\n", config=machine(tmp_path, THERMOCOUPLE.replace("{more}", "spi_bus: spi7")))
     assert run.status == 2
     assert "spi7" in run.stderr and "spi0" in run.stderr and "Traceback" not in run.stderr
+
+
+def test_an_air_sensor_that_is_not_there_stops_the_printer_by_name(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    chamber = "\n[temperature_sensor chamber]\nsensor_type: BME280\ni2c_bus: i2c0\n"
+    run = simulate("G4 P8000\n", config=machine(tmp_path, chamber))
+    assert run.status == 3, run.stderr
+    assert "Sensor 'chamber' (BME280)" in run.stderr and "address 118" in run.stderr

@@ -144,7 +144,7 @@ G4 P2000
 ABORT
 G4 P300
 M109 S200
-INDUCTION_DUMP HEATER=nozzle FILE={dump} DURATION=0.5
+INDUCTION_DUMP HEATER=nozzle FILE={dump.name} DURATION=0.5
 G4 P1000
 INDUCTION_ZERO HEATER=nozzle TEMP=210
 G4 P2000
@@ -163,6 +163,8 @@ INDUCTION_STATUS HEATER=nozzle
     assert "law tank" in text
     rows = list(csv.DictReader(dump.open()))
     assert plot(dump) == 0 and plot(log) == 2 and plot(tmp_path / "none.csv") == 2
+    dump.write_text("\n".join(dump.read_text().splitlines()[:50]) + "\n1,2")  # ended half way
+    assert plot(dump) == 0
     assert len(rows) > 250  # 0.5 s of blocks of 1.6 ms, a few cut by phase steps
     assert all(float(row["latency"]) < 0.010 for row in rows)
     # what reads 200 after the zero is 190 of true skin

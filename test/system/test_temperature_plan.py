@@ -28,13 +28,12 @@ def config(folder: Path, more: str = "", section: str = SECTION) -> Path:
     return path
 
 
-def steps(count: int = 12) -> str:
-    """Lines of 1.5 s, wanted melt 15 degC up and down."""
-    lines = [START, "G4 P30000"]  # the holder takes 10 s to warm through
+def steps(count: int = 14) -> str:
+    """Lines of 1.5 s on one straight way, so without a change of flow; wanted melt 15 degC up and down."""
+    lines = [START, "G1 X6 F6000", "G4 P30000"]  # the holder takes 10 s to warm through
     for i in range(count):
-        x = 100.0 if i % 2 == 0 else 40.0
         lines.append(f"SET_SEGMENT_TEMPERATURE TEMP={200 + 15 * (i % 2)}")
-        lines.append(f"G1 X{x} Y{40 + 0.4 * i:.1f} E{LINE_E:.5f} F2400")
+        lines.append(f"G1 X{18 + 12 * i} E{LINE_E:.5f} F480")
     return "\n".join([*lines, "M400", ""])
 
 
@@ -45,17 +44,17 @@ def melt_error(run, rows, offset_s: float) -> float:  # type: ignore[no-untyped-
     row = np.clip(np.searchsorted(rows["start_s"], times, side="right") - 1, 0, None)
     laid = (trace["flow_mm3_s"] > 1.0) & (times < rows["end_s"][row])
     laid &= (times > rows["start_s"][0] + 3.0) & (times < rows["end_s"][-1] - 1.5)
-    # rows of 10 ms hold 6 or 7 steps of the filament: 50 ms take that ripple out (with it the ratio is 0.504)
-    melt = np.convolve(trace["melt_c"], np.ones(5) / 5.0, "same")
-    return float(np.sqrt(np.mean((melt - rows["wanted_melt_c"][row])[laid] ** 2)))
+    return float(np.sqrt(np.mean((trace["melt_c"] - rows["wanted_melt_c"][row])[laid] ** 2)))
 
 
 def test_preview_halves_the_melts_error_at_steps(simulate: Simulate, tmp_path: Path) -> None:
-    """15 degC every 1.5 s. The issue asks for half of what turning the nozzle at the border gives."""
+    """15 degC every 1.5 s: less than half of what turning the nozzle at the border gives. The nozzle's holder and its
+    losses are not those that the plan believes in."""
     errors = {}
+    other = "[simulator nozzle nozzle]\nsecond_j_k: 0.744\nloss_factor: 1.1\n"
     for preview in ("yes", "no"):
         record = tmp_path / f"{preview}.csv"
-        run = simulate(steps(), config=config(tmp_path, f"preview: {preview}\nrecord: {record}\n"))
+        run = simulate(steps(), config=config(tmp_path, f"preview: {preview}\nrecord: {record}\n{other}"))
         assert run.status == 0, run.stderr
         rows = np.genfromtxt(record, delimiter=",", names=True)
         if preview == "yes":
@@ -92,6 +91,68 @@ def test_the_users_word_wins_and_the_plan_goes_home(simulate: Simulate, tmp_path
     assert np.diff(span).min() > -1.0, np.diff(span).min()  # home by a ramp, not by a jump
     assert target[-1] == 0.0 and true[-1] < 215.0
     assert "Temperature plan (PLA" in log.read_text()
+
+
+def test_a_targets_repetition_in_the_file_disturbs_nothing(simulate: Simulate, tmp_path: Path) -> None:
+    """Slicers say M104 again, with the target that is already there; the plan of what is queued goes on."""
+    lines = [f"G1 X{90 if i % 2 else 40} E{LINE_E:.4f} F2400\n" for i in range(6)]
+    plain = simulate(START + "M104.1 S228\n" + "".join(lines) + "M400\n", config=config(tmp_path))
+    repeated = "M104 S215\n".join(lines)
+    again = simulate(START + "M104.1 S228\n" + repeated + "M400\n", config=config(tmp_path))
+    assert plain.status == again.status == 0
+    assert again.trace.read_bytes() == plain.trace.read_bytes()
+
+
+def test_another_target_in_mid_print_moves_the_plan_by_as_much(simulate: Simulate, tmp_path: Path) -> None:
+    """M104 S205 after S215: what is not asked for by name is laid 10 degC cooler, at once, without a jolt home."""
+    lines = [f"G1 X{90 if i % 2 else 40} E{LINE_E:.4f} F2400\n" for i in range(6)]
+    section = SECTION.replace("bonding: no", "bonding: yes\ninterface_temp: 130")
+    targets = []
+    for change in ("", "M104 S205\n"):
+        gcode = START + "".join(lines[:4]) + change + "".join(lines[4:]) + "M400\n"
+        run = simulate(gcode, config=config(tmp_path, section=section))
+        assert run.status == 0, run.stderr
+        laid = np.array(run.column("flow_mm3_s")) > 1.0
+        targets.append((np.flatnonzero(laid), np.array(run.column("target_c"))))
+    (at, before), (_, after) = targets
+    last = slice(at[-1] - 100, at[-1] - 40)  # the sixth line, far behind the change
+    # the road beside is cooler by then, too, which the weld wants made up for: a little less than 10
+    assert 6.0 < np.mean(before[last] - after[last]) < 10.5
+    assert np.abs(np.diff(after[at[0] : at[-1]])).max() < 2.0  # 10 ms: a ramp that the nozzle can go, no jump
+
+
+@pytest.mark.parametrize("how", ["M220 S50\n", "G4 P4000\n"])
+def test_a_print_that_waits_or_slows_is_laid_as_asked(simulate: Simulate, tmp_path: Path, how: str) -> None:
+    """Whatever stretches the print, the melt under way is that which was asked for, and nothing is left behind."""
+    record = tmp_path / "rows.csv"
+    lines = [f"G1 X{90 if i % 2 else 40} Y{40 + i} E{LINE_E:.4f} F2400\n" for i in range(4)]
+    gcode = f"{START}M104.1 S228\n{''.join(lines[:2])}{how}{''.join(lines[2:])}M104.1 S0\nM400\nG4 P4000\n"
+    more = f"record: {record}\n"
+    run = simulate(gcode, config=config(tmp_path, more))
+    assert run.status == 0, run.stderr
+    rows = np.genfromtxt(record, delimiter=",", names=True)
+    assert np.all(rows["wanted_melt_c"] == 228.0)
+    assert np.sum(rows["end_s"] - rows["start_s"]) > 3.7  # three lines of 1.27 s, the first stands at its end
+    settled = np.abs(rows["melt_c"] - 228.0)[len(rows) // 3 :]
+    assert np.median(settled) < 1.0
+    assert np.array(run.column("target_c"))[-1] == pytest.approx(215.0)  # home
+
+
+def test_a_hot_tower_is_laid_more_slowly(simulate: Simulate, tmp_path: Path) -> None:
+    """Layers of 1.6 s would stay above what the coolest melt can weld at 130 degC; without leave they are as told."""
+    layers = "".join(
+        f";LAYER_CHANGE\nG1 Z{0.3 + 0.2 * n:.1f} F600\nG1 X58 E0.8 F1800\nG1 Y58 E0.8\nG1 X50 E0.8\nG1 Y50 E0.8\n"
+        for n in range(14)
+    )
+    gcode = START + "G1 X50 Y50 F6000\n" + layers + "M400\n"
+    section = SECTION.replace("bonding: no", "bonding: yes\ninterface_temp: 125\nchamber_temp: 40")
+    seconds = {}
+    for slowest in (1.0, 0.25):
+        run = simulate(gcode, config=config(tmp_path, f"minimum_speed_factor: {slowest}\n", section=section))
+        assert run.status == 0, run.stderr
+        flow = np.array(run.column("flow_mm3_s"))
+        seconds[slowest] = 0.01 * np.sum(flow > 0.2)
+    assert 1.5 * seconds[1.0] < seconds[0.25] < 4.5 * seconds[1.0], seconds
 
 
 def test_features_and_layers_of_a_sliced_file_are_laid_as_asked(simulate: Simulate, tmp_path: Path) -> None:

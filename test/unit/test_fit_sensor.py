@@ -175,6 +175,26 @@ def test_unusable_input_is_refused_in_one_line(
     assert message.count("\n") == 1
 
 
+@pytest.mark.parametrize(
+    ("option", "name", "expected"),
+    [("--json", "nowhere/out.json", "No such file"), ("--plot", "out.nonsense", "nonsense")],
+)
+def test_output_that_cannot_be_written_is_told_in_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, name: str, expected: str
+) -> None:
+    assert fit_sensor.main([str(TABLE1), option, str(tmp_path / name)]) == 2
+    message = capsys.readouterr().err
+    assert expected in message
+    assert message.count("\n") == 1
+
+
+def test_a_binary_file_is_named_as_what_it_is(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "picture.csv"
+    path.write_bytes(b"\x89PNG\xff\xfe")
+    assert fit_sensor.main([str(path)]) == 2
+    assert capsys.readouterr().err == f"fit_sensor: {path} is no text file\n"
+
+
 def test_offline_and_printing_code_agree_on_every_law() -> None:
     temp, power = np.meshgrid(np.arange(30.0, 501.0, 47.0), [0.002, 0.07, 0.4, 1.0])
     temp, ticks = temp.ravel(), fit.ticks_of_power(power.ravel())

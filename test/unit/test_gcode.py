@@ -316,6 +316,16 @@ def test_mux_commands_and_wrong_names(tmp_path: Path) -> None:
     assert seen == ["b", "a"]
 
 
+def test_a_command_that_is_taken_back_is_gone_from_the_help_too() -> None:
+    bench = Bench()
+    bench.dispatch.register_command("ABORT", bench.commands.append, desc="End it")
+    assert bench.dispatch.get_command_help()["ABORT"] == "End it"
+    assert bench.dispatch.register_command("ABORT", None) == bench.commands.append
+    assert "ABORT" not in bench.dispatch.get_command_help()
+    bench.dispatch.register_command("ABORT", bench.commands.append)
+    assert "ABORT" not in bench.dispatch.get_command_help()  # the new one said nothing of itself
+
+
 def test_g1_lines_are_cheap() -> None:
     bench = Bench()
     bench.dispatch.register_command("G1", None)

@@ -77,7 +77,7 @@ def test_relative_and_absolute_coordinates_give_the_same_path(tmp_path: Path) ->
 def test_pieces_hold_all_the_filament_and_all_the_time(tmp_path: Path) -> None:
     _, moves = moves_of(LINES, tmp_path)
     maker = PathPieces(AREA, longest_mm=10.0)
-    pieces = list(maker.pieces([m.move for m in moves], lambda t, layer, z: (math.nan, 240.0, math.nan)))
+    pieces = list(maker.pieces([m.move for m in moves], lambda t, layer, z: (math.nan, 240.0, math.nan, 1.0)))
     laid = [p for p in pieces if p.flow_mm3_s > 0.0]
     assert sum(p.flow_mm3_s * (p.end_s - p.start_s) for p in laid) == pytest.approx(8.0 * AREA)
     assert max(math.dist(p.start_mm, p.end_mm) for p in laid) <= 10.0 + 1e-9

@@ -64,6 +64,22 @@ def test_extruder_follows_the_head_in_proportion(run) -> None:
     assert np.median(np.diff(middle)) == pytest.approx(1 / (50.0 * 0.05 * per_mm), rel=0.01)
 
 
+def test_a_wider_extrusion_limit_makes_no_faster_retractions(run) -> None:
+    """max_extrude_only_velocity and _accel come from 4 nozzle diameters squared, whatever is allowed for lines."""
+
+    def lasts(more: str) -> int:
+        clocks = (
+            run(HOMED + "M83\nG1 X20 F6000\nG1 E-5 F6000\nM400", CONFIG + EXTRUDER + more)
+            .tracks()["extruder"]
+            .clocks
+        )
+        return clocks[-1] - clocks[0]
+
+    plain = lasts("")
+    assert lasts("max_extrude_cross_section: 5\n") == plain
+    assert lasts("max_extrude_only_accel: 100\n") > plain  # the options themselves do count
+
+
 def test_pressure_advance_pushes_ahead_and_takes_back(run) -> None:
     gcode = HOMED + "SET_PRESSURE_ADVANCE ADVANCE=0.1\nM83\nG1 X20 F6000\nG1 X60 E4 F6000\nM400\n"
     plain = run(gcode.replace("=0.1", "=0")).tracks()["extruder"]

@@ -78,6 +78,17 @@ def test_a_pin_has_one_user_unless_shared(pins: PrinterPins) -> None:
     pins.allow_multi_use_pin("PC1")
     pins.lookup_pin("PC1")
     pins.lookup_pin("PC1")
+    with pytest.raises(PinError, match="Invalid pin description"):
+        pins.allow_multi_use_pin("^PC1")
+
+
+def test_a_pin_that_may_be_shared_may_be_so_by_any_of_its_names(pins: PrinterPins) -> None:
+    pins.allow_multi_use_pin("LIGHT")
+    pins.get_pin_resolver("mcu").alias_pin("LIGHT", "PA1")
+    pins.lookup_pin("PA1")
+    pins.lookup_pin("LIGHT")
+    with pytest.raises(PinError, match="used multiple times"):
+        pins.lookup_pin("tool:PA1") and pins.lookup_pin("tool:PA1")
 
 
 def test_an_alias_is_the_same_pin(pins: PrinterPins) -> None:

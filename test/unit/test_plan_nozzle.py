@@ -40,6 +40,30 @@ def flow_at(segments, time_s):
     return next((s.flow_mm3_s for s in segments if s.start_s <= time_s < s.end_s), 0.0)
 
 
+def slopes(limits, segments, points, start_c):
+    """(slope, least and most that the nozzle can) at every corner, K/s, on a nozzle whose holder is a node of its own.
+
+    The plan takes the holder as it was where each ramp piece of up to 5 degC begins: what it moves meanwhile is spare.
+    """
+    holder_c = start_c
+    for a, b in itertools.pairwise(points):
+        dt = b.time_s - a.time_s
+        assert dt >= 0.0
+        if dt < 1e-7:  # below this the slope is rounding of print time
+            assert abs(b.temp_c - a.temp_c) < 1e-3
+            continue
+        flow = flow_at(segments, 0.5 * (a.time_s + b.time_s))
+        middle_c, before_c = 0.5 * (a.temp_c + b.temp_c), holder_c
+        holder_c -= (middle_c - holder_c) * math.expm1(-dt / limits.holder_s)
+        for temp_c in (a.temp_c, b.temp_c):
+            per_k_s = limits.holder_w_k / limits.capacity.at(temp_c)
+            spare = per_k_s * abs(holder_c - before_c) + 0.02
+            holder_k_s = per_k_s * (temp_c - before_c)
+            most = max(0.0, nozzle_melt.heating_k_s(limits, temp_c, flow) - holder_k_s)
+            least = min(0.0, -nozzle_melt.cooling_k_s(limits, temp_c, flow) - holder_k_s)
+            yield (b.temp_c - a.temp_c) / dt, least - spare, most + spare
+
+
 @settings(max_examples=150, deadline=None)
 @given(
     st.lists(SEGMENT, min_size=1, max_size=25), st.floats(170.0, 300.0), st.sampled_from([15.0, 30.0, 65.0])
@@ -53,16 +77,8 @@ def test_random_segments_never_break_a_limit(rows, start_c, power_w):
     assert points[0].time_s == segments[0].start_s and points[-1].time_s == segments[-1].end_s
     for p in points:
         assert limits.min_extrude_c - 1e-6 <= p.temp_c <= planner.ceiling_c + 1e-6 <= limits.max_c + 1e-5
-    for a, b in itertools.pairwise(points):
-        dt = b.time_s - a.time_s
-        assert dt >= 0.0
-        if dt < 1e-7:  # below this the slope is rounding of print time
-            assert abs(b.temp_c - a.temp_c) < 1e-3
-            continue
-        slope, flow = (b.temp_c - a.temp_c) / dt, flow_at(segments, 0.5 * (a.time_s + b.time_s))
-        for temp_c in (a.temp_c, b.temp_c):
-            assert slope <= max(0.0, nozzle_melt.heating_k_s(limits, temp_c, flow)) * 1.001 + 1e-4
-            assert slope >= -nozzle_melt.cooling_k_s(limits, temp_c, flow) * 1.001 - 1e-4
+    for slope, least, most in slopes(limits, segments, points, start_c):
+        assert least <= slope <= most
 
 
 def lagged(times, values, tau):
@@ -109,7 +125,7 @@ def test_melt_follows_steps_with_under_half_the_error_of_a_nozzle_turned_at_the_
 
 def test_cooling_limit_is_that_of_the_published_nozzle():
     idle = nozzle_melt.cooling_k_s(LIMITS, 250.0, 0.0)
-    assert 10.0 <= idle / LIMITS.cooling_share <= 14.0
+    assert 10.0 <= idle <= 14.0
     # more with flow, up to what the published UA allows: (4.7 W + 27.6 mW/K 225 K) / 4.7 W = 2.32; the
     # loss law used here gives 4.6 W
     assert 1.5 < nozzle_melt.cooling_k_s(LIMITS, 250.0, 8.0) / idle < 2.4

@@ -102,7 +102,7 @@ def test_the_map_is_that_of_the_reference(rows):
             at = tuple(a + along * (b - a) for a, b in zip(piece.start_mm, piece.end_mm, strict=True))
             time_s = piece.start_s + along * (piece.end_s - piece.start_s)
             odometer_mm += length / count
-            met.append(laid.lay(at, time_s, melt_c, 0.2, odometer_mm, width))
+            met.append(laid.lay(at, time_s, melt_c, 0.2, odometer_mm, width, length / count))
         assert substrate_c == pytest.approx(sum(met) / count, abs=1e-6)
     assert plan.sizes()[0] == len(laid)
 
@@ -111,7 +111,7 @@ def test_a_cold_substrate_asks_for_a_hotter_melt_within_the_window():
     plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft(interface_c=160.0))
     ((substrate_c, melt_c, _),) = plan.add([line(0.0, 0.5, 0, 0, 20, 0)])
     assert substrate_c == 100.0 and melt_c == pytest.approx(2 * 160.0 - 100.0)
-    ((_, cooler_c, _),) = plan.add([line(1.0, 0.5, 20, 0.4, 0, 0.4)])  # beside the fresh road
+    ((_, cooler_c, _),) = plan.add([line(0.5, 0.5, 20, 0.4, 0, 0.4)])  # beside the fresh road
     assert ABS.low_c <= cooler_c < melt_c
     hot = TemperaturePlan(LIMITS, ABS, AROUND, Craft(interface_c=250.0))
     ((_, clamped_c, _),) = hot.add([line(0.0, 0.5, 0, 0, 20, 0)])
@@ -157,14 +157,6 @@ def test_replanning_in_steps_keeps_what_is_committed_and_every_limit():
         temp_c = plan.at(commit_s, temp_c)
         points = [PlanPoint(*corner) for corner in plan.make(commit_s, temp_c)]
         assert all(a.time_s <= b.time_s for a, b in itertools.pairwise(points))
-        for a, b in itertools.pairwise(points):
-            if b.time_s - a.time_s < 1e-7:
-                assert abs(b.temp_c - a.temp_c) < 1e-3
-                continue
-            slope = (b.temp_c - a.temp_c) / (b.time_s - a.time_s)
-            for at_c in (a.temp_c, b.temp_c):
-                assert slope <= nozzle_melt.heating_k_s(LIMITS, at_c, 4.0) * 1.001 + 1e-4
-                assert slope >= -nozzle_melt.cooling_k_s(LIMITS, at_c, 4.0) * 1.001 - 1e-4
         tenths = [t / 10 for t in range(100, int(10 * commit_s) + 1)]
         for t in tenths:
             if t > commit_s - 1.9:
@@ -172,6 +164,14 @@ def test_replanning_in_steps_keeps_what_is_committed_and_every_limit():
                 assert plan.at(t, math.nan) == pytest.approx(planned[t], abs=1e-9)
         plan.finish(commit_s - 0.3)
     assert max(planned.values()) - min(planned.values()) > 15.0
+    holder_c = planned[min(planned)]
+    for (_, a), (_, b) in itertools.pairwise(sorted(planned.items())):  # 0.1 s each
+        middle_c = 0.5 * (a + b)
+        holder_k_s = LIMITS.holder_w_k * (middle_c - holder_c) / LIMITS.capacity.at(middle_c)
+        # 0.2 K/s: the holder's and the melt's share change by that within a tenth of a second
+        assert 10.0 * (b - a) <= nozzle_melt.heating_k_s(LIMITS, middle_c, 4.0) - holder_k_s + 0.2
+        assert 10.0 * (b - a) >= -nozzle_melt.cooling_k_s(LIMITS, middle_c, 4.0) - holder_k_s - 0.2
+        holder_c += 0.1 / LIMITS.holder_s * (middle_c - holder_c)
 
 
 def test_a_million_moves_take_no_more_memory_than_their_area():

@@ -154,3 +154,21 @@ def test_a_nozzle_of_another_mass_is_named_from_its_heat_up(factor: float, named
             break
     assert state.capacity_ratio == pytest.approx(factor, rel=0.05)
     assert ("wrong nozzle" in plausible.warning(parameters, state)) == named
+
+
+def test_a_start_with_a_hot_nozzle_takes_the_unknown_second_mass_for_no_drift() -> None:
+    """As after a RESTART in a print: the skin is known, what stands behind it is not."""
+    loss = plausible.scaled(1.0, 25.0)
+    parameters = plausible.PlausibleParameters(HEAT, loss, 0.03)
+    for behind in (30.0, 70.0, 135.0):
+        state, temp, second, told = plausible.PlausibleState(), 135.0, behind, []
+        for n in range(1200):  # two minutes of cooling, exactly by the model
+            plausible.observe(parameters, state, 0.1 * n, temp, 0.0, True)
+            told.append(state.drift_c)
+            rate = loss.second_rate(temp, second)
+            temp -= 0.1 * loss.skin_out_w(temp, second) / HEAT.at(temp)
+            second += 0.1 * rate
+        said = [drift for drift in told if drift is not None]
+        # it takes some 75 s to be sure, and then it is not silent for ever
+        assert 300 < len(said) < 700
+        assert max(map(abs, said)) < 2.0

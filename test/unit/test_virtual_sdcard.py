@@ -304,3 +304,42 @@ def test_print_stats_info(tmp_path: Path) -> None:
         assert info(s) == {"total_layer": None, "current_layer": None}
 
     sd_session(tmp_path).run(body)
+
+
+LOOPS = """MOVE
+SDCARD_LOOP_BEGIN COUNT=3
+MOVE
+SDCARD_LOOP_BEGIN COUNT=2
+MOVE
+SDCARD_LOOP_END
+SDCARD_LOOP_END
+MOVE
+"""
+
+
+def test_parts_of_a_file_are_repeated_also_inside_each_other(tmp_path: Path) -> None:
+    def body(s: Session) -> None:
+        for total in (11, 22):  # 1 + 3 * (1 + 2) + 1, each time the file is printed
+            s.gcode.run_script("SDCARD_PRINT_FILE FILENAME=part.gcode")
+            wait_until(s, "complete")
+            assert s.status("gcode_macro MOVE")["count"] == total
+
+    session = sd_session(tmp_path, part=LOOPS)
+    session.config_path.write_text(session.config_path.read_text() + "[sdcard_loop]\n")
+    session.run(body)
+
+
+def test_an_endless_loop_ends_by_desist_and_a_loop_is_for_files_only(tmp_path: Path) -> None:
+    def body(s: Session) -> None:
+        with pytest.raises(CommandError, match="only counts in a file"):
+            s.gcode.run_script("SDCARD_LOOP_BEGIN COUNT=2")
+        s.gcode.run_script("SDCARD_PRINT_FILE FILENAME=part.gcode")
+        while s.status("gcode_macro MOVE")["count"] < 50:  # in virtual time it takes none
+            s.reactor.pause(s.reactor.NOW)
+        assert s.status("print_stats")["state"] == "printing"
+        s.gcode.run_script("SDCARD_LOOP_DESIST")
+        wait_until(s, "complete")
+
+    session = sd_session(tmp_path, part="SDCARD_LOOP_BEGIN COUNT=0\nMOVE\nSDCARD_LOOP_END\n")
+    session.config_path.write_text(session.config_path.read_text() + "[sdcard_loop]\n")
+    session.run(body)

@@ -1,0 +1,17 @@
+"""[tmc2130 STEPPER]: a stepper driver on SPI, with StallGuard."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .tmc_chips import TMC2130
+from .tmc_current import TwoRanges
+from .tmc_driver import StepperDriver
+from .tmc_spi import RegisterLink
+
+
+def load_config_prefix(config: Any) -> StepperDriver:
+    sense_ohm = config.getfloat("sense_resistor", 0.110, above=0.0)
+    driver = StepperDriver(config, TMC2130, RegisterLink(config), TwoRanges(sense_ohm, (0.320, 0.180)))
+    driver.register()
+    return driver

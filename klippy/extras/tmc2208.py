@@ -1,0 +1,19 @@
+"""[tmc2208 STEPPER]: a stepper driver on a single-wire UART."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .tmc_chips import TMC2208
+from .tmc_current import TwoRanges
+from .tmc_driver import StepperDriver
+from .tmc_uart import RegisterLink
+
+
+def load_config_prefix(config: Any) -> StepperDriver:
+    sense_ohm = config.getfloat("sense_resistor", 0.110, above=0.0)
+    driver = StepperDriver(
+        config, TMC2208, RegisterLink(config, addresses=1), TwoRanges(sense_ohm, (0.325, 0.180))
+    )
+    driver.register()
+    return driver

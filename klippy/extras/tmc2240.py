@@ -1,0 +1,17 @@
+"""[tmc2240 STEPPER]: a stepper driver that needs no sense resistors on SPI, with StallGuard."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from .tmc_chips import TMC2240
+from .tmc_current import ReferenceResistor
+from .tmc_driver import StepperDriver
+from .tmc_spi import RegisterLink
+
+
+def load_config_prefix(config: Any) -> StepperDriver:
+    reference_ohm = config.getfloat("rref", 12000.0, minval=12000.0, maxval=60000.0)
+    driver = StepperDriver(config, TMC2240, RegisterLink(config), ReferenceResistor(reference_ohm))
+    driver.register()
+    return driver
