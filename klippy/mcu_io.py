@@ -22,10 +22,18 @@ MAX_DURATION_DEFAULT_S = 2.0
 CYCLE_TIME_DEFAULT_S = 0.100
 MAX_TICKS = 2**31 - 1  # the farthest a 32-bit clock can be scheduled ahead
 ADC_REPORT_BYTES = 2  # one sum of samples, 16 bits, low byte first
+QUERY_ANALOG = (
+    "query_analog_in oid={} clock={} sample_ticks={} sample_count={} rest_ticks={} bytes_per_report=2"
+    " min_value={} max_value={} range_check_count={}"
+)
 # Firmware before 2025 (and Kalico's) has neither `bytes_per_report` nor several values to a report.
 QUERY_ANALOG_SINGLE = (
     "query_analog_in oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u"
     " min_value=%hu max_value=%hu range_check_count=%c"
+)
+QUERY_ANALOG_SINGLE_FILLED = (
+    "query_analog_in oid={} clock={} sample_ticks={} sample_count={} rest_ticks={}"
+    " min_value={} max_value={} range_check_count={}"
 )
 
 
@@ -258,15 +266,12 @@ class MCU_adc:
         self._report_ticks = mcu.seconds_to_clock(self._report_time_s)
         low = max(0, min(0xFFFF, int(self._range[0] * self._full_scale)))
         high = max(0, min(0xFFFF, math.ceil(self._range[1] * self._full_scale)))
-        single = mcu.try_lookup_command(QUERY_ANALOG_SINGLE) is not None
-        report = "" if single else f" bytes_per_report={ADC_REPORT_BYTES}"
-        mcu.add_config_cmd(
-            f"query_analog_in oid={oid} clock={mcu.get_query_slot(oid)}"
-            f" sample_ticks={mcu.seconds_to_clock(self._sample_time_s)} sample_count={self._sample_count}"
-            f" rest_ticks={self._report_ticks}{report} min_value={low} max_value={high}"
-            f" range_check_count={self._range_check_count}",
-            is_init=True,
-        )
+        when = (mcu.get_query_slot(oid), mcu.seconds_to_clock(self._sample_time_s), self._sample_count)
+        values = (oid, *when, self._report_ticks, low, high, self._range_check_count)
+        if mcu.try_lookup_command(QUERY_ANALOG_SINGLE) is None:
+            mcu.add_config_cmd(QUERY_ANALOG.format(*values), is_init=True)
+        else:
+            mcu.add_config_cmd(QUERY_ANALOG_SINGLE_FILLED.format(*values), is_init=True)
         mcu.register_response(self._on_report, "analog_in_state", oid)
 
     def _on_report(self, params: dict[str, Any]) -> None:

@@ -43,6 +43,11 @@ ASKS: Mapping[str, tuple[tuple[int, str, Kind], ...]] = {
 }
 # responses the host makes itself, of which no firmware knows
 HOST_MADE = frozenset({"#output", "#unknown", "#state"})
+# forms that firmware of other makers, or of another configuration (SINGLE_ANALOG_REPORTS), has for one of our commands
+ALSO_SPOKEN = {
+    "query_analog_in": "query_analog_in oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u"
+    " min_value=%hu max_value=%hu range_check_count=%c",
+}
 
 PERCENT_FIELD = re.compile(r"%[-+ #0]*\d*(\.\d+)?[a-z]")
 BRACE_FIELD = re.compile(r"\{\w*\}")
@@ -180,13 +185,11 @@ class Dictionary:
         built = table.get(name)
         if built is None:
             return None if ask.kind is Kind.OPTIONAL else f"the firmware has no {ask.kind.value} '{name}'"
+        forms = (built, ALSO_SPOKEN.get(name, built))
         if ask.kind is Kind.FILLED:
-            return (
-                None
-                if parameters(ask.text) == parameters(built)
-                else f"'{ask.text}' does not fill in '{built}'"
-            )
-        return None if ask.text == built else f"asks for '{ask.text}', the firmware has '{built}'"
+            fits = any(parameters(ask.text) == parameters(form) for form in forms)
+            return None if fits else f"'{ask.text}' does not fill in '{built}'"
+        return None if ask.text in forms else f"asks for '{ask.text}', the firmware has '{built}'"
 
 
 def collect(folder: Path) -> list[Ask]:

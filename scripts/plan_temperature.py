@@ -12,7 +12,9 @@ that has nothing else. Exit status: 0 done, 2 bad input.
 from __future__ import annotations
 
 import argparse
+import difflib
 import json
+import math
 import sys
 from collections.abc import Sequence
 from dataclasses import replace
@@ -49,6 +51,17 @@ class BadInput(Exception):
     """The text is for people."""
 
 
+def _least_change_c(text: str) -> float:
+    """--step: 0.1 to 50 degC."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.1 <= value <= 50.0:  # false for nan as well
+        raise argparse.ArgumentTypeError(f"'{text}' is no change of temperature from 0.1 to 50 degC")
+    return value
+
+
 def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -67,25 +80,35 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument(
         "--set", action="append", default=[], metavar="OPTION=VALUE", help="of [temperature_plan]"
     )
-    parser.add_argument("--step", type=float, default=2.0, help="--emit: least change written, degC (2)")
+    parser.add_argument(
+        "--step", type=_least_change_c, default=2.0, help="--emit: least change written, degC (2)"
+    )
     return parser.parse_args(argv)
 
 
-def read_config(options: argparse.Namespace) -> tuple[ConfigWrapper, bool]:
-    """(the config, has it an induction heater). Raises ConfigError, BadInput."""
+def read_config(options: argparse.Namespace) -> tuple[ConfigWrapper, temperature_plan.Settings, bool]:
+    """(the config, the plan's settings, has it an induction heater). Raises ConfigError, BadInput."""
     data = configtext.ConfigData()
     user, _ = configtext.split_autosave(configtext.read_text(str(options.config)))
     configtext.ConfigParser(data).parse_text(user, str(options.config))
     changes = [("material", options.material)] if options.material else []
     for text in options.set:
-        name, equals, value = text.partition("=")
+        name, equals, value = (part.strip() for part in text.partition("="))
         if not equals:
             raise BadInput(f"--set {text}: it has to be OPTION=VALUE")
         changes.append((name, value))
     for name, value in changes:
         data.set("temperature_plan", name, value, configtext.Origin("command line", 0))
-    wrapper = ConfigWrapper(None, data, {}, "temperature_plan")
-    return wrapper, any(name.startswith("induction_heater") for name in data.sections)
+    access: dict[tuple[str, str], Any] = {}
+    wrapper = ConfigWrapper(None, data, access, "temperature_plan")
+    settings = temperature_plan.read_settings(wrapper)
+    known = {option for section, option in access if section == "temperature_plan"}
+    for name, _ in changes:
+        if name.lower() not in known:
+            near = difflib.get_close_matches(name.lower(), known, 1)
+            hint = f", did you mean {near[0]}?" if near else f"; there are {', '.join(sorted(known))}"
+            raise BadInput(f"--set {name}: [temperature_plan] has no such option{hint}")
+    return wrapper, settings, any(name.startswith("induction_heater") for name in data.sections)
 
 
 def limits_of(heater: str, config: ConfigWrapper) -> NozzleLimits:
@@ -99,9 +122,8 @@ def limits_of(heater: str, config: ConfigWrapper) -> NozzleLimits:
 
 def plan(options: argparse.Namespace) -> dict[str, Any]:
     """Everything asked for; the figures."""
-    config, induction = read_config(options)
+    config, settings, induction = read_config(options)
     heater = options.heater or ("induction" if induction else "slow")
-    settings = temperature_plan.read_settings(config)
     limits = gcode_path.read_limits(config.getsection("printer"), config.getsection("extruder"))
     arc_mm = config.getsection("gcode_arcs").getfloat("resolution", 1.0, above=0.0)
     base_c = 0.5 * (settings.material.low_c + settings.material.high_c)

@@ -7,8 +7,13 @@ M220 are multiplied with the plan's pace (M220 slows travel, too, which the plan
 
 from __future__ import annotations
 
+import os
 import re
+import shutil
+import stat
+import tempfile
 from pathlib import Path
+from typing import BinaryIO
 
 from .plan_offline import OfflinePlan
 
@@ -17,12 +22,34 @@ _FACTOR = re.compile(rb"^\s*M220(?![.\d])[^;]*S\s*([0-9.]+)", re.IGNORECASE)
 
 
 def write(source: Path, target: Path, plan: OfflinePlan, step_c: float) -> int:
-    """Write `target`; returns how many commands it got. `step_c`: least change. Raises OSError."""
+    """Write `target`, which may be `source`; returns how many commands it got. `step_c`: least change. Raises OSError.
+
+    It is written beside the target and takes its place when it is complete: no file is ever lost half written.
+    """
+    kind = target.stat().st_mode if target.exists() else stat.S_IFREG
+    if not stat.S_ISREG(kind):  # /dev/stdout, a pipe
+        with target.open("wb") as out:
+            return _write(source, out, plan, step_c)
+    target = target.resolve()  # through a link: the file it names
+    handle, name = tempfile.mkstemp(prefix=target.name + ".", dir=target.parent)
+    part = Path(name)
+    try:
+        with os.fdopen(handle, "wb") as out:
+            count = _write(source, out, plan, step_c)
+        shutil.copymode(source, part)  # mkstemp's is for the owner alone
+        part.replace(target)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    return count
+
+
+def _write(source: Path, out: BinaryIO, plan: OfflinePlan, step_c: float) -> int:
     commands = _commands(plan, step_c)
     paces = {change.line: change.pace for change in plan.paces}
     first, last = plan.moves[0].line, plan.moves[-1].line
     count, file_percent, factor = len(commands), 100.0, 1.0
-    with source.open("rb") as lines, target.open("wb") as out:
+    with source.open("rb") as lines:
         for number, line in enumerate(lines):
             if number in commands:
                 out.write(b"M104 S%d ;planned\n" % commands[number])

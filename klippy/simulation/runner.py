@@ -257,11 +257,16 @@ class Simulation:
         while self._pause():
             status = sdcard.get_status(self.reactor.monotonic())
             self.facts.file_progress = status["progress"]
-            if not status["is_active"]:
+            if not status["is_active"] and not self._may_resume():
                 break
         else:
             return
         self._finish_print(status)
+
+    def _may_resume(self) -> bool:
+        """A paused print, and a time is told until which somebody (a delayed_gcode, the API) may let it go on."""
+        pause_resume = self.printer.lookup_object("pause_resume", None)
+        return self.options.until_s is not None and pause_resume is not None and pause_resume.is_paused
 
     def _finish_print(self, status: dict[str, Any]) -> None:
         """The file is no longer being read: it is through, or a command in it failed."""

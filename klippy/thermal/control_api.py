@@ -100,16 +100,14 @@ class Sample(NamedTuple):
     rebased: bool = False  # the sensing law jumped here: no slope, nothing to learn from
 
 
-@dataclass(frozen=True, slots=True)
-class Planned:
+class Planned(NamedTuple):
     """`value` (output units) from `time_s` on."""
 
     time_s: float
     value: float
 
 
-@dataclass(frozen=True, slots=True)
-class ControlInput:
+class ControlInput(NamedTuple):
     """What every controller sees."""
 
     reference_c: float  # wanted at apply_s; 0 or less: heater off
@@ -132,8 +130,7 @@ class ControlInput:
     fan: Schedule = IDLE  # part fan 0..1, past and ahead
 
 
-@dataclass(frozen=True, slots=True)
-class ControlOutput:
+class ControlOutput(NamedTuple):
     """The limited output and its terms, all in output units."""
 
     value: float

@@ -20,6 +20,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from .records import SampleBlock
 
@@ -74,11 +75,10 @@ def _unwrap(state: ConvertState, sequence: int) -> int:
     return state.next_sequence + gap
 
 
-@dataclass(frozen=True, slots=True)
-class _Record:
+class _Record(NamedTuple):
     """One record as it came, before its place in time is known."""
 
-    count: int
+    count: int  # type: ignore[assignment]
     value: int
     phase: int
     low: int

@@ -79,7 +79,9 @@ def test_a_bed_changes_between_pid_and_model_while_it_holds(simulate: Simulate, 
     path = tmp_path / "printer.cfg"
     path.write_text(f"[include {CONFIG}]\n{more}")
     lines = "HEATER_PROFILE HEATER=heater_bed SAVE=own\nM190 S60\nG4 P120000\n"
-    lines += "HEATER_PROFILE HEATER=heater_bed LOAD=known\nG4 P60000\nHEATER_PROFILE HEATER=heater_bed LOAD=own\nG4 P60000\n"
+    lines += "".join(
+        f"HEATER_PROFILE HEATER=heater_bed LOAD={name}\nG4 P60000\n" for name in ("known", "own")
+    )
     run = simulate(lines, config=path)
     assert run.status == 0, run.stderr
     held = run.column("bed_c")[-12000:]

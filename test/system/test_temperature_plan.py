@@ -204,3 +204,116 @@ def test_a_bad_section_is_refused_by_name(simulate: Simulate, tmp_path: Path, mo
     section = "\n[temperature_plan]\n" + more
     run = simulate("M400\n", config=config(tmp_path, section=section))
     assert run.status == 2 and words in run.stderr, run.stderr
+
+
+def lines(count: int, y_mm: float = 40.0) -> str:
+    """Roads of 1.27 s to and fro, each beside the one before."""
+    return "".join(f"G1 X{90 if i % 2 else 40} Y{y_mm + i} E{LINE_E:.4f} F2400\n" for i in range(count))
+
+
+def planned_run(simulate: Simulate, folder: Path, gcode: str, more: str = "", args: tuple[str, ...] = ()):  # type: ignore[no-untyped-def]
+    """(run, rows laid, its log): six lines of melt at 228 degC are what the tests have in mind, the user says 215."""
+    record, log = folder / "rows.csv", folder / "log"
+    run = simulate(
+        f"{START}M104.1 S228\n{gcode}",
+        config=config(folder, f"record: {record}\n{more}"),
+        more=["--log", str(log), *args],
+    )
+    assert run.status == 0, run.stderr
+    return run, np.genfromtxt(record, delimiter=",", names=True), log.read_text()
+
+
+def test_a_pause_holds_the_users_target_and_resume_the_plan(simulate: Simulate, tmp_path: Path) -> None:
+    """Paused for 12 s: what is queued is laid as planned, then 215; the rest as planned again, nothing is lost."""
+    more = (
+        "[pause_resume]\n[delayed_gcode later]\ngcode:\n  RESUME\n"
+        "[gcode_macro PAUSE]\nrename_existing: BASE_PAUSE\nvariable_target: 0\ngcode:\n  BASE_PAUSE\n"
+        "  SET_GCODE_VARIABLE MACRO=PAUSE VARIABLE=target VALUE={printer.extruder.target}\n"
+        "  UPDATE_DELAYED_GCODE ID=later DURATION=12\n"
+        "[gcode_macro RESUME]\nrename_existing: BASE_RESUME\ngcode:\n"
+        '  M104 S{printer["gcode_macro PAUSE"].target}\n  BASE_RESUME\n'
+    )
+    gcode = f"{lines(4)}PAUSE\n{lines(4, 50.0)}M400\nG4 P4000\nM400\n"
+    run, rows, log = planned_run(simulate, tmp_path, gcode, more, ("--until", "200"))
+    assert "printed to its end" in run.stdout + run.stderr + log + str(run.summary)
+    laid = rows[np.isfinite(rows["interface_c"])]
+    assert np.all(laid["wanted_melt_c"] == 228.0)
+    assert np.sum(laid["end_s"] - laid["start_s"]) == pytest.approx(8 * 1.27, rel=0.05)
+    target, flow = np.array(run.column("target_c")), np.array(run.column("flow_mm3_s"))
+    extruding = np.flatnonzero(flow > 1.0)
+    gap = np.argmax(np.diff(extruding))
+    paused = slice(extruding[gap], extruding[gap + 1])
+    assert 0.01 * (paused.stop - paused.start) > 8.0
+    assert np.abs(target[paused][500:-300] - 215.0).max() < 0.1  # home within 5 s, off again shortly before the road
+    middle = slice(extruding[gap + 1] + 200, extruding[-1] - 100)
+    assert target[middle].min() > 235.0  # as before the pause: 228 in the melt
+    assert target[-1] == pytest.approx(215.0, abs=0.1)  # what a PAUSE macro has saved is the user's, not the plan's
+
+
+def test_cancel_ends_the_plan_and_the_next_print_begins_on_an_empty_bed(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    more = (
+        "[pause_resume]\n[gcode_macro CANCEL_PRINT]\nrename_existing: BASE_CANCEL\ngcode:\n  BASE_CANCEL\n"
+        "  G4 P8000\n  TEMPERATURE_PLAN\n"
+    )
+    run, rows, log = planned_run(simulate, tmp_path, f"{lines(4)}CANCEL_PRINT\n{lines(4, 50.0)}", more)
+    laid = rows[np.isfinite(rows["interface_c"])]
+    assert np.sum(laid["end_s"] - laid["start_s"]) == pytest.approx(4 * 1.27, rel=0.05)  # what was queued
+    assert np.array(run.column("target_c"))[-1] == pytest.approx(215.0, abs=0.1)
+    assert "Temperature plan (PLA, welds above" in log
+
+
+def test_m109_in_mid_print_waits_for_the_path_and_not_for_ever(simulate: Simulate, tmp_path: Path) -> None:
+    """It is the user's target from then on; the file goes on when the nozzle is there."""
+    gcode = f"{lines(4)}M109 S205\nM104.1 S0\n{lines(4, 50.0)}M400\nG4 P3000\nM400\n"
+    run, rows, _ = planned_run(simulate, tmp_path, gcode)
+    laid = rows[np.isfinite(rows["interface_c"])]
+    assert np.sum(laid["end_s"] - laid["start_s"]) == pytest.approx(8 * 1.27, rel=0.05)
+    true, flow = np.array(run.column("true_c")), np.array(run.column("flow_mm3_s"))
+    extruding = np.flatnonzero(flow > 1.0)
+    gap = np.argmax(np.diff(extruding))
+    waited_s = 0.01 * np.diff(extruding)[gap]
+    assert 1.0 < waited_s < 15.0  # 33 degC down at 10 degC/s, and until it is settled
+    assert true[extruding[gap + 1]] == pytest.approx(205.0, abs=3.0)
+    assert np.array(run.column("target_c"))[-1] == pytest.approx(205.0, abs=0.1)
+
+
+SECOND_TOOL = """
+[extruder1]
+step_pin: PC4
+dir_pin: PC5
+rotation_distance: 7.7
+microsteps: 16
+nozzle_diameter: 0.4
+filament_diameter: 1.75
+heater_pin: PC6
+sensor_type: EPCOS 100K B57560G104F
+sensor_pin: PC7
+control: pid
+pid_kp: 25
+pid_ki: 1
+pid_kd: 100
+min_temp: 0
+max_temp: 300
+min_extrude_temp: 0
+[simulator load extruder1]
+heater_pin: PC6
+sensor_pin: PC7
+"""
+
+
+def test_another_tools_roads_are_left_out(simulate: Simulate, tmp_path: Path) -> None:
+    """Only roads of the planned nozzle are in the books, and while the other prints it goes to the user's target."""
+    gcode = (
+        f"{lines(4)}ACTIVATE_EXTRUDER EXTRUDER=extruder1\n{lines(6, 50.0)}"
+        f"ACTIVATE_EXTRUDER EXTRUDER=extruder\n{lines(4, 60.0)}M400\nG4 P3000\nM400\n"
+    )
+    run, rows, _ = planned_run(simulate, tmp_path, gcode, SECOND_TOOL)
+    laid = rows[np.isfinite(rows["interface_c"])]
+    assert np.sum(laid["end_s"] - laid["start_s"]) == pytest.approx(8 * 1.27, rel=0.05)
+    target, flow = np.array(run.column("target_c")), np.array(run.column("flow_mm3_s"))
+    extruding = np.flatnonzero(flow > 1.0)
+    gap = np.argmax(np.diff(extruding))
+    other = target[extruding[gap] : extruding[gap + 1]]
+    assert len(other) > 600 and np.abs(other[450:-250] - 215.0).max() < 0.1

@@ -180,3 +180,15 @@ def test_shared_and_relative_places_are_fine(tmp_path: Path) -> None:
         "/home/pi/printer_data /usr/bin/gcc /tmp/klippy.log out/root/x gcode/home/x ~/work/x /dev/ttyACM0\n"
     )
     assert places_in(text, tmp_path) == 0
+
+
+def test_the_form_of_other_firmware_is_met_to_the_letter_only(tmp_path: Path) -> None:
+    path = tmp_path / "built.dict"
+    path.write_text(
+        json.dumps({"commands": {"query_analog_in oid=%c clock=%u values=%u": 1}, "responses": {}})
+    )
+    built = check_formats.Dictionary(path)
+    other = check_formats.ALSO_SPOKEN["query_analog_in"]
+    asked = [other, other.replace("rest", "pause")]
+    (met,) = complaints("\n".join(f"mcu.try_lookup_command({text!r})" for text in asked), built, tmp_path)
+    assert "pause" in met

@@ -185,7 +185,7 @@ def test_a_plan_made_in_the_climb_ends_at_holding_power() -> None:
 def test_what_is_pending_is_counted_on() -> None:
     """Full power already on its way for 20 ms is 3.5 degC: less is asked for on top of it."""
     without, _ = model_step(NOZZLE, known(245.0), ask(245.0, 250.0), 10.0)
-    sent = replace(ask(245.0, 250.0), pending=(Planned(10.0, 81.3),))
+    sent = ask(245.0, 250.0)._replace(pending=(Planned(10.0, 81.3),))
     after, _ = model_step(NOZZLE, known(245.0), sent, 10.0)
     assert after.value < without.value
     assert after.predicted_c > without.predicted_c + 3.0
