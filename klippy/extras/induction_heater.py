@@ -39,6 +39,7 @@ class Planner(Protocol):
 
     def take_target(self, target_c: float) -> bool: ...
     def is_on_path(self) -> bool: ...
+    def user_target_c(self) -> float: ...
 
 
 class InductionHeater:
@@ -278,11 +279,16 @@ class InductionHeater:
         return self.smooth_time_s
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
-        """The usual heater fields; `power` is the share of max_power_w."""
+        """The usual heater fields; `power` is the share of max_power_w.
+
+        `target` is the user's own: a macro that saves it in a pause must not save what a plan wants at that moment.
+        """
         state = self.loop.state
+        planned = self.planner is not None and self.planner.is_on_path()
+        target_c = self.planner.user_target_c() if self.planner is not None and planned else state.target_c
         return {
             "temperature": round(self._smoothed_c, 2),
-            "target": state.target_c,
+            "target": target_c,
             "power": round(state.request.power_w / self.parameters.control.power_max_w, 4),
         }
 

@@ -263,6 +263,10 @@ class TemperaturePlanner:
         """Does the plan hold the heater? Asked by the heater: M109 waits until it is back at the user's target."""
         return self._reference is not None and self.heater.loop.reference is self._reference
 
+    def user_target_c(self) -> float:
+        """What M104/M109 asked for, on which the plan lies."""
+        return self._base_c if self.heater.loop.state.target_c else 0.0
+
     def take_target(self, target_c: float) -> bool:
         """The user's M104 while path is under way. The plan moves with it and goes on; True: it has been done."""
         now_s = self.heater.now_s()

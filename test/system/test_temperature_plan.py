@@ -208,7 +208,7 @@ def test_a_bad_section_is_refused_by_name(simulate: Simulate, tmp_path: Path, mo
 
 def lines(count: int, y_mm: float = 40.0) -> str:
     """Roads of 1.27 s to and fro, each beside the one before."""
-    return "".join(f"G1 X{90 if i % 2 else 40} Y{y_mm + i} E{LINE_E:.4f} F2400\n" for i in range(count))
+    return "".join(f"G1 X{40 if i % 2 else 90} Y{y_mm + i} E{LINE_E:.4f} F2400\n" for i in range(count))
 
 
 def planned_run(simulate: Simulate, folder: Path, gcode: str, more: str = "", args: tuple[str, ...] = ()):  # type: ignore[no-untyped-def]
@@ -234,8 +234,8 @@ def test_a_pause_holds_the_users_target_and_resume_the_plan(simulate: Simulate, 
         '  M104 S{printer["gcode_macro PAUSE"].target}\n  BASE_RESUME\n'
     )
     gcode = f"{lines(4)}PAUSE\n{lines(4, 50.0)}M400\nG4 P4000\nM400\n"
-    run, rows, log = planned_run(simulate, tmp_path, gcode, more, ("--until", "200"))
-    assert "printed to its end" in run.stdout + run.stderr + log + str(run.summary)
+    run, rows, _ = planned_run(simulate, tmp_path, gcode, more, ("--until", "200"))
+    assert run.summary["reason"] == "printed to its end"
     laid = rows[np.isfinite(rows["interface_c"])]
     assert np.all(laid["wanted_melt_c"] == 228.0)
     assert np.sum(laid["end_s"] - laid["start_s"]) == pytest.approx(8 * 1.27, rel=0.05)
@@ -275,21 +275,21 @@ def test_m109_in_mid_print_waits_for_the_path_and_not_for_ever(simulate: Simulat
     gap = np.argmax(np.diff(extruding))
     waited_s = 0.01 * np.diff(extruding)[gap]
     assert 1.0 < waited_s < 15.0  # 33 degC down at 10 degC/s, and until it is settled
-    assert true[extruding[gap + 1]] == pytest.approx(205.0, abs=3.0)
+    assert true[extruding[gap + 1] - 60 : extruding[gap + 1]].min() == pytest.approx(205.0, abs=1.0)
     assert np.array(run.column("target_c"))[-1] == pytest.approx(205.0, abs=0.1)
 
 
 SECOND_TOOL = """
 [extruder1]
-step_pin: PC4
-dir_pin: PC5
+step_pin: PG0
+dir_pin: PG1
 rotation_distance: 7.7
 microsteps: 16
 nozzle_diameter: 0.4
 filament_diameter: 1.75
-heater_pin: PC6
+heater_pin: PG2
 sensor_type: EPCOS 100K B57560G104F
-sensor_pin: PC7
+sensor_pin: PG3
 control: pid
 pid_kp: 25
 pid_ki: 1
@@ -298,8 +298,8 @@ min_temp: 0
 max_temp: 300
 min_extrude_temp: 0
 [simulator load extruder1]
-heater_pin: PC6
-sensor_pin: PC7
+heater_pin: PG2
+sensor_pin: PG3
 """
 
 
@@ -316,4 +316,4 @@ def test_another_tools_roads_are_left_out(simulate: Simulate, tmp_path: Path) ->
     extruding = np.flatnonzero(flow > 1.0)
     gap = np.argmax(np.diff(extruding))
     other = target[extruding[gap] : extruding[gap + 1]]
-    assert len(other) > 600 and np.abs(other[450:-250] - 215.0).max() < 0.1
+    assert len(other) > 600 and np.abs(other[500:-250] - 215.0).max() < 0.1

@@ -154,6 +154,10 @@ def test_the_tool_writes_a_page_figures_and_a_file_with_commands(tmp_path: Path)
     [
         (["--set", "material=WOOD"], CONFIG, LINES, "material"),
         (["--set", "material"], CONFIG, LINES, "OPTION=VALUE"),
+        (["--set", "smoth_time=1"], CONFIG, LINES, "did you mean smooth_time"),
+        (["--set", "nosuch=1"], CONFIG, LINES, "no such option"),
+        (["--step", "nan"], CONFIG, LINES, "0.1 to 50"),
+        (["--step", "-3"], CONFIG, LINES, "0.1 to 50"),
         ([], CONFIG.replace("235", "warm"), LINES, "'warm' is not a number"),
         ([], CONFIG, "G28\nM104 S200\n", "no line of it extrudes"),
         (["--config", "/nonexistent.cfg"], CONFIG, LINES, "/nonexistent.cfg"),
@@ -166,3 +170,16 @@ def test_wrong_input_is_told_in_a_line(
     done = tool(tmp_path, *options, config=config, gcode=gcode)
     assert done.returncode == 2
     assert words in done.stderr and "Traceback" not in done.stderr
+
+
+def test_a_file_may_be_planned_in_place(tmp_path: Path) -> None:
+    """--emit to the file that is read: the same as to another one; a failure leaves what was there."""
+    other, part = tmp_path / "other.gcode", tmp_path / "part.gcode"
+    assert tool(tmp_path, "--heater", "induction", "--emit", str(other)).returncode == 0
+    done = tool(tmp_path, "--heater", "induction", "--emit", str(part))
+    assert done.returncode == 0, done.stderr
+    assert part.read_bytes() == other.read_bytes() != b""
+    assert part.stat().st_mode == other.stat().st_mode
+    done = tool(tmp_path, "--emit", str(part), gcode="G28\n")
+    assert done.returncode == 2 and part.read_text() == "G28\n"
+    assert {path.name for path in tmp_path.iterdir()} == {"printer.cfg", "part.gcode", "other.gcode"}
