@@ -244,10 +244,14 @@ def test_a_pause_holds_the_users_target_and_resume_the_plan(simulate: Simulate, 
     gap = np.argmax(np.diff(extruding))
     paused = slice(extruding[gap], extruding[gap + 1])
     assert 0.01 * (paused.stop - paused.start) > 8.0
-    assert np.abs(target[paused][500:-300] - 215.0).max() < 0.1  # home within 5 s, off again shortly before the road
+    assert (
+        np.abs(target[paused][500:-300] - 215.0).max() < 0.1
+    )  # home within 5 s, off again shortly before the road
     middle = slice(extruding[gap + 1] + 200, extruding[-1] - 100)
     assert target[middle].min() > 235.0  # as before the pause: 228 in the melt
-    assert target[-1] == pytest.approx(215.0, abs=0.1)  # what a PAUSE macro has saved is the user's, not the plan's
+    assert target[-1] == pytest.approx(
+        215.0, abs=0.1
+    )  # what a PAUSE macro has saved is the user's, not the plan's
 
 
 def test_cancel_ends_the_plan_and_the_next_print_begins_on_an_empty_bed(
