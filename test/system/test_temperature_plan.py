@@ -254,9 +254,7 @@ def test_a_pause_holds_the_users_target_and_resume_the_plan(simulate: Simulate, 
     )  # what a PAUSE macro has saved is the user's, not the plan's
 
 
-def test_cancel_ends_the_plan_and_the_next_print_begins_on_an_empty_bed(
-    simulate: Simulate, tmp_path: Path
-) -> None:
+def test_cancel_lays_what_is_queued_and_ends_the_plan(simulate: Simulate, tmp_path: Path) -> None:
     more = (
         "[pause_resume]\n[gcode_macro CANCEL_PRINT]\nrename_existing: BASE_CANCEL\ngcode:\n  BASE_CANCEL\n"
         "  G4 P8000\n  TEMPERATURE_PLAN\n"
