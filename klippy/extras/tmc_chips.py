@@ -1,7 +1,9 @@
 """What tells Trinamic's stepper drivers apart, as tables: registers, fields, options and their defaults, stalls.
 
-Sources: the datasheets TMC2130 rev. 1.14, TMC2208 rev. 1.13, TMC2209 rev. 1.09, TMC5160 rev. 1.17 and TMC2240 rev. 1.1,
-chapters "register map"; defaults of driver_... options are those of the configuration reference.
+Registers and fields are those the datasheets of TMC2130, TMC2208, TMC2209, TMC5160 and TMC2240 list under "register
+map". Compared with a document so far (the vendor's TMC-API headers): TMC2240 two thirds, TMC2130 in part. The others,
+and the constants of current and clock, are still to be compared; no chip has been connected. Defaults of driver_...
+options are those of the configuration reference.
 """
 
 from __future__ import annotations
