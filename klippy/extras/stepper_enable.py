@@ -116,15 +116,18 @@ class PrinterStepperEnable:
         """Switch motors on or off after the queued moves, and (not at_once) some rest; True if any changed."""
         toolhead = self.printer.lookup_object("toolhead")
         toolhead.get_last_move_time()
-        changing = [n for n in stepper_names if self.enable_lines[n].is_motor_enabled() != enable]
-        if not changing:
+        if enable and all(self.enable_lines[n].is_motor_enabled() for n in stepper_names):
             return False
         if not at_once:
             toolhead.dwell(DISABLE_STALL_S)
-            # all steps are out before: one that is worked out later would switch its motor on again, too late
+            # All steps are out before: one that is worked out later would switch its motor on again, too late. And
+            # only now is it known who is on: a motor's first step may have been among them.
             streams = stepstream.lookup_streams(self.printer)
             streams.advance(toolhead.get_last_move_time() - streams.look_ahead_s(), hold_back=False)
         print_time = toolhead.get_last_move_time()
+        changing = [n for n in stepper_names if self.enable_lines[n].is_motor_enabled() != enable]
+        if not changing:
+            return False
         for name in changing:
             line = self.enable_lines[name]
             (line.motor_enable if enable else line.motor_disable)(print_time)

@@ -1,9 +1,11 @@
 """What tells Trinamic's stepper drivers apart, as tables: registers, fields, options and their defaults, stalls.
 
-Registers and fields are those the datasheets of TMC2130, TMC2208, TMC2209, TMC5160 and TMC2240 list under "register
-map". Compared with a document so far (the vendor's TMC-API headers): TMC2240 two thirds, TMC2130 in part. The others,
-and the constants of current and clock, are still to be compared; no chip has been connected. Defaults of driver_...
-options are those of the configuration reference.
+Addresses and fields of all five chips were compared, bit by bit, with the vendor's headers (Analog Devices' TMC-API);
+the masks found there are the data of test/unit/test_tmc_vendor.py, with their commits. Not in those headers and by the
+datasheet of the TMC2209 only: the widths of TCOOLTHRS, SGTHRS and SG_RESULT, and spread_en in IOIN. Not compared with a
+document: which registers can only be read or written, the clocks of TMC2130, TMC5160 and TMC2240 (12 MHz of the others
+is in their headers), and the values of WAVE_OPTIONS. No chip has been connected. Defaults of driver_... options are
+those of the configuration reference.
 """
 
 from __future__ import annotations
@@ -35,8 +37,9 @@ COMMON = """
     TSTEP: tstep 0 20
     TPWMTHRS: tpwmthrs 0 20
     TPOWERDOWN: tpowerdown 0 8
-    MSCNT: mscnt 0 10
-    PWM_SCALE: pwm_scale_sum 0 8, pwm_scale_auto 16 9"""
+    MSCNT: mscnt 0 10"""
+SCALE2 = "\n    PWM_SCALE: pwm_scale_sum 0 8, pwm_scale_auto 16 9"
+COILS = "\n    MSCURACT: cur_a 0 9, cur_b 16 9"
 STEALTH2 = """
     PWMCONF: pwm_ofs 0 8, pwm_grad 8 8, pwm_freq 16 2, pwm_autoscale 18, pwm_autograd 19, freewheel 20 2, \
 pwm_reg 24 4, pwm_lim 28 4"""
@@ -47,7 +50,6 @@ UART_GCONF = """
 mstep_reg_select 7, multistep_filt 8, test_mode 9
     IFCNT: ifcnt 0 8
     SLAVECONF: senddelay 8 4
-    MSCURACT: cur_a 0 9, cur_b 16 9
     CHOPCONF: toff 0 4, hstrt 4 3, hend 7 4, tbl 15 2, vsense 17, mres 24 4, intpol 28, dedge 29, diss2g 30, diss2vs 31
     DRV_STATUS: otpw 0, ot 1, s2ga 2, s2gb 3, s2vsa 4, s2vsb 5, ola 6, olb 7, t120 8, t143 9, t150 10, t157 11, \
 cs_actual 16 5, stealth 30, stst 31"""
@@ -59,7 +61,6 @@ SPI_CHOP = """toff 0 4, hstrt 4 3, hend 7 4, fd3 11, disfdcc 12, chm 14, tbl 15 
 intpol 28, dedge 29, diss2g 30"""
 SPI_MORE = """
     THIGH: thigh 0 20
-    MSCURACT: cur_b 0 9, cur_a 16 9
     COOLCONF: sgt 16 7, sfilt 24"""
 UART_OPTIONS = {
     "multistep_filt": 1, "iholddelay": 8, "tpowerdown": 20, "tbl": 2, "toff": 3, "hend": 0, "hstrt": 5,
@@ -138,14 +139,14 @@ SPI_STALL = Stall(
 
 TMC2208 = Chip(
     "tmc2208", UART_CHIP, UART_WRITE_ONLY, READ_ONLY,
-    table(f"{GSTAT}{UART_GCONF}{HOLD}{COMMON}{STEALTH2}\n"
+    table(f"{GSTAT}{UART_GCONF}{HOLD}{COMMON}{COILS}{STEALTH2}{SCALE2}\n"
           "    IOIN: enn 0, ms1 2, ms2 3, diag 4, pdn_uart 6, step 7, sel_a 8, dir 9, version 24 8"),
     UART_OPTIONS, UART_FIXED, ("en_spreadcycle", 0), 12e6,
 )  # fmt: skip
 TMC2209 = Chip(
     "tmc2209", {**UART_CHIP, "TCOOLTHRS": 0x14, "SGTHRS": 0x40, "SG_RESULT": 0x41, "COOLCONF": 0x42},
     (*UART_WRITE_ONLY, "TCOOLTHRS", "SGTHRS", "COOLCONF"), READ_ONLY,
-    table(f"{GSTAT}{UART_GCONF}{HOLD}{COMMON}{STEALTH2}\n"
+    table(f"{GSTAT}{UART_GCONF}{HOLD}{COMMON}{COILS}{STEALTH2}{SCALE2}\n"
           f"    {COOL}\n    SGTHRS: sgthrs 0 8\n    SG_RESULT: sg_result 0 10\n"
           "    IOIN: enn 0, ms1 2, ms2 3, diag 4, pdn_uart 6, step 7, spread_en 8, dir 9, version 24 8"),
     {**UART_OPTIONS, "sgthrs": 0, **COOL_OPTIONS}, UART_FIXED, ("en_spreadcycle", 0), 12e6,
@@ -155,11 +156,13 @@ TMC2209 = Chip(
 TMC2130 = Chip(
     "tmc2130", SPI_CHIP,
     ("IHOLD_IRUN", "TPOWERDOWN", "TPWMTHRS", "TCOOLTHRS", "THIGH", *WAVE_REGISTERS, "COOLCONF", "PWMCONF"), READ_ONLY,
-    table(f"{GSTAT}{HOLD}{COMMON}\n    {COOL}{SPI_MORE}\n{WAVE}\n    MSLUTSTART: start_sin 0 8, start_sin90 16 8\n"
+    table(f"{GSTAT}{HOLD}{COMMON}{COILS}\n    {COOL}{SPI_MORE}\n{WAVE}\n"
+          "    MSLUTSTART: start_sin 0 8, start_sin90 16 8\n"
           f"GCONF: i_scale_analog 0, internal_rsense 1, diag1_steps_skipped 11, {SPI_GCONF}\n"
           "    IOIN: step 0, dir 1, dcen_cfg4 2, dcin_cfg5 3, drv_enn_cfg6 4, dco 5, version 24 8\n"
           f"    DRV_STATUS: {SPI_STATUS}\n    CHOPCONF: {SPI_CHOP}, rndtf 13, vsense 17, sync 20 4\n"
-          "    PWMCONF: pwm_ampl 0 8, pwm_grad 8 8, pwm_freq 16 2, pwm_autoscale 18, pwm_symmetric 19, freewheel 20 2"),
+          "    PWMCONF: pwm_ampl 0 8, pwm_grad 8 8, pwm_freq 16 2, pwm_autoscale 18, pwm_symmetric 19, freewheel 20 2\n"
+          "    PWM_SCALE: pwm_scale 0 8"),
     {"iholddelay": 8, "tpowerdown": 0, "tbl": 1, "toff": 4, "hend": 7, "hstrt": 0, "pwm_autoscale": 1, "pwm_freq": 1,
      "pwm_grad": 4, "pwm_ampl": 128, "sgt": 0, **WAVE_OPTIONS},
     {}, ("en_pwm_mode", 1), 13.2e6, SPI_STALL,
@@ -168,7 +171,7 @@ TMC5160 = Chip(
     "tmc5160", {**SPI_CHIP, "DRV_CONF": 0x0A, "GLOBALSCALER": 0x0B},
     ("IHOLD_IRUN", "TPOWERDOWN", "TPWMTHRS", "TCOOLTHRS", "THIGH", *WAVE_REGISTERS, "COOLCONF", "PWMCONF", "DRV_CONF",
      "GLOBALSCALER"), READ_ONLY,
-    table(f"{GSTAT}{HOLD}{COMMON}\n    {COOL}{SPI_MORE}{STEALTH2}\n{WAVE}\n"
+    table(f"{GSTAT}{HOLD}{COMMON}{COILS}\n    {COOL}{SPI_MORE}{STEALTH2}{SCALE2}\n{WAVE}\n"
           "    MSLUTSTART: start_sin 0 8, start_sin90 16 8\n"
           f"GCONF: recalibrate 0, faststandstill 1, multistep_filt 3, diag1_steps_skipped 11, {SPI_GCONF}\n"
           "    IOIN: step 0, dir 1, dcen_cfg4 2, dcin_cfg5 3, drv_enn 4, dco_cfg6 5, sd_mode 6, swcomp_in 7, "
@@ -183,6 +186,7 @@ TMC2240 = Chip(
     (), READ_ONLY,
     table(f"{GSTAT}, register_reset 3, vm_uvlo 4{HOLD}, irundelay 24 4{COMMON}\n"
           f"    {COOL}{SPI_MORE}{STEALTH2}, pwm_meas_sd_enable 22, pwm_dis_reg_stst 23\n{WAVE}\n"
+          "    MSCURACT: cur_b 0 9, cur_a 16 9\n    PWM_SCALE: pwm_scale_sum 0 10, pwm_scale_auto 16 9\n"
           "    MSLUTSTART: start_sin 0 8, start_sin90 16 8, offset_sin90 24 8\n"
           f"GCONF: fast_standstill 1, multistep_filt 3, {SPI_GCONF}\n"
           "    IOIN: step 0, dir 1, encb 2, enca 3, drv_enn 4, encn 5, uart_en 6, comp_a 8, comp_b 9, output 12, \

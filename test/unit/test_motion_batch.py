@@ -139,6 +139,30 @@ def test_m84_forgets_the_position(run) -> None:
     assert "Must home axis first" in errors(outcome)[0]
 
 
+FORCED = "[force_move]\nenable_force_move: True\n"
+COLD_MOVE = "SET_KINEMATIC_POSITION X=100 Y=100 Z=10\nG1 X{} F6000\n{}G4 P3000\nG1 X100\nM400"
+
+
+@pytest.mark.parametrize("x", [101.0, 100.02, 140.0])
+def test_m84_switches_off_a_motor_whose_first_steps_are_only_queued(run, x: float) -> None:
+    """Nobody has waited for the move when M84 is read; the motor is on by then for no one but the plan."""
+    config = CONFIG + EXTRUDER + FORCED
+    outcome = run(COLD_MOVE.format(x, f"M84\nSET_KINEMATIC_POSITION X={x} Y=100 Z=10\n"), config)
+    assert outcome.result == "exit", outcome.replies
+    moved = outcome.tracks()["stepper_x"]
+    way = round((x - 100.0) * X_PER_MM)
+    first, last, again = moved.clocks[0], moved.clocks[way - 1], moved.clocks[way]
+    lines = [(p["clock"], p["on_ticks"] == 0) for p in outcome.commands if p["#name"] == "queue_digital_out"]
+    before = [on for clock, on in lines if clock <= first]
+    rest = [(clock, on) for clock, on in lines if last < clock < again]
+    assert before[-1] is True, "on before its first step"
+    assert [on for _, on in rest] == [False, True], "off at M84, on for the next move"
+    assert (rest[0][0] - last) / CLOCK_HZ == pytest.approx(0.1, abs=0.01)  # the rest before switching off
+    undisturbed = run(COLD_MOVE.format(x, ""), config).tracks()["stepper_x"]
+    assert np.ptp(np.array(moved.clocks[:way]) - undisturbed.clocks[:way]) <= 2 * 25e-6 * CLOCK_HZ
+    assert moved.position == undisturbed.position == 0
+
+
 def test_extrusion_without_an_extruder_is_refused(run) -> None:
     outcome = run(HOMED + "G1 X10 E1 F3000", CONFIG)
     assert "Extrude when no extruder present" in errors(outcome)[0]
