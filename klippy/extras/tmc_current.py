@@ -1,8 +1,8 @@
 """From amperes to what a stepper driver's registers want: three ways that Trinamic's chips scale their current.
 
-TMC2208 and 2209: compared with the datasheet's table of sense resistors (2209, rev. 1.03, chapter 8; vsense 0). TMC2240:
-ranges as an independent library (TMCStepper) has them, the largest as on the datasheet's first page. Not compared with a
-document: 0.32 V of the TMC2130, 0.325 V and the rule for GLOBALSCALER of the TMC5160.
+TMC2208 and 2209: compared with the datasheet's table of sense resistors (2209, rev. 1.03, chapter 8; vsense 0).
+TMC2240: ranges as an independent library (TMCStepper) has them, the largest as on the datasheet's first page. Not
+compared with a document: 0.32 V of the TMC2130, 0.325 V and the rule for GLOBALSCALER of the TMC5160.
 
 Pure. A scale of CS gives (CS + 1) / 32 of the full current; `fields(run, hold)` are the register fields for these
 currents (A, rms), `largest_a` is what the chip can be set to.
