@@ -19,7 +19,10 @@ import re
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Any
+
+import chelper
 
 BLOCK_MIN, BLOCK_MAX = 5, 64
 BLOCK_HEAD, BLOCK_TAIL = 2, 3
@@ -54,13 +57,15 @@ class enumeration_error(error):
 
 def encode_vlq(value: int) -> bytes:
     """Big-endian groups of 7 bits, 0x80 = more follow. n groups hold -2**(7n-2) .. 3*2**(7n-2)-1, five all."""
-    groups = 1
-    reach = 1 << 5
-    while groups < 5 and not -reach <= value < 3 * reach:
-        groups += 1
+    shift, reach = 0, 1 << 5
+    while shift < 28 and not -reach <= value < 3 * reach:
+        shift += 7
         reach <<= 7
-    out = bytearray((value >> (7 * place)) & 0x7F | 0x80 for place in range(groups - 1, -1, -1))
-    out[-1] &= 0x7F
+    out = bytearray()
+    while shift:
+        out.append(value >> shift & 0x7F | 0x80)
+        shift -= 7
+    out.append(value & 0x7F)
     return bytes(out)
 
 
@@ -225,17 +230,10 @@ class Param:
             raise enumeration_error(self.name, text)
         return value
 
-    def decode(self, data: bytes, pos: int) -> tuple[Any, int]:
-        if self.type.is_buffer:
-            if pos >= len(data) or pos + 1 + data[pos] > len(data):
-                raise error(f"message ends inside parameter '{self.name}'")
-            end = pos + 1 + data[pos]
-            return data[pos + 1 : end], end
-        value, pos = decode_vlq(data, pos)
-        value = _wrap32(value, self.type.signed)
-        if self.by_value:
-            return self.by_value.get(value, f"?{value}"), pos
-        return value, pos
+    @property
+    def kind(self) -> str:
+        """The letter that chelper/message.h knows it by."""
+        return "s" if self.type.is_buffer else "i" if self.type.signed else "u"
 
     def from_text(self, text: str) -> Any:
         """The value written in a command line: a number (any base), an enumeration's name, or hex bytes."""
@@ -259,6 +257,13 @@ class Param:
 _FORMAT_WORD = re.compile(r"(\w+)=(%\S+)")
 
 
+@cache
+def _decoder() -> tuple[Any, Any]:
+    """The C helper's decoder, and room for the numbers of one message."""
+    ffi, lib = chelper.get_ffi()
+    return lib.message_decode, ffi.new("int64_t[]", CONTENT_MAX)
+
+
 @dataclass(frozen=True, slots=True)
 class MessageFormat:
     """One message of the dictionary: encodes from values, decodes to a dict."""
@@ -268,6 +273,30 @@ class MessageFormat:
     name: str
     params: tuple[Param, ...]
     id_bytes: bytes
+    names: tuple[str, ...]  # of the parameters ...
+    kinds: bytes  # ... and their letters
+    buffers: tuple[tuple[int, str], ...]  # place and name of those that are no numbers
+    enumerated: tuple[tuple[int, str, Mapping[int, str]], ...]  # and of those that stand for a name
+
+    @classmethod
+    def _of(cls, msgid: int, msgformat: str, name: str, params: tuple[Param, ...]) -> MessageFormat:
+        if len(params) > CONTENT_MAX:
+            raise error(
+                f"the dictionary's message '{name}' has {len(params)} parameters; no block takes so many"
+            )
+        return cls(
+            msgid,
+            msgformat,
+            name,
+            params,
+            encode_vlq(msgid),
+            tuple(p.name for p in params),
+            "".join(p.kind for p in params).encode(),
+            tuple((n, p.name) for n, p in enumerate(params) if p.type.is_buffer),
+            tuple(
+                (n, p.name, p.by_value) for n, p in enumerate(params) if p.by_value and not p.type.is_buffer
+            ),
+        )
 
     @classmethod
     def build(
@@ -278,7 +307,7 @@ class MessageFormat:
         if not words:
             raise error("the dictionary has a message without a name")
         params = tuple(_build_param(word, msgformat, enumerations) for word in words[1:])
-        return cls(msgid, msgformat, words[0], params, encode_vlq(msgid))
+        return cls._of(msgid, msgformat, words[0], params)
 
     @classmethod
     def build_output(cls, msgid: int, text: str) -> MessageFormat:
@@ -287,14 +316,14 @@ class MessageFormat:
         params = tuple(
             Param(f"value{n}", PARAM_TYPES[code]) for n, code in enumerate(codes) if code in PARAM_TYPES
         )
-        return cls(msgid, text, "#output", params, encode_vlq(msgid))
+        return cls._of(msgid, text, "#output", params)
 
     def encode(self, values: Sequence[Any]) -> bytes:
         """The message with its parameters in order. Enumerated ones may be given by name."""
         if len(values) != len(self.params):
             raise error(f"'{self.msgformat}' takes {len(self.params)} parameters, not {len(values)}")
         try:
-            body = b"".join(p.encode(v) for p, v in zip(self.params, values, strict=True))
+            body = b"".join([p.encode(v) for p, v in zip(self.params, values, strict=True)])
         except (error, TypeError, ValueError) as e:
             raise error(f"command '{self.name}': {e}") from None
         message = self.id_bytes + body
@@ -313,9 +342,18 @@ class MessageFormat:
 
     def decode(self, data: bytes, pos: int) -> tuple[Params, int]:
         """Parameters that follow the id at `pos`, and the position after them."""
-        values: Params = {}
-        for param in self.params:
-            values[param.name], pos = param.decode(data, pos)
+        decode, found = _decoder()
+        pos = decode(data, len(data), pos, self.kinds, found)
+        if pos < 0:
+            cut = -2 - pos
+            where = "in the middle of a number" if cut < 0 else f"inside parameter '{self.names[cut]}'"
+            raise error(f"message ends {where}")
+        values: Params = dict(zip(self.names, found, strict=False))
+        for n, name in self.buffers:
+            start = found[n] >> 8
+            values[name] = data[start : start + (found[n] & 0xFF)]
+        for n, name, by_value in self.enumerated:
+            values[name] = by_value.get(found[n], f"?{found[n]}")
         values["#name"] = self.name
         return values, pos
 
@@ -424,7 +462,7 @@ class MessageParser:
 
     def parse_message(self, data: bytes, pos: int = 0) -> tuple[Params, int]:
         """The message at `pos` as {parameter: value, "#name": …} and the position after it. Raises `error`."""
-        msgid, after = decode_vlq(data, pos)
+        msgid, after = (data[0], 1) if not pos and data and data[0] < 0x60 else decode_vlq(data, pos)
         message = self._by_id.get(msgid)
         if message is None:
             raise error(f"{self.warn_prefix}message id {msgid} is not in the dictionary")

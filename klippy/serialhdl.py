@@ -193,7 +193,7 @@ class SerialReader:
     def _unpack(self, message: Any) -> tuple[int, Params]:
         params: Params = {}
         if message.len:
-            content = bytes(self._ffi.buffer(message.data, message.len))
+            content = self._ffi.buffer(message.data, message.len)[:]
             try:
                 params = self.msgparser.parse(content)
             except msgproto.error as e:
@@ -209,7 +209,7 @@ class SerialReader:
         key = (params["#name"], params.get("oid"))
         waiters = self._tables.waiters.get(key)
         taken = False
-        for waiter in tuple(waiters or ()):
+        for waiter in tuple(waiters) if waiters else ():
             if waiter.armed and not waiter.answer.test():
                 waiter.answer.complete(params)
                 taken = True

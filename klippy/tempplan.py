@@ -23,10 +23,10 @@ from thermal.pace import Ages
 
 CORE_STEP_MM3_S = 0.5
 CORE_FLOW_MAX_MM3_S = 60.0
-HISTORIES = ("planned", "fixed")
+KEPT_S = 1.0  # a controller looks back at what it was asked for by less than that
 _PIECE = struct.Struct("=18d")
 _POINT = struct.Struct("=2d")
-_DONE_FIELDS = 9
+_DONE = struct.Struct("=9d")
 
 
 class Piece(NamedTuple):
@@ -141,6 +141,8 @@ class TemperaturePlan:
         if plan == self._ffi.NULL:
             raise MemoryError("no memory for the temperature plan")
         self._plan = self._ffi.gc(plan, self._lib.tempplan_free)
+        self._done = bytearray()
+        self._room, self._corners, self._corner_bytes = 0, self._ffi.NULL, b""
 
     def _parameters(self, material: Material, surroundings: Surroundings, craft: Craft) -> Any:
         limits = self._limits
@@ -193,14 +195,36 @@ class TemperaturePlan:
                 buffer, i * size, piece.start_s, piece.end_s, *piece.start_mm, *piece.end_mm, piece.flow_mm3_s,
                 piece.height_mm, piece.fan, piece.wish_c, piece.base_c, piece.pace, 0.0, 0.0, 0.0, 0.0,
             )  # fmt: skip
-        if self._lib.tempplan_add(self._plan, rows, len(pieces)):
-            raise MemoryError("no memory for the temperature plan")
+        self.add_rows(rows, len(pieces))
         return [(row.substrate_c[0], row.melt_c, row.wall_c) for row in rows]
 
-    def make(self, from_s: float, start_c: float) -> list[tuple[float, float]]:
-        """Plan again from `from_s` on, where the nozzle is at `start_c`; corners (s, degC), also of the last 2 s."""
+    def add_rows(self, rows: Any, count: int) -> None:
+        """The same with pieces that are in the C helper (struct tempplan_piece *)."""
+        if self._lib.tempplan_add(self._plan, rows, count):
+            raise MemoryError("no memory for the temperature plan")
+
+    def make(self, from_s: float, start_c: float, within_c: float = 0.0) -> list[tuple[float, float]]:
+        """Plan again from `from_s` on, where the nozzle is at `start_c`; corners (s, degC), also of the last second.
+
+        Corners within `within_c` of the line between others are left out.
+        """
         count = self._lib.tempplan_make(self._plan, from_s, start_c)
-        return list(_POINT.iter_unpack(self._ffi.buffer(self._lib.tempplan_points(self._plan), 16 * count)))
+        if count > self._room:
+            self._room = 2 * count
+            self._corners = self._ffi.new("struct tempplan_point[]", self._room)
+            self._corner_bytes = self._ffi.buffer(self._corners)
+        if count:
+            count = self._lib.tempplan_corners(self._plan, from_s - KEPT_S, within_c, self._corners)
+        return list(_POINT.iter_unpack(self._corner_bytes[: _POINT.size * count]))
+
+    def lead(self, corners: Sequence[tuple[float, float]]) -> None:
+        """From the first of these (s, degC) on the nozzle is led by them, not by the plan."""
+        if self._lib.tempplan_lead(self._plan, corners, len(corners)):
+            raise MemoryError("no memory for the temperature plan")
+
+    def holder_c(self, time_s: float, nozzle_c: float) -> float:
+        """Nozzle temperature at which its holder is in balance then."""
+        return float(self._lib.tempplan_holder(self._plan, time_s, nozzle_c))
 
     def at(self, time_s: float, otherwise_c: float) -> float:
         """Planned nozzle temperature; `otherwise_c` if nothing is planned."""
@@ -208,9 +232,17 @@ class TemperaturePlan:
 
     def finish(self, until_s: float, rows: int = 0) -> list[Laid]:
         """Book what has been laid by now; returns up to `rows` of it."""
-        done = self._ffi.new("double[]", max(1, rows) * _DONE_FIELDS)
-        count = self._lib.tempplan_finish(self._plan, until_s, done if rows else self._ffi.NULL, rows)
-        return [Laid(*done[i * _DONE_FIELDS : (i + 1) * _DONE_FIELDS]) for i in range(count)]
+        if not rows:
+            self._lib.tempplan_finish(self._plan, until_s, self._ffi.NULL, 0)
+            return []
+        if (
+            len(self._done) < rows * _DONE.size
+        ):  # kept: zeroing it at each call would be dearer than the books
+            self._done = bytearray(rows * _DONE.size)
+        count = self._lib.tempplan_finish(
+            self._plan, until_s, self._ffi.from_buffer("double[]", self._done), rows
+        )
+        return [Laid._make(row) for row in _DONE.iter_unpack(self._done[: count * _DONE.size])]
 
     def shift(self, from_s: float, delta_c: float) -> None:
         """The user's own target moves: from then on all that is not asked for by name moves with it."""

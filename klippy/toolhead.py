@@ -50,8 +50,6 @@ OTHERS_PERIOD_S = 0.050
 # (sqrt(2) - 1) relates the corner deviation to the speed of a right angle: sin(45)/(1 - sin(45)) = 1/(sqrt(2) - 1)
 RIGHT_ANGLE_FACTOR = math.sqrt(2.0) - 1.0
 
-MoveListener = Callable[[Sequence[Move]], None]
-
 
 class DripModeEndSignal(Exception):
     """Kept for plugins that catch it; homing ends a drip move by its completion."""
@@ -77,7 +75,8 @@ class ToolHead:
         self._trapq_append = lib.trapq_append
         self._trapq_set_position = lib.trapq_set_position
         self.trapq = self._streams.new_trapq()
-        self._listeners: list[MoveListener] = []
+        self._listeners: list[Callable[[Sequence[Move]], None]] = []
+        self._record_listeners: list[Callable[[Any, int, float], None]] = []
         self._read_limits(config)
 
         self.print_time = 0.0
@@ -102,8 +101,7 @@ class ToolHead:
         self.max_velocity = config.getfloat("max_velocity", above=0.0)
         self.max_accel = config.getfloat("max_accel", above=0.0)
         default_ratio = 0.5
-        # the option's name before it was a ratio
-        to_decel = config.getfloat("max_accel_to_decel", None, above=0.0)
+        to_decel = config.getfloat("max_accel_to_decel", None, above=0.0)  # before it was a ratio
         if to_decel is not None:
             config.deprecate("max_accel_to_decel")
             default_ratio = 1.0 - min(1.0, to_decel / self.max_accel)
@@ -131,8 +129,7 @@ class ToolHead:
         gcode.register_command("G4", self.cmd_G4)
         gcode.register_command("M400", self.cmd_M400)
         gcode.register_command("M204", self.cmd_M204)
-        set_limit = self.cmd_SET_VELOCITY_LIMIT
-        gcode.register_command("SET_VELOCITY_LIMIT", set_limit, desc="Set printer velocity limits")
+        gcode.register_command("SET_VELOCITY_LIMIT", self.cmd_SET_VELOCITY_LIMIT, desc="Set velocity limits")
         self.printer.register_event_handler("klippy:shutdown", self._handle_shutdown)
         for module in ("gcode_move", "homing"):
             self.printer.load_object(config, module)
@@ -180,7 +177,6 @@ class ToolHead:
 
     def _commit(self, moves: Sequence[Move]) -> None:
         """Moves with fixed speeds get their times and go to the motion queues."""
-        self._go_on()
         append, trapq, extruder_move = self._trapq_append, self.trapq, self.extruder.process_move
         print_time = self.print_time
         for move in moves:
@@ -208,7 +204,6 @@ class ToolHead:
 
     def _commit_unseen(self, count: int) -> None:
         """As _commit, for the first `count` planned moves, without Python looking at each."""
-        self._go_on()
         extruder, filament, row = self.extruder, self._filament_mm, self.lookahead.row
         extruder_trapq = getattr(extruder, "trapq", self._no_trapq)
         filament[0] = start = getattr(extruder, "last_position", 0.0)
@@ -232,9 +227,14 @@ class ToolHead:
 
     def _flush_lookahead(self, lazy: bool = False) -> None:
         count = self.lookahead.plan(lazy)
-        if count and (self._listeners or self.extra_axes or not is_done_in_c(self.extruder.process_move)):
+        if not count:
+            return
+        self._go_on()
+        for listener in self._record_listeners:
+            listener(self.lookahead.row, count, self.print_time)
+        if self._listeners or self.extra_axes or not is_done_in_c(self.extruder.process_move):
             self._commit(self.lookahead.take(count))
-        elif count:
+        else:
             self._commit_unseen(count)
 
     def _settle(self) -> None:
@@ -439,9 +439,10 @@ class ToolHead:
 
     # -- who else wants to know --
 
-    def register_move_listener(self, listener: MoveListener) -> None:
-        """Call listener(moves) with every batch of moves whose times are fixed (print_time, speeds, accel)."""
-        self._listeners.append(listener)
+    def register_move_listener(self, listener: Callable[..., None], as_records: bool = False) -> None:
+        """Call listener(moves) with every batch of moves whose times are fixed (print_time, speeds, accel). As records:
+        listener(row, count, print_time), for the first moves of the look-ahead's row, the first from print_time on."""
+        (self._record_listeners if as_records else self._listeners).append(listener)
 
     def register_lookahead_callback(self, callback: Callable[[float], None]) -> None:
         """Call callback(print_time) with the end of the last queued move, as soon as that is known."""

@@ -21,10 +21,11 @@ ROOT = Path(__file__).resolve().parent.parent
 LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
     (name, frozenset(modules.split()))
     for name, modules in (
+        ("helper", "chelper"),
         ("thermal", "thermal"),
         (
             "base",
-            "util mathutil meshmath queuelogger reactor configtext configfile gcode gcode_io pins msgproto chelper",
+            "util mathutil meshmath queuelogger reactor configtext configfile gcode gcode_io pins msgproto",
         ),
         ("link", "serialport serialhdl clockfit clocksync mcu mcu_io mcu_homing mcu_session"),
         ("motion", "stepper stepstream kinematics lookahead g1path toolhead tempplan pathpieces"),
@@ -34,8 +35,8 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
     )
 )
 
-# thermal/ computes and nothing else: it needs no more than the standard library. Its fits run offline and may
-# use the numeric packages; nothing that runs in the printer imports them.
+# thermal/ computes and nothing else: it needs no more than the standard library and the C helper. Its fits run
+# offline and may use the numeric packages; nothing that runs in the printer imports them.
 PURE_PYTHON = "thermal"
 OFFLINE = f"{PURE_PYTHON}/fit"
 OFFLINE_PACKAGES = frozenset({"numpy", "scipy", "pyswarm"})

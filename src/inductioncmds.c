@@ -44,8 +44,9 @@ enum {
     SYNC_ADC_MAX = 4095,     /* the synchronous ADC has 12 bits on every port */
     BLOCKS_WAITING_MAX = 32, /* power of two; 51 ms of blocks of 192 samples for a host link that stalls */
     RECORD_SIZE_MAX = 16,
+    DATA_SIZE_MAX = 48,      /* what fits one message: 7 plain records, 3 of the longest */
     RECORDS_DEFAULT = 2,
-    RECORDS_MAX = 3,         /* 3 * RECORD_SIZE_MAX fit one message */
+    RECORDS_MAX = 7,
     LONE_RECORD_US = 20000,  /* a record that would wait longer for others goes without them */
     LATE_MARGIN_US = 20,     /* a late phase command is applied so much after its arrival */
     DEFAULT_Y = 5,           /* Oskolkov et al. 2021: 12 -> 17 bit */
@@ -319,11 +320,11 @@ saturated(const struct oversample_block *b)
     return b->discarded == UINT16_MAX || b->lost == UINT16_MAX;
 }
 
-/* Returns 1 if there may be more. */
+/* One message of as many records as are due and fit. Returns 1 if there may be more. */
 static uint8_t
 send_report(struct induction *u)
 {
-    uint8_t data[RECORDS_MAX * RECORD_SIZE_MAX], *end = data;
+    uint8_t data[DATA_SIZE_MAX + RECORD_SIZE_MAX], *end = data;
     const struct oversample_block *before = NULL;
     irqstatus_t flag = irq_save();
     uint8_t ready = u->reporting ? records_to_send(u) : 0, records = 0;
@@ -333,7 +334,10 @@ send_report(struct induction *u)
         const struct oversample_block *b = &u->waiting[u->block_tail & (BLOCKS_WAITING_MAX - 1)];
         if (before && saturated(b))
             break;
-        end = put_record(end, b, before, u->oversample.block_len);
+        uint8_t *after = put_record(end, b, before, u->oversample.block_len);
+        if (after > data + DATA_SIZE_MAX)
+            break;
+        end = after;
         before = b;
         u->block_tail++;
     }
@@ -399,7 +403,7 @@ command_config_induction_sense(const struct command_args *args)
 DECL_COMMAND(command_config_induction_sense,
              "config_induction_sense oid=%c oversample=%c settle_samples=%hu ema_shift=%c");
 
-/* Shorter blocks than 4^oversample samples, and how many records go together; after config_induction_sense. */
+/* Shorter blocks than 4^oversample samples, and how many records go together at first; after config_induction_sense. */
 void
 command_config_induction_block(const struct command_args *args)
 {
@@ -428,6 +432,19 @@ command_config_induction_limit(const struct command_args *args)
 }
 DECL_COMMAND(command_config_induction_limit,
              "config_induction_limit oid=%c phase=%hu low=%hu high=%hu trip_blocks=%c");
+
+/* Other batches from now on: long ones while nothing happens save the host's time, short ones the controller's. */
+void
+command_induction_batch(const struct command_args *args)
+{
+    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
+    uint8_t records = (uint8_t)args->val[1];
+    if (!records || records > RECORDS_MAX)
+        shutdown(SHUTDOWN_INDUCTION_CONFIG);
+    u->records = records;
+    sched_wake_task(&report_wake);
+}
+DECL_COMMAND(command_induction_batch, "induction_batch oid=%c records=%c");
 
 /* Sampling starts before the first heat and never stops: the guard judges also when nobody wants reports. */
 static void

@@ -117,6 +117,8 @@ _loaded: tuple[Any, Any] | None = None
 def get_ffi() -> tuple[Any, Any]:
     """(ffi, lib) of the helper, built and loaded at the first call. Raises HelperError."""
     global _loaded
+    if _loaded is not None:
+        return _loaded
     with _lock:
         if _loaded is None:
             path = build()

@@ -1,4 +1,4 @@
-// Storage and encoding of single commands.
+// Storage of single commands; encoding and decoding of parameters.
 
 #include "message.h"
 #include <stdio.h>
@@ -45,4 +45,42 @@ vlq_encode(uint8_t *p, int64_t value)
         *p++ = (uint8_t)(0x80 | ((value >> shift) & 0x7f));
     *p++ = (uint8_t)(value & 0x7f);
     return p;
+}
+
+// One number, as far as 32 bits go. Returns the position after it or MESSAGE_CUT_NUMBER.
+static int
+vlq_decode(const uint8_t *data, int len, int pos, uint32_t *value)
+{
+    if (pos >= len)
+        return MESSAGE_CUT_NUMBER;
+    uint32_t v = data[pos] & 0x7f;
+    if (v >= 0x60)
+        v -= 0x80;
+    while (data[pos] & 0x80) {
+        if (++pos >= len)
+            return MESSAGE_CUT_NUMBER;
+        v = v << 7 | (data[pos] & 0x7f);
+    }
+    *value = v;
+    return pos + 1;
+}
+
+int
+message_decode(const uint8_t *data, int len, int pos, const char *kinds, int64_t *values)
+{
+    for (int i = 0; kinds[i]; i++) {
+        if (kinds[i] == MESSAGE_BUFFER) {
+            if (pos >= len || pos + 1 + data[pos] > len)
+                return MESSAGE_CUT_BUFFER - i;
+            values[i] = (int64_t)(pos + 1) << 8 | data[pos];
+            pos += 1 + data[pos];
+            continue;
+        }
+        uint32_t value;
+        pos = vlq_decode(data, len, pos, &value);
+        if (pos < 0)
+            return pos;
+        values[i] = kinds[i] == MESSAGE_SIGNED ? (int64_t)(int32_t)value : (int64_t)value;
+    }
+    return pos;
 }

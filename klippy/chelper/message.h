@@ -33,4 +33,15 @@ void message_free_list(struct queue_message *list);
 // (1 to 5 bytes).
 uint8_t *vlq_encode(uint8_t *p, int64_t value);
 
+enum message_kind {
+    MESSAGE_UNSIGNED = 'u', // modulo 2^32
+    MESSAGE_SIGNED = 'i',   // the same, read as signed
+    MESSAGE_BUFFER = 's',   // a length of one byte, then so many; value: position of the first << 8 | length
+};
+enum { MESSAGE_CUT_NUMBER = -1, MESSAGE_CUT_BUFFER = -2 };
+
+// The parameters of a message from `pos` on, one for each letter (enum message_kind) of `kinds`. Returns the position
+// after them; MESSAGE_CUT_NUMBER, or MESSAGE_CUT_BUFFER less the parameter's number, where the message ends too soon.
+int message_decode(const uint8_t *data, int len, int pos, const char *kinds, int64_t *values);
+
 #endif

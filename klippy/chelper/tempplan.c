@@ -385,16 +385,10 @@ int tempplan_make(struct tempplan *tp, double from_s, double start_c)
     return tp->point_count;
 }
 
-const struct tempplan_point *tempplan_points(const struct tempplan *tp)
+/* Number of the first point later than time_s. */
+static int point_after(const struct tempplan *tp, double time_s)
 {
-    return tp->points;
-}
-
-double tempplan_at(const struct tempplan *tp, double time_s, double otherwise_c)
-{
-    if (!tp->point_count)
-        return otherwise_c;
-    int low = 0, high = tp->point_count;    /* first point later than time_s */
+    int low = 0, high = tp->point_count;
     while (low < high) {
         int middle = (low + high) / 2;
         if (tp->points[middle].time_s <= time_s)
@@ -402,6 +396,60 @@ double tempplan_at(const struct tempplan *tp, double time_s, double otherwise_c)
         else
             high = middle;
     }
+    return low;
+}
+
+/* A line from the newest corner given out may go on as long as it can pass all points since at within_c. */
+int tempplan_corners(const struct tempplan *tp, double since_s, double within_c, struct tempplan_point *out)
+{
+    int i = point_after(tp, since_s), count = 0;
+    i -= i > 0;
+    if (i == tp->point_count)
+        return 0;
+    out[count++] = tp->points[i++];
+    double low = -INFINITY, high = INFINITY;    /* slopes that it may have, K/s */
+    for (; i < tp->point_count; i++) {
+        const struct tempplan_point *a = &out[count - 1], *b = &tp->points[i];
+        double past_s = b->time_s - a->time_s, slope = (b->temp_c - a->temp_c) / past_s;
+        if (within_c > 0.0 && past_s > 0.0 && slope >= low && slope <= high) {
+            low = fmax(low, slope - within_c / past_s);
+            high = fmin(high, slope + within_c / past_s);
+            continue;
+        }
+        if (a->time_s != tp->points[i - 1].time_s || a->temp_c != tp->points[i - 1].temp_c) {
+            out[count++] = tp->points[--i];     /* and this one again from there */
+        } else {
+            out[count++] = *b;
+        }
+        low = -INFINITY;
+        high = INFINITY;
+    }
+    if (out[count - 1].time_s != tp->points[tp->point_count - 1].time_s)
+        out[count++] = tp->points[tp->point_count - 1];
+    return count;
+}
+
+int tempplan_lead(struct tempplan *tp, const struct tempplan_point *points, int count)
+{
+    while (tp->point_count && tp->points[tp->point_count - 1].time_s >= points[0].time_s)
+        tp->point_count--;
+    for (int i = 0; i < count; i++)
+        if (add_point(tp, points[i].time_s, points[i].temp_c))
+            return -1;
+    return 0;
+}
+
+double tempplan_holder(struct tempplan *tp, double time_s, double nozzle_c)
+{
+    bring_holder(tp, time_s, nozzle_c);
+    return tp->holder_c;
+}
+
+double tempplan_at(const struct tempplan *tp, double time_s, double otherwise_c)
+{
+    if (!tp->point_count)
+        return otherwise_c;
+    int low = point_after(tp, time_s);
     if (!low)
         return tp->points[0].temp_c;
     if (low == tp->point_count)
@@ -480,8 +528,12 @@ void tempplan_shift(struct tempplan *tp, double from_s, double delta_c)
         q->base_c += delta_c;
         if (!isnan(q->wish_c))
             continue;
-        q->melt_c += delta_c;               /* NaN of a travel stays */
-        q->wall_c = fmin(tp->p.ceiling_c, fmax(tp->p.floor_c, q->wall_c + delta_c));
+        if (isnan(q->melt_c)) {             /* a travel */
+            q->wall_c = fmin(tp->p.ceiling_c, fmax(tp->p.floor_c, q->wall_c + delta_c));
+        } else {
+            q->melt_c = fmin(tp->p.high_c, fmax(tp->p.low_c, q->melt_c + delta_c));
+            q->wall_c = wall_for(tp, q->melt_c, q->flow_mm3_s);
+        }
     }
 }
 
@@ -527,6 +579,7 @@ struct tempplan *tempplan_alloc(const struct tempplan_params *params, const doub
     if (!tp)
         return NULL;
     tp->p = *params;
+    tp->holder_from_s = -INFINITY;
     tp->loss_w = copy_of(loss_w, degrees);
     tp->capacity_j_k = copy_of(capacity_j_k, degrees);
     tp->core_share = copy_of(core_share, cores);

@@ -73,7 +73,14 @@ void tempplan_set(struct tempplan *tp, const struct tempplan_params *params);
 int tempplan_add(struct tempplan *tp, struct tempplan_piece *pieces, int count);
 /* Plan again from from_s on, where the nozzle is asked to be at start_c. Returns corners, 0: nothing lies ahead. */
 int tempplan_make(struct tempplan *tp, double from_s, double start_c);
-const struct tempplan_point *tempplan_points(const struct tempplan *tp);
+/* Its corners from the one before since_s on, without those that lie within within_c of a line between others. `out` has
+ * room for as many as make returned. Returns how many. */
+int tempplan_corners(const struct tempplan *tp, double since_s, double within_c, struct tempplan_point *out);
+/* From the first of these on the nozzle is led by them instead (back to the user's target, or by the user). 0, or -1: no
+ * memory. */
+int tempplan_lead(struct tempplan *tp, const struct tempplan_point *points, int count);
+/* Nozzle temperature at which its holder is in balance then, where the nozzle is at nozzle_c. In order of time. */
+double tempplan_holder(struct tempplan *tp, double time_s, double nozzle_c);
 double tempplan_at(const struct tempplan *tp, double time_s, double otherwise_c);
 /* Pieces that end before until_s have been laid: book them and let them go. Returns the rows of `done`, if given. */
 int tempplan_finish(struct tempplan *tp, double until_s, double *done, int capacity);

@@ -115,21 +115,14 @@ static void set_balance(struct balance *b, const struct column *c, const struct 
     }
 }
 
-typedef double pair[TEMPPLAN_HISTORIES];    /* of a node: all histories go through the same matrix side by side */
-
 /* (mass + part (links + out)) T = right with the inverse pivots found, three diagonals. */
 static void solve(const struct balance *b, const double *inverse, const double *upper, double part_s, pair *temps)
 {
-    for (int k = 0; k < TEMPPLAN_HISTORIES; k++)
-        temps[0][k] *= inverse[0];
-    for (int i = 1; i < b->count; i++) {
-        double above = part_s * b->link[i - 1];
-        for (int k = 0; k < TEMPPLAN_HISTORIES; k++)
-            temps[i][k] = (temps[i][k] + above * temps[i - 1][k]) * inverse[i];
-    }
+    temps[0] *= inverse[0];
+    for (int i = 1; i < b->count; i++)
+        temps[i] = (temps[i] + part_s * b->link[i - 1] * temps[i - 1]) * inverse[i];
     for (int i = b->count - 2; i >= 0; i--)
-        for (int k = 0; k < TEMPPLAN_HISTORIES; k++)
-            temps[i][k] += upper[i] * temps[i + 1][k];
+        temps[i] += upper[i] * temps[i + 1];
 }
 
 /* Two stages with the same matrix, second order, L-stable (deposit.py, _step). */
@@ -143,15 +136,13 @@ static void step(const struct balance *b, pair *temps, double step_s)
         inverse[i] = 1.0 / (b->mass[i] + above + below + part_s * b->out[i] - (i ? above * upper[i - 1] : 0.0));
         upper[i] = below * inverse[i];
         above = below;
-        for (int k = 0; k < TEMPPLAN_HISTORIES; k++)
-            first[i][k] = b->mass[i] * temps[i][k] + part_s * b->gain[i];
+        first[i] = b->mass[i] * temps[i] + part_s * b->gain[i];
     }
     solve(b, inverse, upper, part_s, first);
-    for (int i = 0; i < b->count; i++)
-        for (int k = 0; k < TEMPPLAN_HISTORIES; k++) {
-            double between_c = temps[i][k] + (1.0 - gamma) / gamma * (first[i][k] - temps[i][k]);
-            temps[i][k] = b->mass[i] * between_c + part_s * b->gain[i];
-        }
+    for (int i = 0; i < b->count; i++) {
+        pair between_c = temps[i] + (1.0 - gamma) / gamma * (first[i] - temps[i]);
+        temps[i] = b->mass[i] * between_c + part_s * b->gain[i];
+    }
     solve(b, inverse, upper, part_s, temps);
 }
 
@@ -174,6 +165,11 @@ static void cool(struct column *c, const struct tempplan_params *p, double time_
 
 /* -- laying -- */
 
+static pair both(double temp_c)
+{
+    return (pair){ temp_c, temp_c };
+}
+
 /* An empty layer on top; the two lowest become one when there is no room. */
 static void begin_layer(struct column *c, const struct tempplan_params *p, const struct dab *dab)
 {
@@ -184,16 +180,14 @@ static void begin_layer(struct column *c, const struct tempplan_params *p, const
     c->z_mm = dab->z_mm;
     if (c->nodes == PILE_NODES) {
         double a = c->thick_mm[PILE_NODES - 2], b = c->thick_mm[PILE_NODES - 1];
-        for (int k = 0; k < TEMPPLAN_HISTORIES; k++)
-            c->temp_c[PILE_NODES - 2][k] =
-                (a * c->temp_c[PILE_NODES - 2][k] + b * c->temp_c[PILE_NODES - 1][k]) / (a + b);
+        c->temp_c[PILE_NODES - 2] = (a * c->temp_c[PILE_NODES - 2] + b * c->temp_c[PILE_NODES - 1]) / (a + b);
         c->thick_mm[PILE_NODES - 2] = fmin(FAR_MM, a + b);
         c->nodes--;
     }
     memmove(c->thick_mm + 1, c->thick_mm, c->nodes * sizeof(c->thick_mm[0]));
     memmove(c->temp_c + 1, c->temp_c, c->nodes * sizeof(c->temp_c[0]));
     c->thick_mm[0] = dab->thick_mm;
-    memset(c->temp_c, 0, sizeof(c->temp_c[0]));
+    c->temp_c[0] = both(0.0);
     c->nodes++;
 }
 
@@ -226,14 +220,14 @@ static double air_or_bed_c(const struct tempplan_params *p, const struct dab *da
     return dab->z_mm <= NEXT_LAYER * dab->thick_mm ? p->bed_c : around_c(p, dab->z_mm);
 }
 
-static double met_c(const struct column *c, const struct tempplan_params *p, const struct dab *dab, int same_layer, int k)
+static pair met_c(const struct column *c, const struct tempplan_params *p, const struct dab *dab, int same_layer)
 {
     if (!c->nodes)
-        return air_or_bed_c(p, dab);
-    double top_c = c->temp_c[0][k];
+        return both(air_or_bed_c(p, dab));
+    pair top_c = c->temp_c[0];
     if (!same_layer)
         return top_c;
-    double below_c = c->nodes > 1 ? c->temp_c[1][k] : p->bed_c;    /* below it and its neighbour beside it */
+    pair below_c = c->nodes > 1 ? c->temp_c[1] : both(p->bed_c);    /* below it and its neighbour beside it */
     return (dab->width_mm * below_c + dab->thick_mm * top_c) / (dab->width_mm + dab->thick_mm);
 }
 
@@ -251,8 +245,7 @@ int column_lay(struct deposit_map *map, struct column *c, const struct tempplan_
     if (!same_pass) {
         cool(c, p, dab->time_s, dab->fan);
         c->time_s = dab->time_s;
-        for (int k = 0; k < TEMPPLAN_HISTORIES; k++)
-            c->met_c[k] = met_c(c, p, dab, same_layer, k);
+        c->met_c = met_c(c, p, dab, same_layer);
     }
     if (!same_layer) {
         before->time_s = c->laid_s;

@@ -12,6 +12,10 @@ struct pace_clock {
     double laying_s, full_speed_s;
 };
 
+/* A temperature of both histories: they go through the same sums side by side (gcc and clang know vectors). Aligned as
+ * memory is on any computer. */
+typedef double pair __attribute__((vector_size(TEMPPLAN_HISTORIES * sizeof(double)), aligned(sizeof(double))));
+
 /* History [0] of the newest layer wait for the piece's melt: `kept` is the share they keep then. */
 struct column {
     int32_t x, y;
@@ -19,8 +23,8 @@ struct column {
     double time_s, z_mm, odometer_mm, area_mm2, below_mm2, side_per_mm, kept;
     struct pace_clock clock;        /* when the newest layer began here */
     double laid_s;
-    double met_c[TEMPPLAN_HISTORIES];
-    double thick_mm[PILE_NODES], temp_c[PILE_NODES][TEMPPLAN_HISTORIES];
+    double thick_mm[PILE_NODES];
+    pair met_c, temp_c[PILE_NODES];
 };
 
 struct deposit_map {

@@ -1,4 +1,4 @@
-"""[extrusion]: what leaves the nozzle: die swell, and the ooze after a stop (source 002).
+"""[extrusion]: what leaves the nozzle: die swell, and the ooze after a stop or a cold spell (source 002).
 
     EXTRUSION_CALIBRATE SPEEDS=1,2,4 [LENGTH=15] [PAUSE=10]          strands into the air, one for each filament speed
     EXTRUSION_CALIBRATE SPEEDS=1,2,4 WIDTHS=0.45,0.49,0.55           fit what was measured on them; SAVE_CONFIG keeps it
@@ -16,6 +16,7 @@ from thermal.extrusion import DieSwell, Overrun, exit_diameter, fit_die_swell, o
 
 WATCH_S = 0.25
 MOVING_MM_S = 1e-3
+AIR_MM = 20.0  # below the nozzle, for a strand to hang in
 
 
 class Extrusion:
@@ -37,6 +38,7 @@ class Extrusion:
         self._gcode = printer.lookup_object("gcode")
         self._reactor = printer.get_reactor()
         self._extruded_s = math.nan  # when filament last went forward
+        self._was_cold = False  # since then
 
     def register(self) -> None:
         self._gcode.register_command(
@@ -53,8 +55,14 @@ class Extrusion:
         """Filament in motion is remembered; a print of nothing but waiting oozes."""
         motion = self.printer.lookup_object("motion_report").get_status(eventtime)
         if motion["live_extruder_velocity"] > MOVING_MM_S:
-            self._extruded_s = eventtime
+            self._extruded_s, self._was_cold = eventtime, False
+        elif not self._hot(eventtime):
+            self._was_cold = True
         return eventtime + WATCH_S
+
+    def _hot(self, eventtime: float) -> bool:
+        extruder = self.printer.lookup_object("toolhead").get_extruder()
+        return bool(extruder.get_status(eventtime).get("can_extrude", False))
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
         swell = self.swell
@@ -67,7 +75,8 @@ class Extrusion:
     def _oozed_mm(self, eventtime: float) -> float:
         if self.overrun is None or math.isnan(self._extruded_s):
             return 0.0
-        return oozed_mm(self.overrun, eventtime - self._extruded_s)
+        reheated = self._was_cold and self._hot(eventtime)
+        return oozed_mm(self.overrun, eventtime - self._extruded_s, reheated)
 
     def cmd_EXTRUSION_CALIBRATE(self, gcmd: Any) -> None:
         speeds = _numbers(gcmd, "SPEEDS")
@@ -94,28 +103,61 @@ class Extrusion:
         """One strand for each speed, with a rest between to take it off."""
         length_mm = gcmd.get_float("LENGTH", 15.0, above=0.0, maxval=100.0)
         pause_s = gcmd.get_float("PAUSE", 10.0, minval=0.0, maxval=120.0)
-        script = ["SAVE_GCODE_STATE NAME=extrusion_calibrate", "M83"]
+        self._check_strands(gcmd, max(speeds), length_mm)
+        script = []
         for speed in speeds:
             script += [f"G1 E{length_mm:g} F{60.0 * speed:g}", "M400", f"G4 P{1000.0 * pause_s:.0f}"]
-        self._gcode.run_script_from_command(
-            "\n".join([*script, "RESTORE_GCODE_STATE NAME=extrusion_calibrate"])
-        )
+        self._extrude(script)
         shown = ",".join(f"{speed:g}" for speed in speeds)
         gcmd.respond_info(
             f"Measure each strand some cm below the nozzle, then EXTRUSION_CALIBRATE SPEEDS={shown} WIDTHS=..."
         )
 
+    def _check_strands(self, gcmd: Any, speed_mm_s: float, length_mm: float) -> None:
+        """What would spoil the strands, before any filament is spent."""
+        toolhead = self.printer.lookup_object("toolhead")
+        eventtime, extruder = self._reactor.monotonic(), toolhead.get_extruder()
+        if not self._hot(eventtime):
+            raise gcmd.error(
+                "EXTRUSION_CALIBRATE: the nozzle is too cold to extrude; heat it first, as with M109"
+            )
+        if speed_mm_s > extruder.max_e_velocity:
+            raise gcmd.error(
+                f"EXTRUSION_CALIBRATE: {speed_mm_s:g} mm/s of filament is more than max_extrude_only_velocity of"
+                f" [extruder] allows ({extruder.max_e_velocity:.1f} mm/s): the strand would come slower than asked for"
+            )
+        if length_mm > extruder.max_e_dist:
+            raise gcmd.error(
+                f"EXTRUSION_CALIBRATE: LENGTH={length_mm:g} is more than max_extrude_only_distance of [extruder]"
+                f" allows ({extruder.max_e_dist:g} mm)"
+            )
+        height_mm = toolhead.get_position()[2]
+        if "z" in toolhead.get_status(eventtime)["homed_axes"] and height_mm < AIR_MM:
+            raise gcmd.error(
+                f"EXTRUSION_CALIBRATE: the strands need {AIR_MM:g} mm of air below the nozzle, and it is at Z"
+                f" {height_mm:.1f}; move it up first, as with G1 Z{2.0 * AIR_MM:g}"
+            )
+
+    def _extrude(self, script: list[str]) -> None:
+        """Relative extrusion at 100 %, whatever M82, M220 and M221 say; after it, or an error, they are as before."""
+        run = self._gcode.run_script_from_command
+        run("SAVE_GCODE_STATE NAME=extrusion_craft")
+        try:
+            run("\n".join(["M83", "M220 S100", "M221 S100", *script]))
+        finally:
+            run("RESTORE_GCODE_STATE NAME=extrusion_craft")
+
     def cmd_PRIME_OOZE(self, gcmd: Any) -> None:
         if self.overrun is None:
             raise gcmd.error("PRIME_OOZE needs the options overrun_length and overrun_time in [extrusion]")
+        toolhead = self.printer.lookup_object("toolhead")
+        toolhead.wait_moves()  # a wait that is still queued has not let anything ooze yet
         length_mm = self._oozed_mm(self._reactor.monotonic())
         if length_mm < 1e-3:
             gcmd.respond_info("Nothing has oozed")
             return
-        self._gcode.run_script_from_command(
-            "SAVE_GCODE_STATE NAME=prime_ooze\nM83\n"
-            f"G1 E{length_mm:.4f} F{60.0 * self.prime_mm_s:g}\nRESTORE_GCODE_STATE NAME=prime_ooze"
-        )
+        self._extrude([f"G1 E{length_mm:.4f} F{60.0 * self.prime_mm_s:g}", "M400"])
+        self._extruded_s, self._was_cold = self._reactor.monotonic(), False
         gcmd.respond_info(f"Pushed {length_mm:.3f} mm for what has oozed")
 
 
@@ -136,11 +178,12 @@ def load_config(config: Any) -> Extrusion:
     gain_s = config.getfloat("die_swell_gain", 0.0, minval=0.0)
     length_mm = config.getfloat("overrun_length", None, above=0.0)
     time_s = config.getfloat("overrun_time", 2.0, above=0.0)
+    reheat_mm = config.getfloat("overrun_reheat", 0.0, minval=0.0)
     filament_mm = config.getsection("extruder").getfloat("filament_diameter", 1.75, above=0.0)
     extrusion = Extrusion(
         printer,
         None if hole_mm is None else DieSwell(hole_mm, gain_s),
-        None if length_mm is None else Overrun(length_mm, time_s),
+        None if length_mm is None else Overrun(length_mm, time_s, reheat_mm),
         filament_mm,
         config.getfloat("prime_speed", 2.0, above=0.0),
     )

@@ -18,7 +18,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from thermal import features, laws, model, plausible, sweep, track
+from thermal import laws, model, plausible, sweep, track
 
 from . import induction_settings as settings
 
@@ -298,9 +298,9 @@ class InductionCalibrate:
 
     def cmd_status(self, gcmd: Any) -> None:
         status = self.heater.get_detail(self._reactor.monotonic())
-        state, parameters = self.heater.loop.state, self.heater.parameters
+        parameters = self.heater.parameters
         name, values = laws.coefficients_of(parameters.estimator.law)
-        noise = features.noise_lsb(state.noise)
+        noise = self.heater.loop.chain.noise_lsb()
         lines = [
             f"Induction heater '{self.heater.section_name}': law {name}"
             + ("" if parameters.supervise.calibrated else " (NOT CALIBRATED)"),

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from thermal import features, laws, loop
-from thermal.records import PhaseCommand, SampleBlock
+from thermal.blocks import Blocks
+from thermal.records import PhaseCommand
 
 from . import heaters as heater_registry
 from . import induction_calibrate, induction_dump, induction_flow, induction_supply
@@ -29,7 +30,7 @@ class Driver(Protocol):
 
     @property
     def over(self) -> bool: ...
-    def on_blocks(self, blocks: list[SampleBlock], now_s: float) -> list[PhaseCommand]: ...
+    def on_blocks(self, blocks: Blocks, now_s: float) -> list[PhaseCommand]: ...
     def on_timer(self, now_s: float) -> list[PhaseCommand]: ...
     def abort(self, reason: str) -> None: ...
 
@@ -121,7 +122,7 @@ class InductionHeater:
     def _now_s(self) -> float:
         return self.unit.print_time_now(self._reactor.monotonic())
 
-    def _on_blocks(self, blocks: list[SampleBlock]) -> None:
+    def _on_blocks(self, blocks: Blocks) -> None:
         if not self._running:
             return
         now_s = self._now_s()
@@ -129,10 +130,10 @@ class InductionHeater:
             for listener in self.loop.listeners:
                 for block in blocks:
                     listener(block, None, now_s)
-            self._send(self._driver.on_blocks(blocks, now_s))
+            self._send(self._driver.on_blocks(blocks, now_s), now_s)
             return
         self._look_ahead(now_s)
-        self._send(self.loop.on_blocks(blocks, now_s))
+        self._send(self.loop.on_blocks(blocks, now_s), now_s)
         self._smooth()
 
     def _look_ahead(self, now_s: float) -> None:
@@ -145,18 +146,20 @@ class InductionHeater:
         period_s = self.parameters.timing.refresh_s
         now_s = self.unit.print_time_now(eventtime)
         if self._driver is not None:
-            self._send(self._driver.on_timer(now_s))
+            self._send(self._driver.on_timer(now_s), now_s)
             return eventtime + min(period_s, 0.020)
         if eventtime - self._quiet_s >= QUIET_S:
             self._quiet_s = eventtime
             self.loop.quiet = self._is_quiet(eventtime)
             self._warn()
         if now_s - self.loop.state.decided_s >= period_s:
-            self._send(self.loop.on_timer(now_s))
+            self._send(self.loop.on_timer(now_s), now_s)
         return eventtime + period_s if self._running else self._reactor.NEVER
 
-    def _send(self, commands: list[PhaseCommand]) -> None:
-        self.unit.queue_plan(commands)
+    def _send(self, commands: list[PhaseCommand], now_s: float) -> None:
+        if commands:
+            self.unit.queue_plan(commands)
+        self.unit.set_calm(self._driver is None and self.loop.is_calm(now_s))
         if self.loop.fault and self._running:
             self._running = False
             text = f"Induction heater '{self.section_name}': {self.loop.fault}"
@@ -184,7 +187,7 @@ class InductionHeater:
 
     def warning(self) -> str:
         """What is not as it should be, "" while all is well."""
-        noise = features.noise_lsb(self.loop.state.noise)
+        noise = self.loop.chain.noise_lsb()
         if noise is not None and noise < features.NOISE_NEEDED_LSB:
             return (
                 f"too little noise at the ADC for oversampling ({noise:.2f} LSB, {features.NOISE_NEEDED_LSB} needed):"
@@ -248,7 +251,8 @@ class InductionHeater:
         if degrees and self.planner is not None and self.planner.take_target(degrees):
             return  # path is under way: the plan moves with it
         if self._running:
-            self._send(self.loop.set_target(degrees, self._now_s()))
+            now_s = self._now_s()
+            self._send(self.loop.set_target(degrees, now_s), now_s)
         else:
             self.loop.state.target_c = degrees
 
@@ -318,7 +322,7 @@ class InductionHeater:
             "calibrated": self.parameters.supervise.calibrated,
             "calibrating": self._driver is not None,
             "latency": round(state.latency_s, 4),
-            "noise_lsb": _rounded(features.noise_lsb(state.noise)),
+            "noise_lsb": _rounded(self.loop.chain.noise_lsb()),
             "drift": _rounded(state.plausible.drift_c),
             "capacity_ratio": _rounded(state.plausible.capacity_ratio),
             "supply": round(self.parameters.estimator.supply, 4),
@@ -332,7 +336,7 @@ class InductionHeater:
         text = (
             f"{self.name}: target={state.target_c:.0f} temp={self._smoothed_c:.1f} pwm={share:.3f}"
             f" power_w={state.request.power_w:.2f} phase={state.commanded.phase_ticks}"
-            f" blocks_lost={self.unit.counters.missing_blocks}"
+            f" blocks_lost={self.unit.get_status()['blocks_lost']}"
         )
         return active, text
 

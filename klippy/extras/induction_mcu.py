@@ -1,8 +1,9 @@
 """The induction unit's border: SI and print time on this side, ticks and clocks on the wire. Decides nothing.
 
     queue_plan([PhaseCommand])     ──> queue_induction_plan clock= steps=    replaces what was pending from then on
+    set_calm(calm)                 ──> induction_batch records=
     queue_phase(PhaseCommand)      ──> queue_induction_phase clock= phase=
-    on_blocks([SampleBlock])       <── induction_block sequence= clock= data=
+    on_blocks(Blocks)              <── induction_block sequence= clock= data=
 
 The MCU turns the bridge off by itself when it hears no phase command for `max_duration`, and trips on its own
 table of raw limits, which is sent here once at configuration.
@@ -18,15 +19,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from thermal import convert
+from thermal.blocks import Blocks
 from thermal.limits import LimitRow
-from thermal.records import PHASE_MAX_TICKS, PhaseCommand, SampleBlock
+from thermal.records import PHASE_MAX_TICKS, PhaseCommand
 
 PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
 # Steps that may wait on the MCU at one time: a plan, and what stays of the one before.
 MOVE_QUEUE_SLOTS = 24
 PLAN_STEP = struct.Struct("<HH")
 
-OnBlocks = Callable[[list[SampleBlock]], None]
+OnBlocks = Callable[[Blocks], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +43,8 @@ class UnitSettings:
     max_duration_s: float  # the bridge's own watchdog
     trip_blocks: int  # consecutive blocks beyond a limit before the guard trips
     block_samples: int  # samples of a whole block, at most 4^oversample
-    records: int  # blocks to a message
+    records: int  # blocks to a message ...
+    calm_records: int  # ... and while nothing happens
 
 
 class InductionUnit:
@@ -58,8 +61,9 @@ class InductionUnit:
         self._queue_plan: Any = None
         self._period_ticks, self._period_s = 0, math.inf
         self._report: Any = None
-        self._converter: convert.ConvertParameters | None = None
-        self.counters = convert.ConvertState()
+        self._batch: Any = None
+        self._calm = False
+        self._stream: convert.Stream | None = None
         self._last_clock = 0
         mcu.register_config_callback(self._build_config)
         mcu.register_response(self._handle_block, "induction_block", self._oid)
@@ -73,8 +77,8 @@ class InductionUnit:
         clock_hz = mcu.get_constant_float("CLOCK_FREQ")
         period_ticks = round(clock_hz / settings.frequency_hz)
         phase_max = int(mcu.get_constants().get("BRIDGE_PHASE_MAX", PHASE_MAX_TICKS))
-        self._converter = convert.ConvertParameters(
-            settings.oversample, period_ticks, clock_hz, settings.block_samples
+        self._stream = convert.Stream(
+            convert.ConvertParameters(settings.oversample, period_ticks, clock_hz, settings.block_samples)
         )
         for _ in range(MOVE_QUEUE_SLOTS):
             mcu.request_move_queue_slot()
@@ -100,27 +104,22 @@ class InductionUnit:
         self._queue_phase = mcu.lookup_command("queue_induction_phase oid=%c clock=%u phase=%hu", cq=queue)
         self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
         self._period_ticks, self._period_s = period_ticks, period_ticks / clock_hz
+        self._batch = mcu.lookup_command("induction_batch oid=%c records=%c", cq=queue)
         self._report = mcu.lookup_command("induction_report oid=%c enable=%c", cq=queue)
 
     # Samples up
 
     def _handle_block(self, params: dict[str, Any]) -> None:
-        if self._converter is None or self._on_blocks is None:
+        if self._stream is None or self._on_blocks is None:
             return
         clock = self.mcu.clock32_to_clock64(params["clock"])
+        start_s = self.mcu.clock_to_print_time(clock)
         try:
-            blocks = convert.convert_message(
-                self._converter,
-                self.counters,
-                params["sequence"],
-                clock,
-                params["data"],
-                self.mcu.clock_to_print_time,
-            )
+            blocks = self._stream.take(params["sequence"], clock, params["data"], start_s)
         except convert.ConvertError as e:
             logging.warning("induction unit on mcu '%s': %s; message ignored", self.mcu.get_name(), e)
             return
-        if blocks:
+        if blocks.count:
             self._on_blocks(blocks)
 
     # Phases down
@@ -146,10 +145,17 @@ class InductionUnit:
         self._last_clock = clock + periods * self._period_ticks
         self._queue_plan.send([self._oid, clock, steps], minclock=0, reqclock=clock)
 
+    def set_calm(self, calm: bool) -> None:
+        """Blocks may come in bulk, or (not calm) each as soon as may be."""
+        if calm != self._calm:
+            self._calm = calm
+            self._batch.send([self._oid, self.settings.calm_records if calm else self.settings.records])
+
     def set_report(self, enable: bool) -> None:
         """Start or stop sampling and reports."""
         self._report.send([self._oid, int(enable)])
-        self.counters.next_sequence = -1  # the MCU counts from 0 again
+        if self._stream is not None:
+            self._stream.restart()
 
     def print_time_now(self, eventtime: float) -> float:
         """Estimated present print time of this MCU."""
@@ -157,10 +163,7 @@ class InductionUnit:
 
     def get_status(self) -> dict[str, int]:
         """Counters of the stream of blocks."""
-        counters = self.counters
-        return {
-            "blocks": counters.blocks,
-            "blocks_lost": counters.missing_blocks,
-            "samples_lost": counters.lost_samples,
-            "samples_discarded": counters.discarded_samples,
-        }
+        names = ("blocks", "missing_blocks", "lost_samples", "discarded_samples")
+        counters = self._stream.counters if self._stream is not None else None
+        values = [getattr(counters, name, 0) for name in names]
+        return dict(zip(("blocks", "blocks_lost", "samples_lost", "samples_discarded"), values, strict=True))

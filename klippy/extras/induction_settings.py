@@ -40,6 +40,8 @@ DEFAULT_KD_W_S_PER_K = 0.15
 DEFAULT_DERIVATIVE_S = 0.010
 DEFAULT_LEAD_S = 0.015
 DEFAULT_BLOCK_SAMPLES = 192  # 1.6 ms at 120 kHz
+RECORDS_MOST = 7  # of 6 bytes fit one message
+CALM_MESSAGE_S = 0.0068  # while nothing happens: a message each 6.4 ms
 DEFAULT_RECORDS = 3  # a message each 4.8 ms: 7.5 kB/s of a 25 kB/s line
 DEFAULT_CONTROL_S = 0.008  # a phase step costs 20 samples of settling: 2 % of the signal
 
@@ -71,21 +73,26 @@ def read_law(config: Any) -> tuple[laws.Law, bool]:
 def read_unit(config: Any) -> UnitSettings:
     oversample = config.getint("oversample", 4, minval=3, maxval=7)
     longest = 4**oversample
+    frequency_hz = config.getfloat("frequency", 120000.0, minval=20000.0, maxval=1000000.0)
+    block_samples = config.getint(
+        "block_samples",
+        DEFAULT_BLOCK_SAMPLES if oversample == 4 else longest,
+        minval=longest // 16,
+        maxval=longest,
+    )
+    records = config.getint("records_per_message", DEFAULT_RECORDS, minval=1, maxval=3)
+    calm_records = min(RECORDS_MOST, int(CALM_MESSAGE_S * frequency_hz / block_samples))
     return UnitSettings(
         config.getint("bridge", 0, minval=0, maxval=255),
-        config.getfloat("frequency", 120000.0, minval=20000.0, maxval=1000000.0),
+        frequency_hz,
         oversample,
         config.getint("settle_samples", 20, minval=0, maxval=1000),
         config.getint("ema_shift", 0, minval=0, maxval=8),
         config.getfloat("max_duration", 0.100, minval=0.030, maxval=5.0),
         config.getint("guard_trip_blocks", 12, minval=1, maxval=255),
-        config.getint(
-            "block_samples",
-            DEFAULT_BLOCK_SAMPLES if oversample == 4 else longest,
-            minval=longest // 16,
-            maxval=longest,
-        ),
-        config.getint("records_per_message", DEFAULT_RECORDS, minval=1, maxval=3),
+        block_samples,
+        records,
+        max(records, calm_records),
     )
 
 

@@ -3,6 +3,8 @@
     toolhead ── moves with times ─► pathpieces ─► tempplan (substrate, wanted melt, ramps) ─► heater.loop.set_reference
     G-code ─── names of places ──► wishes ────────┘
 
+While the look-ahead hands out moves they are only copied; all else is done in a timer.
+
 The plan lies on top of the user's own target: M104/M109, a fault or `TEMPERATURE_PLAN ENABLE=0` win at once. It is made
 again whenever `REPLAN_S` of new motion has come, from `COMMIT_S` ahead of now on; what lies before that is not touched.
 """
@@ -13,26 +15,28 @@ import csv
 import logging
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pathpieces import PathPieces
-from tempplan import Craft, Laid, Piece, Summary, TemperaturePlan
+from pathpieces import Asked, PathPieces
+from tempplan import Craft, Laid, Summary, TemperaturePlan
 from thermal import wishes
 from thermal.deposit import Surroundings
 from thermal.materials import MATERIALS, Material
-from thermal.nozzle_melt import MeltExchange, NozzleLimits
+from thermal.nozzle_melt import MeltExchange, NozzleLimits, idle_way
 from thermal.pace import Pace, Pacer, Place
 
 REPLAN_S = 0.25  # so much new motion is worth another plan
 COMMIT_S = 0.20  # the plan nearer than this stays: commands for it may be on their way
-WORK_S = 0.10  # how often it is looked
+WORK_S = 0.25  # how often it is looked, at least
 BOOK_BEHIND_S = 0.5  # pieces are booked when they are surely laid
-RETURN_S = 0.5  # so long after the last piece the nozzle goes back to the user's target ...
-RETURN_K_S = 10.0  # ... no faster than it can cool
+RETURN_S = 0.5  # so long after the last piece the nozzle goes back to the user's target
 FOLLOW_MM = 60000.0  # a fair part of a print: the weld is held where the user's own target has it on average
 ROWS_AT_ONCE = 4096
+WITHIN_C = 0.02  # a straight line for corners that are so near it: far below what the thermometer sees
+SAME_TIME_S = 1e-6  # a mark and the move behind it
+HEADROOM_C = 5.0  # the nozzle passes its reference by a degree or two, and at max_temp the printer shuts down
 SLOWEST = 0.2  # of the file's speed; slicers go down to a tenth for their least time of a layer
 
 
@@ -57,6 +61,7 @@ class TemperaturePlanner:
     """One heater's plan."""
 
     plan: TemperaturePlan
+    _nozzle: NozzleLimits
 
     def __init__(self, printer: Any, settings: Settings) -> None:
         self.printer = printer
@@ -72,7 +77,6 @@ class TemperaturePlanner:
         self._rows: Any = None  # csv writer
         self._state = wishes.Wishes()
         self._marks: deque[wishes.Wishes] = deque([self._state])
-        self._waiting: list[Piece] = []  # since the newest plan
         self._reference: Any = None  # as we set it: another one means that the user has spoken
         self._base_c = 0.0
         self._end_s = -math.inf
@@ -104,7 +108,7 @@ class TemperaturePlanner:
         holder = parameters.plausible.loss
         return NozzleLimits(
             min_c=heater.min_temp,
-            max_c=heater.max_temp,
+            max_c=heater.max_temp - HEADROOM_C,
             min_extrude_c=heater.min_extrude_c,
             power_w=self.settings.power_share * parameters.control.power_max_w,
             loss=parameters.loss,
@@ -116,7 +120,8 @@ class TemperaturePlanner:
 
     def _begin(self) -> None:
         """An empty bed."""
-        self.plan = TemperaturePlan(self._limits(), self.material, self.settings.surroundings, self.craft)
+        self._nozzle = self._limits()
+        self.plan = TemperaturePlan(self._nozzle, self.material, self.settings.surroundings, self.craft)
         self._path = PathPieces(math.pi / 4.0 * self.craft.filament_mm**2)
         self._pacer = Pacer(self.settings.slowest, self.settings.longest_pause_s)
         self._paced_s, self._moved_c = -math.inf, 0.0
@@ -150,8 +155,9 @@ class TemperaturePlanner:
             self._rows = csv.writer(stream)
             self._rows.writerow(Laid._fields)
         self._gcode.register_comment_listener(self._on_comment)
-        self._toolhead.register_move_listener(self._on_moves)
-        self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
+        self._toolhead.register_move_listener(self._on_moves, as_records=True)
+        first = self._reactor.NOW if self.enabled else self._reactor.NEVER
+        self._timer = self._reactor.register_timer(self._on_timer, first)
 
     def _stop(self) -> None:
         if self._timer is not None:
@@ -183,13 +189,13 @@ class TemperaturePlanner:
     def _at(self, time_s: float) -> wishes.Wishes:
         """What was asked for at a print time; marks of the past go."""
         marks = self._marks
-        while len(marks) > 1 and marks[1].since_s <= time_s + 1e-6:
+        while len(marks) > 1 and marks[1].since_s <= time_s + SAME_TIME_S:
             marks.popleft()
         return marks[0]
 
     # Moves, as soon as their times are known
 
-    def _on_moves(self, moves: Sequence[Any]) -> None:
+    def _on_moves(self, row: Any, count: int, print_time: float) -> None:
         if not self.enabled:
             return
         serving = self._toolhead.get_extruder()
@@ -197,13 +203,20 @@ class TemperaturePlanner:
             return  # another tool prints
         fan = self.printer.lookup_object("fan", None)
         self._fan = fan.get_status(self._reactor.monotonic())["speed"] if fan is not None else 0.0
+        self._path.note_planned(row, count, print_time, self._fan)
+        if self._path.facts().end_s - self._end_s >= REPLAN_S:
+            self._reactor.update_timer(self._timer, self._reactor.NOW)
 
-        def ask(time_s: float, layer: int, z_mm: float) -> tuple[float, float, float, float]:
-            state = self._at(time_s)
-            wish_c = state.wish_c(self.settings.table, time_s, layer, z_mm)
-            return wish_c, self._base_c, state.height_mm, state.pace
-
-        self._waiting.extend(self._path.pieces(moves, ask, self._fan))
+    def _ask(self, time_s: float, layer: int, z_mm: float) -> Asked:
+        """What is asked for by name on the path from `time_s` on."""
+        state, table = self._at(time_s), self.settings.table
+        wish_c = state.wish_c(table, time_s, layer, z_mm)
+        until_s = self._marks[1].since_s - SAME_TIME_S if len(self._marks) > 1 else math.inf
+        over_s = state.since_s + state.duration_s
+        if time_s < over_s:
+            until_s = min(until_s, over_s)
+        by_place = bool(table.layers or table.heights_mm)
+        return Asked(wish_c, self._base_c, state.height_mm, state.pace, until_s, by_place)
 
     # Pace: what is left where even the coolest melt is too hot
 
@@ -215,8 +228,8 @@ class TemperaturePlanner:
                 self._toolhead.dwell(self._pacer.pace.pause_s)
 
     def _choose_pace(self) -> None:
-        layers = self._path.layers
-        place = Place(layers.z_mm, layers.height_mm, self._fan)
+        facts = self._path.facts()
+        place = Place(facts.z_mm, facts.height_mm, self._fan)
         ages, around = self.plan.ages(), self.settings.surroundings
         pace = self._pacer.layer(ages, self.plan.interface_c, self.material, around, place)
         self._set_factor(pace.factor)
@@ -241,13 +254,18 @@ class TemperaturePlanner:
         self._watch_print(eventtime)
         self._watch_target()
         now_s = self.heater.now_s()
-        if self._waiting and self._base_c > 0.0:
-            news_s = self._waiting[-1].end_s - self._end_s
+        path = self._path.facts()
+        if path.waiting and self._base_c <= 0.0:
+            self._path.drop(now_s)  # laid without a target; what still lies ahead may get one
+        elif path.waiting:
+            news_s = path.end_s - self._end_s
             if news_s >= REPLAN_S or now_s + 2.0 * COMMIT_S > self._end_s:
                 self._replan(now_s)
         elif self._reference is not None and now_s > self._end_s + RETURN_S:
             self._go_back(now_s)
         self._book(now_s - BOOK_BEHIND_S)
+        if not self.enabled and self._reference is None:
+            return self._reactor.NEVER
         return eventtime + WORK_S
 
     def _watch_target(self) -> None:
@@ -277,11 +295,10 @@ class TemperaturePlanner:
         if not moved_c:
             return True  # slicers repeat themselves
         self._moved_c += moved_c
-        self._waiting = [piece._replace(base_c=target_c) for piece in self._waiting]
         self._use_craft()
         from_s = now_s + COMMIT_S
         self.plan.shift(from_s, moved_c)
-        self._set(self.plan.make(from_s, self._reference.at(from_s)), now_s)
+        self._set(self.plan.make(from_s, self._reference.at(from_s), WITHIN_C), now_s)
         return True
 
     def _use_craft(self) -> None:
@@ -294,16 +311,13 @@ class TemperaturePlanner:
     def _let_go(self, base_c: float) -> None:
         if self._reference is not None and base_c <= 0.0:
             self.plan.cut(self.heater.now_s())
-            self._waiting.clear()
+            self._path.drop()
         self._reference = None
         self._base_c = base_c
 
     def _replan(self, now_s: float) -> None:
-        pieces, self._waiting = self._waiting, []
-        if self._base_c > 0.0:  # pieces queued before the user's target was known take it now
-            pieces = [p if p.base_c else p._replace(base_c=self._base_c) for p in pieces]
-        self._end_s = pieces[-1].end_s
-        self.plan.add(pieces)
+        self._path.feed(self._ask, self.plan.add_rows)
+        self._end_s = self._path.facts().end_s
         if not self.enabled:
             return
         self._pace_without_layers()
@@ -312,7 +326,9 @@ class TemperaturePlanner:
         start_c = self.heater.loop.state.target_c
         if self._reference is not None:
             start_c = self._reference.at(from_s)
-        self._set(self.plan.make(from_s, start_c), now_s)
+        else:
+            self.plan.lead([(now_s, start_c)])
+        self._set(self.plan.make(from_s, start_c, WITHIN_C), now_s)
 
     def _set(self, corners: list[tuple[float, float]], now_s: float) -> None:
         if corners:
@@ -321,15 +337,16 @@ class TemperaturePlanner:
 
     def _go_back(self, now_s: float) -> None:
         """Nothing more comes: back to the user's target."""
-        loop = self.heater.loop
-        target_c = loop.state.target_c
+        loop, from_c = self.heater.loop, self._reference.at(now_s)
         if loop.reference is not self._reference:
             return
         self._going_home = True
-        away_s = abs(target_c - self._base_c) / RETURN_K_S
-        self._set([(now_s, target_c), (now_s + away_s, self._base_c)] if away_s > 1e-3 else [], now_s)
-        self._end_s = now_s + away_s - RETURN_S
-        if away_s <= 1e-3:
+        holder_c = self.plan.holder_c(now_s, from_c)
+        way = idle_way(self._nozzle, now_s, from_c, holder_c, self._base_c)
+        self.plan.lead(way)
+        self._set(way, now_s)
+        self._end_s = way[-1][0] - RETURN_S
+        if len(way) == 1:
             loop.set_reference([], now_s)
             self._reference = None
 
@@ -376,7 +393,9 @@ class TemperaturePlanner:
                 f"A segment cannot be laid at {temp_c:.0f} C: min_extrude_temp is {self.heater.min_extrude_c:.0f} C"
             )
         if not self.enabled:
-            raise gcmd.error("The temperature plan is disabled; TEMPERATURE_PLAN ENABLE=1 enables it")
+            gcmd.respond_info(
+                "The temperature plan is disabled: this changes nothing until TEMPERATURE_PLAN ENABLE=1"
+            )
         self._mark(self._state.explicitly(temp_c or math.nan, until, duration_s))
 
     def cmd_TEMPERATURE_PLAN(self, gcmd: Any) -> None:
@@ -387,7 +406,8 @@ class TemperaturePlanner:
             material = material.upper()
             if material not in MATERIALS:
                 raise gcmd.error(f"Material '{material}' is not known; known are {', '.join(MATERIALS)}")
-            self.material = MATERIALS[material]
+            own = self.settings.material  # with the window that the section gave it
+            self.material = own if material == own.name else MATERIALS[material]
         if interface_c is not None:
             self.craft = replace(self.craft, interface_c=interface_c or None, follow_mm=0.0)
         if material is not None or interface_c is not None:
@@ -407,8 +427,10 @@ class TemperaturePlanner:
         if not enable and self._reference is not None:
             now_s = self.heater.now_s()
             self.plan.cut(now_s)
-            self._waiting.clear()
+            self._path.drop()
             self._go_back(now_s)
+        if self._timer is not None:
+            self._reactor.update_timer(self._timer, self._reactor.NOW)
         logging.info("Temperature plan %s", "enabled" if enable else "disabled")
 
     # Status
@@ -424,7 +446,7 @@ class TemperaturePlanner:
             "planned_temperature": round(self.plan.at(now_s, self._base_c), 2) if active else None,
             "base_target": self._base_c,
             "planned_until": round(self._end_s, 3) if active else None,
-            "layer": self._path.layers.number,
+            "layer": int(self._path.facts().layer),
             "feature": self._state.feature,
             "speed_factor": round(self._pacer.pace.factor, 3),
             "length": round(books.length_mm, 1),

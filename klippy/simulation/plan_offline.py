@@ -6,7 +6,7 @@ GcodePath ─► PathPieces ─► TemperaturePlan ─► rows: what each move w
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 
 from extras.temperature_plan import Settings
-from pathpieces import PathPieces
-from tempplan import Laid, Piece, Summary, TemperaturePlan
+from pathpieces import Asked, PathPieces
+from tempplan import Laid, Summary, TemperaturePlan
 from thermal.deposit import Surroundings
 from thermal.nozzle_melt import NozzleLimits
 from thermal.pace import Pace, Pacer, Place
@@ -87,8 +87,7 @@ class Planning:
         """`base_c`: nozzle temperature where the file names none. Raises OSError."""
         self._base_c = base_c
         for batch in self._path.moves(path):
-            for pieces in self._batches(batch):
-                self._take(pieces)
+            self._take(batch)
             if self._pacer.is_used and self._plan is not None:
                 self._keep_pace()
             progress(self._path.lines)
@@ -107,8 +106,8 @@ class Planning:
                 return
         elif not pacer.is_round(plan.ages(), self._end_s - self._paced_s):
             return
-        layers, before = self._pieces.layers, pacer.pace
-        place = Place(layers.z_mm, layers.height_mm, self._fan)
+        facts, before = self._pieces.facts(), pacer.pace
+        place = Place(facts.z_mm, facts.height_mm, self._fan)
         pace = pacer.layer(plan.ages(), plan.interface_c, self._settings.material, self._around(), place)
         self._paced_s = self._end_s
         path.set_pace(pace.factor)
@@ -130,35 +129,40 @@ class Planning:
             self._plan = TemperaturePlan(self._nozzle, settings.material, self._around(), settings.craft)
         return self._plan
 
-    def _batches(self, moves: Sequence[TimedMove]) -> Iterator[list[Piece]]:
-        pieces: list[Piece] = []
+    def _take(self, moves: Sequence[TimedMove]) -> None:
+        """Add them, and plan when enough has come."""
+        window_s = math.inf
         for timed in moves:
-            if timed.nozzle_c > 0.0:
-                self._base_c = timed.nozzle_c
+            self._add(timed)
+            window_s = min(window_s, timed.move.print_time)
+            if self._end_s - window_s >= WINDOW_S:
+                self._make_if_due()
+                window_s = math.inf
+        self._make_if_due()
 
-            def ask(
-                time_s: float, layer: int, z_mm: float, at: TimedMove = timed
-            ) -> tuple[float, float, float, float]:
-                wish_c = at.wishes.wish_c(self._settings.table, time_s, layer, z_mm)
-                return wish_c, self._base_c, at.wishes.height_mm, at.wishes.pace
+    def _add(self, timed: TimedMove) -> None:
+        if timed.nozzle_c > 0.0:
+            self._base_c = timed.nozzle_c
+        wishes, table, self._fan = timed.wishes, self._settings.table, timed.fan
 
-            self._fan = timed.fan
-            own = list(self._pieces.pieces([timed.move], ask, timed.fan))
-            laid = sum(piece.flow_mm3_s > 0.0 for piece in own)
-            if laid:
-                self._owners.append((timed, self._pieces.layers.number, laid))
-            pieces += own
-            if pieces and pieces[-1].end_s - pieces[0].start_s >= WINDOW_S:
-                yield pieces
-                pieces = []
-        if pieces:
-            yield pieces
+        def ask(time_s: float, layer: int, z_mm: float) -> Asked:
+            wish_c = wishes.wish_c(table, time_s, layer, z_mm)
+            by_place = bool(table.layers or table.heights_mm)
+            return Asked(wish_c, self._base_c, wishes.height_mm, wishes.pace, by_place=by_place)
 
-    def _take(self, pieces: list[Piece]) -> None:
-        self._planner().add(pieces)
-        self._end_s = pieces[-1].end_s
-        if self._planned_s == -math.inf:
-            self._planned_s = pieces[0].start_s
+        pieces, plan = self._pieces, self._planner()
+        before = pieces.facts().laid
+        pieces.note([timed.move], timed.fan)
+        facts = pieces.facts()
+        if self._planned_s == -math.inf and facts.waiting:
+            self._planned_s = facts.next_s
+        pieces.feed(ask, plan.add_rows)
+        facts = pieces.facts()
+        self._end_s = facts.end_s
+        if facts.laid > before:
+            self._owners.append((timed, int(facts.layer), int(facts.laid - before)))
+
+    def _make_if_due(self) -> None:
         if self._end_s - self._planned_s >= AHEAD_S + WINDOW_S:
             self._make(self._end_s - AHEAD_S)
 

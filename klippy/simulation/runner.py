@@ -176,8 +176,8 @@ class Simulation:
         self._heater = heaters.lookup_heater("extruder") if "extruder" in known else None
         self._bed = heaters.lookup_heater("heater_bed") if "heater_bed" in known else None
 
-    def _count_moves(self, moves: Any) -> None:
-        self.facts.moves += len(moves)
+    def _count_moves(self, row: Any, count: int, print_time: float) -> None:
+        self.facts.moves += count
 
     # --- the user ---
     def _drive(self, eventtime: float) -> None:
@@ -233,7 +233,7 @@ class Simulation:
         self._find_heaters()
         # What is there now stays to the end of the process: not looking through it again saves a tenth of the run.
         gc.freeze()
-        self.printer.lookup_object("toolhead").register_move_listener(self._count_moves)
+        self.printer.lookup_object("toolhead").register_move_listener(self._count_moves, as_records=True)
         self.printer.lookup_object("gcode").register_output_handler(self._on_output)
         return True
 

@@ -19,6 +19,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import chelper
+
 from .control_api import Planned
 from .estimator import SENSING_PHASE_TICKS
 from .records import PHASE_MAX_TICKS, PhaseCommand
@@ -41,8 +43,8 @@ class DriveLaw:
 
     def power_w(self, phase_ticks: float) -> float:
         """Heat at this phase."""
-        half_angle = 0.5 * math.pi * phase_ticks / self.phase_max_ticks
-        return self.power_max_w * math.sin(half_angle) ** self.exponent
+        lib = chelper.get_ffi()[1]
+        return float(lib.drive_power_w(self.power_max_w, self.exponent, self.phase_max_ticks, phase_ticks))
 
     def phase_ticks(self, power_w: float) -> float:
         """Phase (not yet whole ticks) that gives this heat; limited to 0..full."""

@@ -21,6 +21,7 @@ import math
 from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import le
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 
@@ -46,8 +47,9 @@ class Reference:
 
     def __post_init__(self) -> None:
         require(len(self.times_s) == len(self.temps_c) > 0, "a reference needs as many times as temperatures")
-        require(all(map(math.isfinite, (*self.times_s, *self.temps_c))), "a reference needs finite corners")
-        ascending = all(a <= b for a, b in zip(self.times_s, self.times_s[1:], strict=False))
+        finite = math.isfinite(sum(self.times_s)) and math.isfinite(sum(self.temps_c))
+        require(finite, "a reference needs finite corners")
+        ascending = all(map(le, self.times_s, self.times_s[1:]))
         require(ascending, "the corners of a reference must be in order of time")
 
     def at(self, time_s: float) -> float:
@@ -61,10 +63,17 @@ class Reference:
         share = (time_s - start_s) / (self.times_s[after] - start_s)
         return start_c + share * (self.temps_c[after] - start_c)
 
+    def is_flat(self, start_s: float, end_s: float) -> bool:
+        """Whether one temperature is wanted all through start_s <= t <= end_s."""
+        after = bisect_right(self.times_s, start_s)
+        ahead = self.temps_c[after : bisect_right(self.times_s, end_s) + 1]
+        return all(temp_c == self.at(start_s) for temp_c in ahead)
+
     @staticmethod
     def of(points: Sequence[tuple[float, float]]) -> Reference:
         """From (time_s, temp_c) pairs, for example thermal.plan's corners."""
-        return Reference(tuple(p[0] for p in points), tuple(p[1] for p in points))
+        times_s, temps_c = zip(*points, strict=True) if len(points) else ((), ())
+        return Reference(times_s, temps_c)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +89,11 @@ class Schedule:
             return self.before
         after = bisect_right(self.times_s, time_s)
         return self.values[after - 1] if after else self.before
+
+    def changes(self, start_s: float, end_s: float) -> bool:
+        """Whether another value begins within start_s < t <= end_s."""
+        times_s = self.times_s
+        return bool(times_s) and bisect_right(times_s, start_s) != bisect_right(times_s, end_s)
 
     @staticmethod
     def constant(value: float) -> Schedule:

@@ -1,6 +1,6 @@
-"""Raw `induction_block` messages to SampleBlock records.
+"""Raw `induction_block` messages to blocks; the work is done in C (chelper/blockwire.h).
 
-One message carries a running block index (16 bit), the clock of its first sample and one to three records, little
+One message carries a running block index (16 bit), the clock of its first sample and as many records as fit, little
 endian:
 
     u16  bits 0-11 lowest sample, bits 12-15 flags
@@ -17,22 +17,24 @@ told. Every sample is told of, so a record's first sample is the end of the reco
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
-from .records import SampleBlock
+import chelper
 
-HEAD = struct.Struct("<HBHB")
-U16 = struct.Struct("<H")
-GAP = struct.Struct("<HH")
-LOW_MASK, HAS_PHASE, IS_CUT, HAS_GAP, IS_WIDE = 0x0FFF, 0x1000, 0x2000, 0x4000, 0x8000
-SEQUENCE_MODULUS = 1 << 16
+from .blocks import Blocks
 
 
 class ConvertError(ValueError):
     """A block message whose length or content cannot be right."""
+
+
+# By chelper/blockwire.h's enum blockwire_error.
+_COMPLAINTS = {
+    -1: "induction_block with {} data bytes ends within a record",
+    -2: "induction_block record without samples or phase",
+    -3: "induction_block without records",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,117 +55,34 @@ class ConvertParameters:
         return self.block_len or 4**self.oversample
 
 
-@dataclass(slots=True)
-class ConvertState:
-    """Counters of one stream of blocks, for the log and the status."""
+class Stream:
+    """The blocks of one MCU. `counters` is C's struct block_stream, read for the log and the status."""
 
-    next_sequence: int = -1  # unwrapped index expected next; -1 before the first message
-    blocks: int = 0
-    missing_blocks: int = 0  # never arrived: gaps in the sequence
-    lost_samples: int = 0  # overwritten on the MCU
-    discarded_samples: int = 0
-
-
-def _unwrap(state: ConvertState, sequence: int) -> int:
-    """Extend the 16-bit index and count what is missing since the message before."""
-    if state.next_sequence < 0:
-        return sequence
-    gap = (sequence - state.next_sequence) % SEQUENCE_MODULUS
-    if gap >= SEQUENCE_MODULUS // 2:
-        return -1  # older than what was seen: a duplicate
-    state.missing_blocks += gap
-    return state.next_sequence + gap
-
-
-class _Record(NamedTuple):
-    """One record as it came, before its place in time is known."""
-
-    count: int  # type: ignore[assignment]
-    value: int
-    phase: int
-    low: int
-    high: int
-    discarded: int
-    lost: int
-
-
-def _records(data: bytes, block_samples: int) -> list[_Record]:
-    """Unpack the records of one message; raises ConvertError."""
-    records: list[_Record] = []
-    at, end, phase = 0, len(data), -1
-    try:
-        while at < end:
-            first, span, value_low, value_high = HEAD.unpack_from(data, at)
-            at += HEAD.size
-            low, count, discarded, lost = first & LOW_MASK, block_samples, 0, 0
-            high = low + span
-            if first & HAS_PHASE:
-                (phase,) = U16.unpack_from(data, at)
-                at += 2
-            if first & IS_CUT:
-                (count,) = U16.unpack_from(data, at)
-                at += 2
-            if first & HAS_GAP:
-                discarded, lost = GAP.unpack_from(data, at)
-                at += 4
-            if first & IS_WIDE:
-                (high,) = U16.unpack_from(data, at)
-                at += 2
-            if not count or phase < 0:
-                raise ConvertError("induction_block record without samples or phase")
-            records.append(_Record(count, value_high << 16 | value_low, phase, low, high, discarded, lost))
-    except struct.error:
-        raise ConvertError(f"induction_block with {end} data bytes ends within a record") from None
-    if not records:
-        raise ConvertError("induction_block without records")
-    return records
-
-
-def convert_message(
-    parameters: ConvertParameters,
-    state: ConvertState,
-    sequence: int,
-    clock: int,
-    data: bytes,
-    print_time_of: Callable[[int], float],
-) -> list[SampleBlock]:
-    """The blocks of one message; `clock` is the message's clock extended to 64 bit.
-
-    A message seen before gives an empty list. Raises ConvertError on a malformed message.
-    """
-    records = _records(data, parameters.block_samples)
-    index = _unwrap(state, sequence)
-    if index < 0:
-        return []
-    scale = 1 << parameters.oversample
-    # The MCU's shift drops the low bits of the sum; on average it drops half of their range.
-    dropped = 0.5 * (scale - 1)
-    period_s = parameters.period_s
-    start_s = print_time_of(clock)
-    blocks = []
-    offset = -(records[0].discarded + records[0].lost)  # the first record lies at the message's clock
-    for record in records:
-        offset += record.discarded + record.lost
-        mean_raw = (record.value * scale + dropped) / record.count
-        blocks.append(
-            SampleBlock(
-                index,
-                clock + offset * parameters.period_ticks,
-                start_s + offset * period_s,
-                record.count * period_s,
-                record.count,
-                mean_raw,
-                record.low,
-                record.high,
-                record.phase,
-                record.discarded,
-                record.lost,
-            )
+    def __init__(self, parameters: ConvertParameters) -> None:
+        ffi, self._lib = chelper.get_ffi()
+        self.counters: Any = ffi.new("struct block_stream *")
+        self.counters.period_ticks, self.counters.period_s = parameters.period_ticks, parameters.period_s
+        self.counters.oversample, self.counters.block_samples = (
+            parameters.oversample,
+            parameters.block_samples,
         )
-        offset += record.count
-        index += 1
-        state.lost_samples += record.lost
-        state.discarded_samples += record.discarded
-    state.next_sequence = index
-    state.blocks += len(blocks)
-    return blocks
+        self._blocks = Blocks()
+        self.restart()
+
+    def restart(self) -> None:
+        """The MCU counts from 0 again."""
+        self.counters.next_sequence = -1
+
+    def take(self, sequence: int, clock: int, data: bytes, start_s: float) -> Blocks:
+        """The blocks of one message, valid until the next; `clock` extended to 64 bit, `start_s` that as print time.
+
+        A message seen before gives none. Raises ConvertError on a malformed message.
+        """
+        blocks = self._blocks
+        count = self._lib.blockwire_unpack(
+            self.counters, blocks.raw, sequence, clock, start_s, data, len(data)
+        )
+        if count < 0:
+            raise ConvertError(_COMPLAINTS[count].format(len(data)))
+        blocks.count = count
+        return blocks

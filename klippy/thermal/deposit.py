@@ -1,21 +1,17 @@
 """Where and when material was laid, and how warm it still is when the next road touches it.
 
-The laid road by itself (source 004's kind of solution): thickness d on what lies below (equal medium), its free side
-nearly insulated; exact solution of the slab on a half space, at the free side, times a slow loss to the surroundings:
-
-    T(t) = Te + [(Tb - Te) + (T0 - Tb) erf(d / (2 sqrt(alpha t)))] exp(-t h / (rho c d))
-
-T0 laid, Tb the base at that moment, Te the surroundings (bed near the bed, chamber above). The weld, at depth
-d, is at Te + [(Tb - Te) + (T0 - Tb)/2 erf(d / sqrt(alpha t))] exp(..): it starts at the mean of T0 and Tb.
-
-A part is a pile of such roads, and its lower layers are warm from all that came before. Each column of the map
-therefore keeps its pile, layer by layer, as nodes of a heat balance (`Column`), advanced when it is touched:
+A laid road gives its heat to the layer below and to the air, and the lower layers are warm from all that came before.
+Each column of the map keeps its pile, layer by layer, as nodes of a heat balance (`Column`), advanced when touched:
 
     rho c d_i dT_i/dt = k/(distance) (T_i-1 - T_i) + k/(distance) (T_i+1 - T_i) - side h d_i (T_i - Te)
                          - h (T_0 - Te) for the top one
 
 `side`: open flanks per volume, 2/width for a single wall, none in a filled layer; read from how much of the column the
 last layer filled. The lowest node lies on the bed, or, higher up, hands nothing on but its own material.
+
+The newest node stands for the upper face of its road, which is what the next layer meets. The tests hold it to the
+exact solution of a layer on a half space (within 1 degC from d^2/alpha on, 7 after a quarter of that), to a wall's
+cross section in two dimensions, and to an infrared measurement.
 
 The map keeps its last layers only: memory goes with the area of the part, not with the number of moves.
 `DepositMap` is the readable form; a print runs chelper/tempplan_map.c, which the tests hold to it.
@@ -41,40 +37,6 @@ class Surroundings:
 
     def around_c(self, z_mm: float) -> float:
         return self.chamber_c + (self.bed_c - self.chamber_c) * math.exp(-max(0.0, z_mm) / self.bed_reach_mm)
-
-
-def surface_c(
-    material: Material,
-    laid_c: float,
-    base_c: float,
-    around_c: float,
-    h_w_m2k: float,
-    thick_mm: float,
-    age_s: float,
-) -> float:
-    """Temperature of a road's upper side `age_s` after it was laid."""
-    if age_s <= 0.0:
-        return laid_c
-    reach_mm = 2e3 * math.sqrt(material.diffusivity_m2_s * age_s)
-    kept = math.exp(-age_s * h_w_m2k / (material.density_kg_m3 * material.heat_j_kgk * thick_mm * 1e-3))
-    return around_c + (base_c - around_c + (laid_c - base_c) * math.erf(thick_mm / reach_mm)) * kept
-
-
-def weld_c(
-    material: Material,
-    laid_c: float,
-    base_c: float,
-    around_c: float,
-    h_w_m2k: float,
-    thick_mm: float,
-    age_s: float,
-) -> float:
-    """Temperature of the weld under a road; at age 0 the mean of road and base."""
-    if age_s <= 0.0:
-        return 0.5 * (laid_c + base_c)
-    reach_mm = 1e3 * math.sqrt(material.diffusivity_m2_s * age_s)
-    kept = math.exp(-age_s * h_w_m2k / (material.density_kg_m3 * material.heat_j_kgk * thick_mm * 1e-3))
-    return around_c + (base_c - around_c + 0.5 * (laid_c - base_c) * math.erf(thick_mm / reach_mm)) * kept
 
 
 NODES = 6  # the lowest holds all that is below the others ...

@@ -1,16 +1,18 @@
-"""SampleBlock to Features.
+"""Blocks to error units: raw codes, phase to power fraction, and what makes a block unusable (chelper/blockchain.h).
 
-Raw codes to error units, phase to power fraction, and what makes a block unusable.
+    error = (mean - zero) units_per_lsb        noise = units_per_lsb sqrt((noise_lsb^2 + 1/12) / count)
+
+Nothing is filtered here: each block keeps its own phase.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from .records import PHASE_MAX_TICKS, Features, SampleBlock
+import chelper
 
-QUANTISATION_VARIANCE = 1.0 / 12.0  # LSB^2, a uniform rounding error
+from .blocks import REASONS, Blocks
+from .records import PHASE_MAX_TICKS, Features
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +27,7 @@ class FeatureParameters:
 
 
 # (noise of one sample, mean of highest minus lowest code of 192 samples), LSB: Gaussian noise, mean anywhere
-# between two codes; recomputed by test/unit/test_thermal_features.py.
+# between two codes; recomputed by test/unit/test_thermal_track.py.
 SPAN_SAMPLES = 192
 SPAN_OF_NOISE = (
     (0.05, 0.28),
@@ -48,34 +50,16 @@ NOISE_NEEDED_LSB = 0.3  # less, and the mean of many samples no longer shows wha
 NOISE_BLOCKS = 200  # memory of the running mean: a third of a second
 
 
-@dataclass(slots=True)
-class NoiseState:
-    """Running mean of the samples' span over whole blocks."""
-
-    span_lsb: float = math.nan
-    blocks: int = 0
-
-
-def note_noise(state: NoiseState, block: SampleBlock) -> None:
-    """Take the span of a block with the bridge on; short cut ones say too little."""
-    if not block.phase_ticks or block.count < SPAN_SAMPLES // 2:
-        return
-    # A longer block spans more: expected extremes of n Gaussian samples go with sqrt(2 ln n).
-    span = (block.max_raw - block.min_raw) * math.sqrt(math.log(SPAN_SAMPLES) / math.log(block.count))
-    state.blocks = min(state.blocks + 1, NOISE_BLOCKS)
-    state.span_lsb = span if state.blocks == 1 else state.span_lsb + (span - state.span_lsb) / state.blocks
-
-
-def noise_lsb(state: NoiseState) -> float | None:
+def noise_lsb(span_lsb: float, blocks: int) -> float | None:
     """Standard deviation of one sample in LSB, from the mean span; None before enough blocks."""
-    if state.blocks < NOISE_BLOCKS // 4:
+    if blocks < NOISE_BLOCKS // 4:
         return None
     low_noise = low_span = 0.0
     for noise, span in SPAN_OF_NOISE:
-        if state.span_lsb <= span:
-            return low_noise + (noise - low_noise) * (state.span_lsb - low_span) / (span - low_span)
+        if span_lsb <= span:
+            return low_noise + (noise - low_noise) * (span_lsb - low_span) / (span - low_span)
         low_noise, low_span = noise, span
-    return state.span_lsb * low_noise / low_span
+    return span_lsb * low_noise / low_span
 
 
 def power_fraction(phase_ticks: float, phase_max_ticks: int = PHASE_MAX_TICKS) -> float:
@@ -84,22 +68,29 @@ def power_fraction(phase_ticks: float, phase_max_ticks: int = PHASE_MAX_TICKS) -
     return ratio * ratio
 
 
-def extract(parameters: FeatureParameters, block: SampleBlock) -> Features:
-    """Features of one block. Nothing is filtered here: each block keeps its own phase."""
-    noise_lsb = math.sqrt((parameters.noise_lsb * parameters.noise_lsb + QUANTISATION_VARIANCE) / block.count)
-    fault = ""
-    if block.phase_ticks == 0:
-        fault = "bridge off"
-    elif block.min_raw <= 0 or block.max_raw >= parameters.adc_max_raw:
-        fault = "signal clipped"
-    elif block.lost:
-        fault = "samples lost"
-    return Features(
-        block.time_s + 0.5 * block.duration_s,
-        (block.mean_raw - parameters.adc_zero_raw) * parameters.units_per_lsb,
-        noise_lsb * parameters.units_per_lsb,
-        block.phase_ticks,
-        power_fraction(block.phase_ticks, parameters.phase_max_ticks),
-        block.count,
-        fault,
-    )
+def front_params(parameters: FeatureParameters) -> dict[str, float]:
+    """As C's struct front_params."""
+    return {
+        "adc_zero_raw": parameters.adc_zero_raw,
+        "units_per_lsb": parameters.units_per_lsb,
+        "noise_lsb": parameters.noise_lsb,
+        "adc_max_raw": parameters.adc_max_raw,
+    }
+
+
+def extract(parameters: FeatureParameters, blocks: Blocks) -> list[Features]:
+    """Features of each block, for who works without a sensing law: a calibration run."""
+    ffi, lib = chelper.get_ffi()
+    lib.front_measure(ffi.new("struct front_params *", front_params(parameters)), blocks.raw, blocks.count)
+    return [
+        Features(
+            b.centre_s,
+            b.error_units,
+            b.noise_units,
+            b.phase_ticks,
+            power_fraction(b.phase_ticks, parameters.phase_max_ticks),
+            b.count,
+            REASONS[b.fault],
+        )
+        for b in blocks.raw[0 : blocks.count]
+    ]

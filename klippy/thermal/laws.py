@@ -25,74 +25,74 @@ psi comes straight from the error, so u is known when T is asked for: no iterati
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Protocol
+from functools import lru_cache
+from typing import Any, ClassVar, Self
+
+import chelper
 
 from .records import PHASE_MAX_TICKS
 
-NAN_PAIR = (math.nan, math.nan)
-FORWARD_ROUNDS = 30  # fixed point of the tank law forwards: each shrinks the error by more than 4
-PSI_MAX_RAD = 1.35  # 77 degrees: beyond, the tangent magnifies noise twenty times
+PSI_MAX_RAD = 1.35  # of the tank law, as in chelper/sensinglaw.c; the fits keep inside, too
 
 
-class Law(Protocol):
-    """A sensing law, monotone in temperature at each phase."""
+class Law:
+    """A sensing law, monotone in temperature at each phase. A frozen record of coefficients; the sums are C's."""
 
-    @property
-    def residual_units(self) -> float:
-        """Standard deviation of the fit, error units."""
-        ...
+    __slots__ = ()
+    KIND: ClassVar[int]  # chelper/sensinglaw.h's enum sensing_kind
+    DRIFTING: ClassVar[str]  # the one number a one-point correction changes
+    residual_units: float  # standard deviation of the fit, error units; the last field
 
     def error(self, temp_c: float, phase_ticks: float, supply: float = 1.0) -> float:
         """Forwards: error units at a temperature and phase."""
-        ...
+        law, lib = packed(self)
+        return float(lib.sensing_error(law, temp_c, phase_ticks, supply))
 
     def invert(self, error: float, phase_ticks: float, supply: float = 1.0) -> tuple[float, float]:
         """(temperature in degC, dT/derror in degC per unit); two NaNs where the law has no answer."""
-        ...
+        law, lib = packed(self)
+        found = lib.sensing_invert(law, error, phase_ticks, supply)
+        return found.temp_c, found.c_per_unit
 
-    def rezeroed(self, temp_c: float, error: float, phase_ticks: float, supply: float = 1.0) -> Law:
+    def rezeroed(self, temp_c: float, error: float, phase_ticks: float, supply: float = 1.0) -> Self:
         """This law with its one drifting number changed so that `error` at this phase reads `temp_c`."""
-        ...
+        law, lib = packed(self)
+        value = lib.sensing_rezeroed(law, temp_c, error, phase_ticks, supply)
+        return replace(self, **{self.DRIFTING: value})  # type: ignore[type-var]
 
 
-def _power(phase_ticks: float) -> float:
-    ratio = phase_ticks / PHASE_MAX_TICKS
-    return ratio * ratio
+@lru_cache(maxsize=64)
+def packed(law: Law) -> tuple[Any, Any]:
+    """(C's struct sensing_law, the C helper)."""
+    ffi, lib = chelper.get_ffi()
+    values = [getattr(law, field.name) for field in fields(law)]  # type: ignore[arg-type]
+    made = ffi.new(
+        "struct sensing_law *", {"kind": law.KIND, "phase_max_ticks": PHASE_MAX_TICKS, "k": values[:-1]}
+    )
+    return made, lib
 
 
 @dataclass(frozen=True, slots=True)
-class ExpLaw:
+class ExpLaw(Law):
     """error = a T exp(-b p) + c + d p. Coefficients: four-parameter fit of Table 1, s = 0.975 units."""
 
+    KIND = 0
+    DRIFTING = "c"
     a: float = 0.801361
     b: float = 1.058014
     c: float = 1.397019
     d: float = 5.139702
     residual_units: float = 0.975
 
-    def _line(self, phase_ticks: float, supply: float) -> tuple[float, float]:
-        p = _power(phase_ticks)
-        return self.c + self.d * p, self.a * math.exp(-self.b * p * supply * supply)
-
-    def error(self, temp_c: float, phase_ticks: float, supply: float = 1.0) -> float:
-        offset, slope = self._line(phase_ticks, supply)
-        return offset + slope * temp_c
-
-    def invert(self, error: float, phase_ticks: float, supply: float = 1.0) -> tuple[float, float]:
-        offset, slope = self._line(phase_ticks, supply)
-        return (error - offset) / slope, 1.0 / slope
-
-    def rezeroed(self, temp_c: float, error: float, phase_ticks: float, supply: float = 1.0) -> ExpLaw:
-        return replace(self, c=self.c + error - self.error(temp_c, phase_ticks, supply))
-
 
 @dataclass(frozen=True, slots=True)
-class Eq5Law:
+class Eq5Law(Law):
     """Eq 5 of source 000, coefficients of Table 2. Residual 4.5-4.8 units, hence 6 degC at low power at best."""
 
+    KIND = 1
+    DRIFTING = "c"
     a: float = 0.825
     b: float = 0.0001081
     ab: float = -7.085e-06
@@ -101,26 +101,13 @@ class Eq5Law:
     c: float = 0.797
     residual_units: float = 4.65
 
-    def _line(self, phase_ticks: float, supply: float) -> tuple[float, float]:
-        i, field = phase_ticks, phase_ticks * supply
-        return self.c + (self.b + self.bb * i) * i, self.a + (self.ab + self.abb * field) * field
-
-    def error(self, temp_c: float, phase_ticks: float, supply: float = 1.0) -> float:
-        offset, slope = self._line(phase_ticks, supply)
-        return offset + slope * temp_c
-
-    def invert(self, error: float, phase_ticks: float, supply: float = 1.0) -> tuple[float, float]:
-        offset, slope = self._line(phase_ticks, supply)
-        return ((error - offset) / slope, 1.0 / slope) if slope > 0.0 else NAN_PAIR
-
-    def rezeroed(self, temp_c: float, error: float, phase_ticks: float, supply: float = 1.0) -> Eq5Law:
-        return replace(self, c=self.c + error - self.error(temp_c, phase_ticks, supply))
-
 
 @dataclass(frozen=True, slots=True)
-class TankLaw:
+class TankLaw(Law):
     """The phasor law. Defaults: its fit to Table 1 of source 000 (28 points, s = 1.03 units); see docs/Induction.md."""
 
+    KIND = 2
+    DRIFTING = "delta"
     g: float = 1228.15  # units per radian of psi
     t0: float = 413.799  # degC of resonance
     w: float = 1510.08  # degC: series resistance over what a degree moves the reactance
@@ -131,52 +118,6 @@ class TankLaw:
     d: float = 323.045
     m: float = 1.06507
     residual_units: float = 1.03
-
-    def _offset(self, phase_ticks: float) -> float:
-        return self.c + self.d * math.exp(-self.m * _power(phase_ticks))
-
-    @staticmethod
-    def _field(phase_ticks: float, supply: float) -> float:
-        amplitude = math.sin(0.5 * math.pi * phase_ticks / PHASE_MAX_TICKS) * supply
-        return amplitude * amplitude
-
-    def _saturation(self, u: float) -> float:
-        """-ln S."""
-        return u * (self.b + self.q * u * u * u)
-
-    def angle(self, error: float, phase_ticks: float) -> float:
-        """psi in radians."""
-        return (error - self._offset(phase_ticks)) / self.g
-
-    def error(self, temp_c: float, phase_ticks: float, supply: float = 1.0) -> float:
-        field = self._field(phase_ticks, supply)
-        psi = 0.0
-        for _ in range(FORWARD_ROUNDS):
-            cosine = math.cos(psi)
-            share = math.exp(-self._saturation(field * cosine * cosine))
-            before, psi = psi, math.atan(((temp_c - self.t0) * share + self.delta) / self.w)
-            if abs(psi - before) < 1e-13:
-                break
-        return self.g * psi + self._offset(phase_ticks)
-
-    def invert(self, error: float, phase_ticks: float, supply: float = 1.0) -> tuple[float, float]:
-        psi = (error - self._offset(phase_ticks)) / self.g
-        if not -PSI_MAX_RAD < psi < PSI_MAX_RAD:
-            return NAN_PAIR
-        tangent, cosine = math.tan(psi), math.cos(psi)
-        u = self._field(phase_ticks, supply) * cosine * cosine
-        growth = math.exp(self._saturation(u))
-        reach = self.w * tangent - self.delta
-        # d(-ln S)/dpsi = (b + 4 q u^3) du/dpsi, du/dpsi = -2 u tan(psi)
-        bend = (self.b + 4.0 * self.q * u * u * u) * 2.0 * u * tangent
-        slope = growth * (self.w / (cosine * cosine) - reach * bend) / self.g
-        return (self.t0 + reach * growth, slope) if slope > 0.0 else NAN_PAIR
-
-    def rezeroed(self, temp_c: float, error: float, phase_ticks: float, supply: float = 1.0) -> TankLaw:
-        psi = self.angle(error, phase_ticks)
-        cosine = math.cos(psi)
-        share = math.exp(-self._saturation(self._field(phase_ticks, supply) * cosine * cosine))
-        return replace(self, delta=self.w * math.tan(psi) - (temp_c - self.t0) * share)
 
 
 # By the name the config and the fits use.

@@ -11,8 +11,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from .estimator import SENSING_PHASE_TICKS, Law, error_of
+from .estimator import SENSING_PHASE_TICKS
 from .features import FeatureParameters
+from .laws import Law
 
 # Spaced so that the law's slope changes by under 10 % from row to row (0.2 5 10 20 30 ... 100 % power).
 _POWER_PERCENT = (0.2, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0)
@@ -29,7 +30,7 @@ class LimitRow:
 
 def _raw(law: Law, front: FeatureParameters, temp_c: float, phase: float) -> float:
     """Code the law predicts."""
-    return front.adc_zero_raw + error_of(law, temp_c, phase) / front.units_per_lsb
+    return front.adc_zero_raw + law.error(temp_c, phase) / front.units_per_lsb
 
 
 def guard_limits(law: Law, front: FeatureParameters, temp_low_c: float, temp_high_c: float) -> list[LimitRow]:

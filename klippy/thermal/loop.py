@@ -1,6 +1,6 @@
 """The whole chain of one induction nozzle, without a printer: blocks in, phase commands out.
 
-    on_blocks(blocks, now) ─ features ─ estimate ─ track ─ control law ─ actuate ─> [PhaseCommand]
+    on_blocks(blocks, now) ─ chain ─ control law ─ actuate ─> [PhaseCommand]
     on_timer(now)          ─ the same without news: keeps the bridge's watchdog fed, or steps back to sensing
 
 When: a message brings the blocks of about 5 ms; each one makes a control step. The new phase is to start on
@@ -26,6 +26,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from . import actuator, control_api, estimator, features, model, plausible, supervise, track
+from .blocks import Blocks
+from .chain import Chain
 from .records import PhaseCommand, PowerRequest, SampleBlock, TempEstimate
 from .timeline import NOT_COMMANDED, TIME_SLACK_S, Timeline, Timing
 
@@ -35,9 +37,9 @@ BALANCE_S = 0.1
 PROMPT_S = 0.005  # to the MCU, when it matters more that a command comes soon than that it comes in time
 QUIET_C = 1.0  # nearer than this to the target a step of the model may wait for the next command's turn
 SAMPLES_MOST = 15  # 25 ms
-STEP_FRACTION = 0.1  # of p = (phase/45000)^2: a step of the drive that may move the reading
-USUAL_S = 0.1  # memory of the usual p
-DOUBT_C = 40.0  # 1 sigma of the law's error per unit of p away from it; C1 +0.1 % makes it 17 to 29 degC
+CALM_C = 0.3  # nearer than this to a target that stays, with no extrusion planned ...
+CALM_S = 0.5  # ... for so long: nothing happens
+CALM_STEP_S = 0.016  # steps are then at least this far apart: half the work, five within max_duration
 RESAY_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
 
 
@@ -104,20 +106,17 @@ class LoopState:
     estimate: TempEstimate = NOT_MEASURED  # newest valid one
     request: PowerRequest = NO_REQUEST
     line: Timeline = field(default_factory=Timeline)  # commands sent
-    sampled_fraction: float = 0.0  # p as usual, of blocks with a temperature
     horizon: tuple[control_api.Planned, ...] = ()  # what the law means to do after its request
     samples: list[control_api.Sample] = field(default_factory=list)  # since the newest control step
     decided_s: float = -math.inf  # last control step
+    restless_s: float = -math.inf  # when something happened last that wants a quick host
     settled_s: float = math.inf  # since when the estimate has been near the target
     arriving: bool = False  # near the target, power limited
     law: Any = None  # memory of the control law
     actuator: actuator.ActuatorState = field(default_factory=actuator.ActuatorState)
     supervise: supervise.SuperviseState = field(default_factory=supervise.SuperviseState)
-    track: track.TrackState = field(default_factory=track.TrackState)
     plausible: plausible.PlausibleState = field(default_factory=plausible.PlausibleState)
-    heat_j: float = 0.0  # put in since the newest heat balance
     balanced_s: float = -math.inf  # when that was
-    noise: features.NoiseState = field(default_factory=features.NoiseState)
     warning: str = ""  # plausibility: text for people
     latency_s: float = 0.0  # newest: from the centre of a block to its value here
 
@@ -134,6 +133,7 @@ class InductionLoop:
     SETTLED_S = 0.25  # ... for this long
 
     def __init__(self, parameters: LoopParameters) -> None:
+        self.chain = Chain()  # blocks to temperatures, with its own memory
         self.parameters = parameters
         self.state = LoopState()
         self.listeners: list[BlockListener] = []  # told of every block, in order
@@ -144,23 +144,34 @@ class InductionLoop:
         self.state.law = parameters.control.law.start
 
     @property
+    def parameters(self) -> LoopParameters:
+        """In force; setting them tells the chain, too."""
+        return self._parameters
+
+    @parameters.setter
+    def parameters(self, p: LoopParameters) -> None:
+        self._parameters = p
+        self.chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.track)
+
+    @property
     def fault(self) -> str:
         """Text for people, "" while all is well."""
         return self.state.supervise.fault
 
     def start(self, now_s: float) -> None:
         """The bridge is off and blocks are about to come."""
-        supervise.start(self.state.supervise, now_s)
+        supervise.start(self.state.supervise, self.chain.watch, now_s)
 
     def set_target(self, target_c: float, now_s: float) -> list[PhaseCommand]:
         """New target, 0 = off; acts at once on what is known."""
         state = self.state
         if target_c == state.target_c:
             return []
-        if (target_c <= 0.0 or state.target_c <= 0.0) and not self.parameters.control.models:
-            state.law = self.parameters.control.law.start
+        if (target_c <= 0.0 or state.target_c <= 0.0) and not self._parameters.control.models:
+            state.law = self._parameters.control.law.start
         state.target_c = target_c
         self.reference = None
+        state.restless_s = now_s
         state.settled_s = math.inf
         state.arriving = False
         if state.estimate.valid:
@@ -188,7 +199,7 @@ class InductionLoop:
 
     def use(self, parameters: LoopParameters) -> None:
         """Go on with other parameters; another law begins with the heat that holds the nozzle as it is now."""
-        state, before = self.state, self.parameters.control
+        state, before = self.state, self._parameters.control
         chosen, self.parameters = parameters.control, parameters
         if chosen.law is before.law:
             return
@@ -198,25 +209,28 @@ class InductionLoop:
             return
         # What the filter does not explain is whatever the law before had learned: melt, fan, a cold second mass.
         loss_w = model.loss_w(parameters.loss, news.temp_c)
-        holding_w = loss_w - parameters.track.heat.at(news.temp_c) * state.track.rate_k_s
+        holding_w = loss_w - parameters.track.heat.at(news.temp_c) * self.chain.state.track.rate_k_s
         seen = control_api.Sample(news.time_s, news.time_s, news.temp_c, 0.0, state.request.power_w)
         inputs = control_api.ControlInput(
             news.temp_c, news.temp_c, loss_w, samples=(seen,), flow_mm3_s=self.flow, fan=self.fan
         )
         state.law = chosen.law.follow(chosen.parameters, state.law, inputs, holding_w)
 
-    def on_blocks(self, blocks: list[SampleBlock], now_s: float) -> list[PhaseCommand]:
+    def on_blocks(self, blocks: Blocks, now_s: float) -> list[PhaseCommand]:
         """Blocks of one message arrived."""
         state = self.state
-        news = None
-        for block in blocks:
-            found = self._take(block)
-            news = found or news
-            for listener in self.listeners:
-                listener(block, found, now_s)
+        news = self.chain.take(blocks)
+        if blocks.count:
+            state.line.edge_s = blocks.end_s
+        if self._parameters.control.models:
+            state.samples += self.chain.samples()
+        if self.listeners:
+            self._tell(blocks, now_s)
         if news is not None:
             before, state.estimate = state.estimate, news
             state.latency_s = now_s - news.time_s
+            if self._goes_on(news, now_s):
+                return []
             self._note_settled(news)
             self._note_balance(news)
             self._decide(news, before.phase_ticks, now_s)
@@ -224,44 +238,21 @@ class InductionLoop:
             self._decide(state.estimate, 0, now_s)
         return self._step(now_s)
 
-    def _take(self, block: SampleBlock) -> TempEstimate | None:
-        """One block through conversion, supervision and filter."""
-        parameters, state = self.parameters, self.state
-        end_s = block.time_s + block.duration_s
-        state.line.edge_s = end_s
-        result = None
-        if block.phase_ticks:
-            result = estimator.estimate(parameters.estimator, features.extract(parameters.front, block))
-        supervise.observe(parameters.supervise, state.supervise, end_s, result)
-        heat_w = parameters.actuator.law.power_w(block.phase_ticks)
-        settle_s = block.discarded * block.duration_s / block.count
-        state.heat_j += heat_w * (block.duration_s + settle_s)
-        features.note_noise(state.noise, block)
-        found = track.track(parameters.track, state.track, block, heat_w, result)
-        if parameters.control.models:
-            self._note_sample(block, heat_w, result if found is not None else None)
-        return found
+    def _goes_on(self, news: TempEstimate, now_s: float) -> bool:
+        """At rest, and these blocks do not change that: they wait for the next step, which looks at everything."""
+        if not self._rests(now_s) or self.reference is not None or any(self.flow.values):
+            return False
+        return abs(news.temp_c - self.state.target_c) < CALM_C and not self.chain.watch.is_tripped
 
-    def _note_sample(self, block: SampleBlock, heat_w: float, seen: TempEstimate | None) -> None:
-        """For the model law: each block's own temperature, and the heat since the block before."""
-        state, phase_max = self.state, self.parameters.front.phase_max_ticks
-        end_s = block.time_s + block.duration_s
-        centre_s = block.time_s + 0.5 * block.duration_s
-        if seen is None:
-            state.samples.append(control_api.Sample(centre_s, end_s, math.nan, 0.0, heat_w))
-            return
-        fraction = features.power_fraction(block.phase_ticks, phase_max)
-        away = fraction - state.sampled_fraction
-        jump = abs(away) > STEP_FRACTION
-        state.sampled_fraction += away if jump else away * block.duration_s / (block.duration_s + USUAL_S)
-        sigma_c = math.hypot(seen.sigma_c, DOUBT_C * away) if not jump else seen.sigma_c
-        # With the law's residual, not the noise alone, and more at another drive than usual: a law that has drifted
-        # reads lower with more power, and believed blindly would ask for still more.
-        state.samples.append(control_api.Sample(centre_s, end_s, seen.temp_c, sigma_c, heat_w, jump))
+    def _tell(self, blocks: Blocks, now_s: float) -> None:
+        for i, block in enumerate(blocks):
+            found = blocks.tracked(i)
+            for listener in self.listeners:
+                listener(block, found, now_s)
 
     def on_timer(self, now_s: float) -> list[PhaseCommand]:
         """Nothing came for a while; also the regular watch."""
-        if self.parameters.control.models:
+        if self._parameters.control.models:
             self._decide(self.state.estimate, 0, now_s)
         return self._step(now_s)
 
@@ -272,16 +263,34 @@ class InductionLoop:
         self.state.estimate = NOT_MEASURED
         self.state.line.note([PhaseCommand(now_s, 0, 0.0)], now_s)
         self.state.samples = []
-        self.state.law = self.parameters.control.law.start
+        self.state.law = self._parameters.control.law.start
         self.state.actuator = actuator.ActuatorState()
         self.state.request = NO_REQUEST
 
     def restart_filter(self) -> None:
         """The law changed: what the filter and the balance remember was told by another one."""
-        self.state.track = track.TrackState()
-        self.state.law = self.parameters.control.law.start
+        self.chain.restart_track()
+        self.state.law = self._parameters.control.law.start
         self.state.plausible = plausible.PlausibleState()
         self.state.warning = ""
+
+    def is_calm(self, now_s: float) -> bool:
+        """Nothing has happened for a while: off, or held by a law with a model. Reports may come in bulk."""
+        return now_s - self.state.restless_s >= CALM_S
+
+    def _note_restless(self, now_s: float) -> None:
+        state, reference = self.state, self.reference
+        if state.target_c <= 0.0:
+            return
+        near = abs(state.estimate.temp_c - state.target_c) < CALM_C
+        moving = (reference is not None and now_s < reference.times_s[-1]) or any(self.flow.values)
+        if not near or moving or state.horizon or not self._parameters.control.models:
+            state.restless_s = now_s
+
+    def _rests(self, now_s: float) -> bool:
+        """Is it too early for another step, with nothing happening?"""
+        next_s = self.state.line.newest.time_s + CALM_STEP_S
+        return now_s + self._parameters.timing.lead_s < next_s and self.is_calm(now_s)
 
     def is_settled(self) -> bool:
         """At the target, and has been for a little while."""
@@ -291,7 +300,7 @@ class InductionLoop:
     def _note_settled(self, news: TempEstimate) -> None:
         state = self.state
         below_c = state.target_c - news.temp_c
-        cycle_c = self.parameters.control.cycle_c
+        cycle_c = self._parameters.control.cycle_c
         if below_c > cycle_c if cycle_c else abs(below_c) > self.SETTLED_C:
             state.settled_s = math.inf
         elif state.settled_s == math.inf:
@@ -299,30 +308,34 @@ class InductionLoop:
 
     def _note_balance(self, news: TempEstimate) -> None:
         """Ten times a second is enough for a balance over half a minute."""
-        state, parameters = self.state, self.parameters
+        state, parameters = self.state, self._parameters
         if news.time_s - state.balanced_s < BALANCE_S or not parameters.supervise.calibrated:
             return
         plausible.observe(
-            parameters.plausible, state.plausible, news.time_s, news.temp_c, state.heat_j, self.quiet
+            parameters.plausible,
+            state.plausible,
+            news.time_s,
+            news.temp_c,
+            self.chain.take_heat_j(),
+            self.quiet,
         )
-        state.heat_j = 0.0
         state.balanced_s = news.time_s
         state.warning = plausible.warning(parameters.plausible, state.plausible)
 
     def _limit_w(self, below_c: float) -> float:
         """Power allowed this far below the target."""
-        approach, state = self.parameters.approach, self.state
+        approach, state = self._parameters.approach, self.state
         if below_c < approach.band_c:
             state.arriving = True
         elif below_c > approach.leave_c:
             state.arriving = False
-        if self.parameters.control.models and approach.rebase_fraction == math.inf:
+        if self._parameters.control.models and approach.rebase_fraction == math.inf:
             return math.inf  # the law follows the drive, and the control knows when to stop
         return approach.power_w if state.arriving else math.inf
 
     def _decide(self, news: TempEstimate, phase_before: int, now_s: float, apart_s: float = math.inf) -> None:
         """The control law on the newest temperature; keeps the request with its terms."""
-        state, parameters = self.state, self.parameters
+        state, parameters = self.state, self._parameters
         self._follow_reference(now_s)
         if state.target_c <= 0.0 and not parameters.control.models:
             state.request = PowerRequest(now_s, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -336,7 +349,7 @@ class InductionLoop:
         self._apply(inputs, news.time_s, now_s)
 
     def _apply(self, inputs: control_api.ControlInput, time_s: float, now_s: float) -> None:
-        state, chosen = self.state, self.parameters.control
+        state, chosen = self.state, self._parameters.control
         out, state.law = chosen.law.step(chosen.parameters, state.law, inputs, time_s)
         state.request = PowerRequest(
             now_s, out.value, out.unlimited, out.proportional, out.integral, out.derivative, out.feedforward
@@ -345,7 +358,7 @@ class InductionLoop:
 
     def _plain_input(self, news: TempEstimate, phase_before: int) -> control_api.ControlInput:
         """For laws without a model: the filtered temperature, the static losses fed forward."""
-        state, parameters = self.state, self.parameters
+        state, parameters = self.state, self._parameters
         phase_max = parameters.front.phase_max_ticks
         step = features.power_fraction(news.phase_ticks, phase_max) - features.power_fraction(
             phase_before, phase_max
@@ -361,15 +374,20 @@ class InductionLoop:
     def _can_wait(self, news: TempEstimate, now_s: float) -> bool:
         """The next command is said already and nothing is amiss: the blocks are kept for the next step."""
         state = self.state
-        quiet = abs(news.temp_c - state.target_c) < QUIET_C or state.target_c <= 0.0
-        if not quiet or state.horizon or len(state.samples) > SAMPLES_MOST or self.reference is not None:
+        off = state.target_c <= 0.0
+        quiet = off or abs(news.temp_c - state.target_c) < QUIET_C
+        if not quiet or state.horizon or len(state.samples) > SAMPLES_MOST:
+            return False
+        if off or self._rests(now_s):
+            return True
+        if self.reference is not None:
             return False
         at_s = self._slot(now_s, math.inf)
-        return state.target_c <= 0.0 or (at_s is not None and state.line.at(at_s) is not None)
+        return at_s is not None and state.line.at(at_s) is not None
 
     def _model_input(self, news: TempEstimate, now_s: float, apart_s: float) -> control_api.ControlInput:
         """For the model law: all that was measured since the step before, what is pending, what lies ahead."""
-        state, timing = self.state, self.parameters.timing
+        state, timing = self.state, self._parameters.timing
         samples, state.samples = tuple(state.samples), []
         apply_s = self._slot(now_s, apart_s) or now_s + timing.lead_s
         since_s = samples[-1].end_s if samples else state.line.edge_s
@@ -389,17 +407,18 @@ class InductionLoop:
         )
 
     def _step(self, now_s: float) -> list[PhaseCommand]:
-        state, parameters = self.state, self.parameters
+        state, parameters = self.state, self._parameters
         state.decided_s = now_s
         fraction = state.request.power_w / parameters.control.power_max_w
         temp_c = state.estimate.temp_c
         fault = supervise.watch(
-            parameters.supervise, state.supervise, now_s, temp_c, state.target_c, fraction
+            parameters.supervise, state.supervise, self.chain.watch, now_s, temp_c, state.target_c, fraction
         )
         if fault:
             state.target_c = 0.0
             return self._off(now_s)
-        return self._command(now_s)
+        self._note_restless(now_s)
+        return [] if self._rests(now_s) else self._command(now_s)
 
     def _off(self, now_s: float) -> list[PhaseCommand]:
         state = self.state
@@ -407,14 +426,14 @@ class InductionLoop:
             state.line.last_before(now_s).phase_ticks
         ):
             return []
-        time_s = max(now_s + self.parameters.timing.lead_s, state.line.last_before(now_s).time_s)
+        time_s = max(now_s + self._parameters.timing.lead_s, state.line.last_before(now_s).time_s)
         commands = [PhaseCommand(time_s, 0, 0.0)]
         state.line.note(commands, now_s)
         return commands
 
     def _command(self, now_s: float, apart_s: float = math.inf) -> list[PhaseCommand]:
         """Turn the request into commands from the next usable edge on, at least `apart_s` after the last."""
-        state, parameters = self.state, self.parameters
+        state, parameters = self.state, self._parameters
         timing = parameters.timing
         at_s = self._slot(now_s, apart_s)
         if at_s is None:
@@ -424,7 +443,7 @@ class InductionLoop:
         if power_w > 0.0 and not now_s - state.estimate.time_s <= timing.stale_s + self._interval_s():
             power_w, horizon = parameters.actuator.power_low_w, ()
         taken = state.line.at(at_s)
-        if taken is not None and apart_s > 0.0 and not self._improves(taken, power_w):
+        if taken is not None and apart_s > 0.0 and not self._improves(taken, power_w, horizon):
             return []
         idle = state.target_c <= 0.0
         commands = actuator.actuate(parameters.actuator, state.actuator, power_w, at_s, idle)
@@ -439,9 +458,9 @@ class InductionLoop:
         The model law's next place is held for it ahead of time and may be filled anew by each message; a law
         without one waits for the newest measurement instead.
         """
-        state, timing = self.state, self.parameters.timing
+        state, timing = self.state, self._parameters.timing
         apart_s = min(apart_s, timing.control_s)
-        if self.parameters.control.models:
+        if self._parameters.control.models:
             # A new target need not wait for a late host: late, it holds from its arrival on.
             lead_s = timing.lead_s if apart_s > 0.0 else min(timing.lead_s, PROMPT_S)
             return state.line.slot(timing, now_s, apart_s - TIME_SLACK_S, lead_s)
@@ -449,14 +468,17 @@ class InductionLoop:
         taken_s = state.line.newest.time_s + max(TIME_SLACK_S, apart_s - TIME_SLACK_S)
         return at_s if at_s > taken_s else None
 
-    def _improves(self, taken: PhaseCommand, power_w: float) -> bool:
+    def _improves(
+        self, taken: PhaseCommand, power_w: float, horizon: tuple[control_api.Planned, ...]
+    ) -> bool:
         """Is it worth a message to say anew what was said for this edge? Pulses are booked and stay."""
-        parameters = self.parameters
+        parameters = self._parameters
         driving = self.state.actuator.driving and power_w >= parameters.actuator.power_low_w
         if not driving or not parameters.control.models or not taken.phase_ticks:
             return False
-        return abs(power_w - taken.power_w) > RESAY_SHARE * parameters.control.power_max_w
+        plan = (control_api.Planned(taken.time_s, power_w), *horizon)
+        return self.state.line.strays(plan, RESAY_SHARE * parameters.control.power_max_w)
 
     def _interval_s(self) -> float:
         """Time between measurements that is normal in the present mode of the actuator."""
-        return 0.0 if self.state.actuator.driving else self.parameters.actuator.idle_interval_s
+        return 0.0 if self.state.actuator.driving else self._parameters.actuator.idle_interval_s

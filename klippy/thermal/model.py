@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import chelper
+
 STEFAN_BOLTZMANN = 5.670374e-8  # W/m^2K^4
 ZERO_CELSIUS_K = 273.15
 
@@ -37,8 +39,5 @@ class HeatCapacity:
 
 def loss_w(law: LossLaw, temp_c: float) -> float:
     """Heat that leaves a nozzle held at `temp_c`, never negative."""
-    rise_k = temp_c - law.ambient_c
-    hot_k = temp_c + ZERO_CELSIUS_K
-    ambient_k = law.ambient_c + ZERO_CELSIUS_K
-    radiated_w = STEFAN_BOLTZMANN * law.radiation_m2 * (hot_k**4 - ambient_k**4)
-    return max(0.0, law.conductance_w_k * rise_k + radiated_w)
+    lib = chelper.get_ffi()[1]
+    return float(lib.nozzle_loss_w(law.conductance_w_k, law.radiation_m2, law.ambient_c, temp_c))

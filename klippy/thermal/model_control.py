@@ -17,12 +17,15 @@ planned flow and the learned disturbance are in T0: that is the feed-forward. Li
 cut to 0..most, to the step's limit, to the slew rate, and the next choice starts from what will be, not from
 what was wished. Nothing is integrated but the disturbance, in the filter: nothing winds up.
 
-The horizon: the same choice again from the predicted state, `ahead` times, should the host be late.
+The horizon: the same choice again from the predicted state, `ahead` times, should the host be late. What one
+unit of output does within H is known from the two runs above, so each further choice takes one run: with the
+output before it, and by how much that misses its aim.
 """
 
 from __future__ import annotations
 
 import math
+from functools import cache
 
 from .control_api import ControlInput, ControlOutput, Law, Planned, Sample
 from .model_filter import ModelState, observe, taken_over
@@ -32,18 +35,25 @@ __all__ = ["MODEL", "ModelParameters", "ModelState", "model_follow", "model_step
 
 SAME_SHARE = 0.004  # outputs nearer than this (of the most) are one and the same step
 SETTLED_C = 0.25  # nearer than this to the reference, and not about to change: no horizon is worth sending
+SINGLE_STEPS = 6  # of the plan; the later ones are twice as long
+PIECE_S = 0.02  # flow and fan are looked at so often
+TEMP = Nodes._fields.index("temp_c")
+SETTLED_MM3_S = 0.2  # the flow at the nozzle still follows that of the motor when farther from it than this
 
 
 def _wanted(inputs: ControlInput, time_s: float) -> float:
     return inputs.reference_c if inputs.reference is None else inputs.reference.at(time_s)
 
 
-def _aim(p: ModelParameters, inputs: ControlInput, temp_c: float, time_s: float, horizon_s: float) -> float:
-    """Temperature the controlled node shall have at `time_s + horizon_s`."""
-    deviation_c = _wanted(inputs, time_s) - temp_c
-    small_c = min(p.knee_c, max(-p.knee_c, deviation_c))
-    fade = math.exp(-horizon_s / p.fade_s) if p.fade_s > 0.0 else 0.0
-    return _wanted(inputs, time_s + horizon_s) - small_c * fade
+def _aim(
+    p: ModelParameters, inputs: ControlInput, temp_c: float, time_s: float, dt_s: float, fade: float
+) -> float:
+    """Temperature in degC the controlled node shall have at `time_s + dt_s`; `fade`: what is left by then."""
+    if inputs.reference is None:
+        now_c = then_c = inputs.reference_c
+    else:
+        now_c, then_c = inputs.reference.at(time_s), inputs.reference.at(time_s + dt_s)
+    return then_c - min(p.knee_c, max(-p.knee_c, now_c - temp_c)) * fade
 
 
 class _Future:
@@ -54,16 +64,18 @@ class _Future:
         self.gain, self.disturbance_w = state.gain, state.disturbance_w
         self.nodes: Nodes = state.nodes
         self.time_s = time_s
+        self.without = self.reached = self.nodes  # one horizon on, with no output and with the most
 
     def run(self, nodes: Nodes, output: float, start_s: float, dt_s: float) -> Nodes:
         """The nodes after `dt_s` of one output. Surroundings are taken at the middle of each piece."""
-        pieces = max(1, math.ceil(dt_s / max(self.p.hold_s, 0.02) - 1e-6))
+        longest_s = max(self.p.hold_s, PIECE_S)
+        pieces = 1 if dt_s <= longest_s else math.ceil(dt_s / longest_s - 1e-6)
         piece_s = dt_s / pieces
         drive = output, self.gain, self.disturbance_w
+        flow, fan = self.inputs.flow_mm3_s, self.inputs.fan
         for i in range(pieces):
             middle_s = start_s + (i + 0.5) * piece_s
-            surroundings = self.inputs.flow_mm3_s.at(middle_s), self.inputs.fan.at(middle_s)
-            nodes = advance(self.p, nodes, drive, surroundings, piece_s)
+            nodes = advance(self.p, nodes, drive, (flow.at(middle_s), fan.at(middle_s)), piece_s)
         return nodes
 
     def follow(self, outputs: tuple[Planned, ...], before: float, until_s: float) -> None:
@@ -82,12 +94,12 @@ class _Future:
 
     def choose(self, most: float) -> float:
         """Unlimited output from now on."""
-        p = self.p
-        horizon_s = max(p.hold_s, p.horizon_s)
-        aim_c = _aim(p, self.inputs, self.nodes.temp_c, self.time_s, horizon_s)
-        without_c = self.run(self.nodes, 0.0, self.time_s, horizon_s).temp_c
-        reach_c = self.run(self.nodes, most, self.time_s, horizon_s).temp_c - without_c
-        return most * (aim_c - without_c) / reach_c if reach_c > 1e-9 else 0.0
+        p, horizon_s = self.p, self.p.aim_s
+        aim_c = _aim(p, self.inputs, self.nodes.temp_c, self.time_s, horizon_s, p.fade)
+        self.without = self.run(self.nodes, 0.0, self.time_s, horizon_s)
+        self.reached = self.run(self.nodes, most, self.time_s, horizon_s)
+        reach_c = self.reached.temp_c - self.without.temp_c
+        return most * (aim_c - self.without.temp_c) / reach_c if reach_c > 1e-9 else 0.0
 
 
 def _limited(p: ModelParameters, inputs: ControlInput, value: float, before: float, hold_s: float) -> float:
@@ -97,32 +109,53 @@ def _limited(p: ModelParameters, inputs: ControlInput, value: float, before: flo
     return max(0.0, before - step, min(high, value))
 
 
-def _plan(p: ModelParameters, future: _Future, first: float, hold_s: float) -> tuple[Planned, ...]:
+def _plan(p: ModelParameters, future: _Future, first: float) -> tuple[Planned, ...]:
     """What follows the first output, as far as it differs; ends holding the wanted temperature."""
-    inputs, horizon, output = future.inputs, [], first
-    same = SAME_SHARE * p.output_high
-    for _ in range(p.ahead):
-        future.hold(output, hold_s)
-        wanted = _limited(p, inputs, future.choose(p.output_high), output, hold_s)
-        if abs(wanted - output) > same:
-            horizon.append(Planned(future.time_s, wanted))
-            output = wanted
-    end_s = future.time_s + hold_s
+    inputs, horizon, output, said = future.inputs, [], first, first
+    same, most = SAME_SHARE * p.output_high, p.output_high
+    added = [(b - a) / most for a, b in zip(future.without, future.reached, strict=True)]
+    reach_c = max(added[TEMP], 1e-12)
+    future.hold(output, p.aim_s)
+    for steps in _lengths(p.ahead):
+        start_s, start_c, dt_s = future.time_s, future.nodes.temp_c, steps * p.aim_s
+        aim_c = _aim(p, inputs, start_c, start_s, dt_s, p.fade**steps)
+        future.hold(output, dt_s)
+        wanted = output + (aim_c - future.nodes.temp_c) / (steps * reach_c)
+        change = _limited(p, inputs, wanted, output, p.aim_s) - output
+        if change:
+            output += change
+            change *= steps
+            future.nodes = Nodes(*[n + change * a for n, a in zip(future.nodes, added, strict=True)])
+        if abs(output - said) > same:
+            horizon.append(Planned(start_s, output))
+            said = output
+    end_s = future.time_s
     wanted_c = _wanted(inputs, end_s)
     power_w = hold_w(p, wanted_c, inputs.flow_mm3_s.at(end_s), inputs.fan.at(end_s)) - future.disturbance_w
     holding = max(0.0, power_w / (heat_per_output_w(p, wanted_c) * future.gain))
-    if output > holding + 0.05 * p.output_high:
-        horizon.append(Planned(end_s, min(holding, output)))
+    if said > holding + 0.05 * most:
+        horizon.append(Planned(end_s, min(holding, said)))
     return tuple(horizon)
 
 
-def _is_calm(p: ModelParameters, future: _Future, first: float) -> bool:
+@cache
+def _lengths(ahead: int) -> tuple[int, ...]:
+    """Of the steps of a plan in strides, `ahead` of them in all: what comes later will most likely be said anew."""
+    doubles = max(0, ahead - SINGLE_STEPS + 1) // 2
+    return (1,) * (ahead - 2 * doubles) + (2,) * doubles
+
+
+def _is_calm(p: ModelParameters, future: _Future) -> bool:
     """Nothing is going to happen within the horizon that a single output does not do."""
     inputs = future.inputs
-    now_s, end_s = future.time_s, future.time_s + p.ahead * p.hold_s
-    near = abs(_wanted(inputs, now_s) - future.nodes.temp_c) < SETTLED_C
-    flat = inputs.reference is None or _wanted(inputs, now_s) == _wanted(inputs, end_s)
-    return near and flat and inputs.flow_mm3_s.at(now_s) == inputs.flow_mm3_s.at(end_s)
+    now_s, end_s = future.time_s, future.time_s + (p.ahead + 1) * p.aim_s
+    if abs(_wanted(inputs, now_s) - future.nodes.temp_c) >= SETTLED_C:
+        return False
+    if inputs.reference is not None and not inputs.reference.is_flat(now_s, end_s):
+        return False
+    if abs(inputs.flow_mm3_s.at(now_s) - future.nodes.flow) >= SETTLED_MM3_S:
+        return False
+    return not (inputs.flow_mm3_s.changes(now_s, end_s) or inputs.fan.changes(now_s, end_s))
 
 
 def _samples(
@@ -173,8 +206,8 @@ def model_step(
     at = future.nodes
     unlimited = future.choose(p.output_high)
     value = _limited(p, inputs, unlimited, state.output, hold_s)
-    calm = not p.ahead or _is_calm(p, future, value)
-    horizon = () if calm else _plan(p, future, value, hold_s)
+    calm = not p.ahead or _is_calm(p, future)
+    horizon = () if calm else _plan(p, future, value)
     per_output_w = heat_per_output_w(p, at.temp_c) * state.gain
     loss = hold_w(p, at.temp_c, inputs.flow_mm3_s.at(apply_s), inputs.fan.at(apply_s)) / per_output_w
     learned = -state.disturbance_w / per_output_w

@@ -29,6 +29,9 @@ from .model_plant import ModelParameters, Nodes, advance, at_rest, capacity_j_k,
 GAIN_LEAST, GAIN_MOST = 0.1, 10.0
 SURPRISE = 14.0  # innovation squared over its variance beyond which the disturbance is taken to have changed
 SURPRISED_W = 3.0  # by about this much at once
+# Innovations that lean one way: their sum, each in its own sigma and fading so fast a message, is 1.5 by chance.
+LEAN_KEEP, LEAN_MOST = 0.75, 4.5  # three times that: the disturbance moves ...
+LEAN_SHARE = 0.5  # ... by about this much of disturbance_start_w a message
 JUMP_C, JUMP_SIGMA = 3.0, 6.0  # farther off than this within a message no heat goes: the thermometer jumped
 JUMPED_C = 10.0  # 1 sigma of such a jump
 REBASED_SIGMA = 10.0  # a step of the drive may move the sensing law by this many of a sample's sigma
@@ -63,6 +66,7 @@ class ModelState(NamedTuple):
     driven: float = 0.0  # output in force at the newest measurement
     offset_c: float = 0.0  # taken off the readings ...
     offset_output: float = 0.0  # ... since the output stepped to this
+    lean: float = 0.0  # fading sum of innovations, each over its sigma
     sent: tuple[Planned, ...] = ()  # own outputs, where the caller does not tell what is pending
 
     @property
@@ -258,6 +262,7 @@ def _grouped(p: ModelParameters, samples: Sequence[Sample]) -> list[Sample]:
 def _walk(
     p: ModelParameters, state: ModelState, samples: Sequence[Sample], flow: Schedule, fan: Schedule
 ) -> _Run:
+    """Through the outputs of these samples; within one of them the expected temperature is a straight line."""
     nodes, now_s, heard_s = state.nodes, state.time_s, state.heard_s
     weight = pulled = passed = 0.0
     rebased_c, driven = 0.0, state.driven
@@ -265,16 +270,16 @@ def _walk(
     for sample in _grouped(p, samples):
         surroundings = flow.at(now_s), fan.at(now_s)
         drive = sample.output, state.gain, state.disturbance_w
-        middle_s = min(max(sample.time_s, now_s), sample.end_s)
-        nodes = advance(p, nodes, drive, surroundings, middle_s - now_s)
-        passed += sample.output * max(0.0, middle_s - now_s)
-        now_s = max(now_s, middle_s)
+        before, span_s = nodes, max(0.0, sample.end_s - now_s)
+        nodes = advance(p, nodes, drive, surroundings, span_s)
         if sample.temp_c == sample.temp_c:
             sigma_c = sample.sigma_c if sample.sigma_c > 0.0 else p.sigma_c
             share = 1.0 / (sigma_c * sigma_c)
             if offset_c and sample.output < OFFSET_SHARE * offset_output:
                 offset_c = 0.0
-            off_c = sample.temp_c - offset_c - nodes.sensor_c
+            since = min(1.0, max(0.0, (sample.time_s - now_s) / span_s)) if span_s else 1.0
+            expected_c = before.sensor_c + since * (nodes.sensor_c - before.sensor_c)
+            off_c = sample.temp_c - offset_c - expected_c
             if sample.rebased:
                 rebased_c = REBASED_SIGMA * sigma_c
                 if sample.output > driven and abs(off_c) > OFFSET_C + OFFSET_SIGMA * sigma_c:
@@ -283,9 +288,8 @@ def _walk(
             weight += share
             pulled += share * off_c
             heard_s, driven = sample.time_s, sample.output
-        nodes = advance(p, nodes, drive, surroundings, sample.end_s - now_s)
-        passed += sample.output * max(0.0, sample.end_s - now_s)
-        now_s = max(now_s, sample.end_s)
+        passed += sample.output * span_s
+        now_s += span_s
     elapsed_s = now_s - state.time_s
     output = passed / elapsed_s if elapsed_s > 0.0 else state.output
     mean_c = pulled / weight if weight else 0.0
@@ -323,6 +327,8 @@ def observe(
     run = _walk(p, state, samples, flow, fan)
     slopes = _slopes(p, places, run.nodes, state.gain, run.output, fan.at(run.time_s))
     rows = _spread(p, places, [list(row) for row in state.covariance], slopes, run.time_s - state.time_s)
+    moved_c = abs(run.nodes.temp_c - state.nodes.temp_c)
+    rows[places.disturbance][places.disturbance] += p.disturbance_w2_per_k * moved_c
     if not run.weight:
         covariance = tuple(map(tuple, rows))
         return state._replace(time_s=run.time_s, nodes=run.nodes, covariance=covariance)
@@ -335,12 +341,18 @@ def observe(
     noise = 1.0 / run.weight
     spread = rows[m][m] + noise
     surprise = run.innovation_c * run.innovation_c / spread
-    if surprise > SURPRISE and not loose_c:
+    lean = 0.0 if loose_c else LEAN_KEEP * state.lean + run.innovation_c / math.sqrt(spread)
+    if abs(lean) > LEAN_MOST:
+        rows[places.disturbance][places.disturbance] += (LEAN_SHARE * p.disturbance_start_w) ** 2
+    elif surprise > SURPRISE and not loose_c:
         rows[places.disturbance][places.disturbance] += SURPRISED_W * SURPRISED_W
     column = [row[m] for row in rows]
     gains = [value / spread for value in column]
     covariance = tuple(
-        tuple(v - k * c for v, c in zip(row, column, strict=True)) for row, k in zip(rows, gains, strict=True)
+        [
+            tuple([v - k * c for v, c in zip(row, column, strict=True)])
+            for row, k in zip(rows, gains, strict=True)
+        ]
     )
     by_c = run.innovation_c
     gain = min(GAIN_MOST, max(GAIN_LEAST, state.gain + gains[places.gain] * by_c))
@@ -359,5 +371,6 @@ def observe(
         run.driven,
         run.offset_c,
         run.offset_output,
+        lean,
         state.sent,
     )

@@ -15,11 +15,14 @@ from .timeline import Timing
 FADE_S = 0.045  # five control intervals: noise of the estimate is not chased
 FAN_W_K = 5e-3
 FLOW_LAG_S = 0.020  # compliance between motor and nozzle
-# Plan this far ahead: a host late by 50 ms has already said what to do.
-AHEAD_S = 0.060
-# Random walk of heat nobody told of, W within a second. Measured on the reference nozzle: 0.7, 1.5, 2 W give 0.07,
-# 0.08, 0.10 degC of ripple peak to peak and 0.9, 0.7, 0.6 degC at an unplanned flow of 25 mm3/s.
-DISTURBANCE_W = 1.5
+# Plan this far ahead. The output of a step holds from 15 to 23 ms after it; the next step is up to 25 ms later, 50 if
+# the host is late, and holds 23 ms after that: until then, 90 ms after the first, the MCU goes by the plan.
+AHEAD_S = 0.090
+# Random walk of heat nobody told of, W within a second, while nothing speaks for more (model_filter: lean, surprise).
+# On the reference nozzle 0.2, 0.3, 0.5, 1.5 W give 0.05, 0.06, 0.07, 0.11 degC of ripple peak to peak, and a host
+# late by 50 ms makes of them 0.06, 0.07, 0.09, 0.16; an unplanned flow of 25 mm3/s costs 0.7 degC with each.
+DISTURBANCE_W = 0.3
+DISTURBANCE_W2_PER_K = 0.012  # 1.6 W over a climb to 250 degC: losses wrong by 30 % are learned on the way
 DISTURBANCE_MAX_W = 20.0  # melt at any flow, a draught, losses wrong by half: 15 W
 
 
@@ -56,5 +59,6 @@ def nozzle_model(
         delay_s=timing.lead_s,
         ahead=round(AHEAD_S / stride_s),
         disturbance_w=DISTURBANCE_W,
+        disturbance_w2_per_k=DISTURBANCE_W2_PER_K,
         disturbance_max_w=DISTURBANCE_MAX_W,
     )

@@ -63,6 +63,9 @@ class ModelParameters:
     # Filter: what is uncertain, 1 sigma
     sigma_c: float = 0.05  # a measurement
     disturbance_w: float = 2.0  # change of the disturbance within a second, random walk
+    disturbance_w2_per_k: float = (
+        0.0  # its variance grows by this with the temperature: losses not quite known
+    )
     disturbance_start_w: float = 2.0
     disturbance_max_w: float = math.inf
     gain_start: float = 0.3  # relative, of the drive's gain
@@ -71,6 +74,8 @@ class ModelParameters:
     temp_walk_c: float = 0.02  # of each node, within a second
     gap_s: float = 5.0  # nothing heard for so long: begin anew
     step_s: float = field(init=False, default=LONGEST_STEP_S)  # of the integration
+    aim_s: float = field(init=False, default=0.0)  # the horizon H of one choice ...
+    fade: float = field(init=False, default=0.0)  # ... and the share of a small deviation left by then
     air_k4: float = field(init=False, default=0.0)  # fourth power of the air's absolute temperature
 
     def __post_init__(self) -> None:
@@ -83,6 +88,9 @@ class ModelParameters:
             lags.append(self.second_j_k / (self.link_w_k + self.second_loss_w_k))
         shortest = min((lag for lag in lags if lag > 0.0), default=math.inf)
         object.__setattr__(self, "air_k4", (self.ambient_c + ZERO_CELSIUS_K) ** 4)
+        aim_s = max(self.hold_s, self.horizon_s)
+        object.__setattr__(self, "aim_s", aim_s)
+        object.__setattr__(self, "fade", math.exp(-aim_s / self.fade_s) if self.fade_s > 0.0 else 0.0)
         object.__setattr__(self, "step_s", min(LONGEST_STEP_S, shortest / STEPS_PER_LAG))
 
     def _check(self) -> None:
@@ -93,6 +101,7 @@ class ModelParameters:
             *("loss_w_k", "radiation_m2", "second_j_k", "link_w_k", "second_loss_w_k", "element_j_k"),
             *("element_w_k", "sensor_s", "fan_w_k", "melt_ua_w_k", "melt_j_mm3_k", "bore_s", "flow_s"),
             *("horizon_s", "fade_s", "knee_c", "delay_s", "ahead", "disturbance_w", "disturbance_start_w"),
+            "disturbance_w2_per_k",
             *("gain_start", "gain_walk", "second_start", "temp_walk_c"),
         ):
             value = getattr(self, name)

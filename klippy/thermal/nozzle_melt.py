@@ -14,6 +14,9 @@ from dataclasses import dataclass, field
 
 from .model import HeatCapacity, LossLaw, loss_w
 
+WAY_STEP_C = 2.0
+LEAST_K_S = 0.5  # near the surroundings nothing cools any more; by then no plan is waited for
+
 
 @dataclass(frozen=True, slots=True)
 class MeltExchange:
@@ -74,6 +77,27 @@ def heating_k_s(limits: NozzleLimits, temp_c: float, flow_mm3_s: float) -> float
 def cooling_k_s(limits: NozzleLimits, temp_c: float, flow_mm3_s: float) -> float:
     """Fastest fall with the power off and the holder in balance, a positive number."""
     return hold_w(limits, temp_c, flow_mm3_s) / limits.capacity.at(temp_c)
+
+
+def idle_way(
+    limits: NozzleLimits, start_s: float, start_c: float, holder_c: float, end_c: float
+) -> list[tuple[float, float]]:
+    """Corners (s, degC) of the quickest way from one temperature to another without flow.
+
+    `holder_c`: nozzle temperature at which the holder is in balance at the start. Rates are those of the slower end
+    of each step.
+    """
+    now_s, now_c = start_s, start_c
+    corners = [(now_s, now_c)]
+    while now_c != end_c:
+        next_c = min(end_c, now_c + WAY_STEP_C) if end_c > now_c else max(end_c, now_c - WAY_STEP_C)
+        held_k_s = limits.holder_w_k * (next_c - holder_c) / limits.capacity.at(next_c)
+        up, down = heating_k_s(limits, next_c, 0.0) - held_k_s, cooling_k_s(limits, next_c, 0.0) + held_k_s
+        step_s = abs(next_c - now_c) / max(LEAST_K_S, up if end_c > now_c else down)
+        holder_c += (next_c - holder_c) * -math.expm1(-step_s / limits.holder_s)
+        now_s, now_c = now_s + step_s, next_c
+        corners.append((now_s, now_c))
+    return corners
 
 
 def highest_c(limits: NozzleLimits) -> float:

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
-from .records import TempEstimate
+from .blocks import REASONS
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,55 +37,23 @@ class SuperviseState:
     """Memory of the watch; times are print times."""
 
     fault: str = ""
-    heard_s: float = math.inf  # last block; inf until supervision starts
-    believed_s: float = math.inf  # last valid estimate
-    reason: str = ""  # why the last estimate was invalid
-    beyond: int = 0  # consecutive estimates beyond a limit
     demand_s: float = math.inf  # start of the present window of unmet demand
     demand_from_c: float = math.nan
     off_s: float = math.inf  # start of the present window with the heater off
     off_from_c: float = math.nan
 
 
-def start(state: SuperviseState, time_s: float) -> None:
-    """Supervision begins (or begins anew after a pause of the whole machine)."""
-    state.heard_s = state.believed_s = time_s
+def start(state: SuperviseState, seen: Any, time_s: float) -> None:
+    """Supervision begins (or begins anew after a pause of the whole machine). `seen`: see watch()."""
+    seen.heard_s = seen.believed_s = time_s
+    seen.beyond = 0
     state.demand_s = state.off_s = math.inf
-    state.beyond = 0
 
 
-def _limits(parameters: SuperviseParameters, state: SuperviseState, temp_c: float) -> str:
-    if parameters.temp_low_c <= temp_c <= parameters.temp_high_c:
-        state.beyond = 0
-        return ""
-    state.beyond += 1
-    if state.beyond < parameters.limit_blocks:
-        return ""
+def _limit(parameters: SuperviseParameters, temp_c: float) -> str:
     if temp_c > parameters.temp_high_c:
         return f"nozzle at {temp_c:.1f} C, above max_temp {parameters.temp_high_c:.1f} C"
     return f"nozzle at {temp_c:.1f} C, below min_temp {parameters.temp_low_c:.1f} C"
-
-
-def observe(
-    parameters: SuperviseParameters, state: SuperviseState, time_s: float, estimate: TempEstimate | None
-) -> str:
-    """A block ended at `time_s`.
-
-    `estimate` is None when the bridge was off, so that nothing could be measured.
-    """
-    state.heard_s = time_s
-    if state.fault or estimate is None:
-        return state.fault
-    if not parameters.calibrated:
-        state.believed_s = time_s
-        return ""
-    if not estimate.valid:
-        state.reason = estimate.reason
-        return ""
-    state.believed_s = time_s
-    state.reason = ""
-    state.fault = _limits(parameters, state, estimate.temp_c)
-    return state.fault
 
 
 def _gain(
@@ -125,6 +94,7 @@ def _stray(
 def watch(
     parameters: SuperviseParameters,
     state: SuperviseState,
+    seen: Any,
     time_s: float,
     temp_c: float,
     target_c: float,
@@ -132,15 +102,18 @@ def watch(
 ) -> str:
     """To be called regularly.
 
-    `temp_c` newest believed temperature, `power_fraction` requested / full power.
+    `seen`: what the blocks have shown, C's struct chain_watch. `temp_c` newest believed temperature,
+    `power_fraction` requested / full power.
     """
     if state.fault:
         return state.fault
-    if time_s - state.heard_s > parameters.silence_s:
-        state.fault = f"no samples from the induction unit for {time_s - state.heard_s:.1f} s"
-    elif time_s - state.believed_s > parameters.invalid_s:
-        why = state.reason or "no usable block"
-        state.fault = f"no believable nozzle temperature for {time_s - state.believed_s:.1f} s ({why})"
+    if seen.is_tripped:
+        state.fault = _limit(parameters, seen.tripped_c)
+    elif time_s - seen.heard_s > parameters.silence_s:
+        state.fault = f"no samples from the induction unit for {time_s - seen.heard_s:.1f} s"
+    elif time_s - seen.believed_s > parameters.invalid_s:
+        why = REASONS[seen.fault] or "no usable block"
+        state.fault = f"no believable nozzle temperature for {time_s - seen.believed_s:.1f} s ({why})"
     elif parameters.calibrated and not math.isnan(temp_c):
         demand = target_c - temp_c > parameters.demand_c and power_fraction >= parameters.demand_fraction
         state.fault = _gain(parameters, state, time_s, temp_c, demand)

@@ -20,8 +20,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 from . import actuator, features, model
+from .blocks import Blocks
 from .estimator import SENSING_PHASE_TICKS
-from .records import PHASE_MAX_TICKS, PhaseCommand, SampleBlock
+from .records import PHASE_MAX_TICKS, PhaseCommand
 
 POWERS_PERCENT = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0)
 
@@ -99,17 +100,17 @@ class Sweep:
         """A reading of the reference sensor, with the time it was taken."""
         self.recording.reference.append((time_s, temp_c))
 
-    def on_blocks(self, blocks: list[SampleBlock], now_s: float) -> list[PhaseCommand]:
+    def on_blocks(self, blocks: Blocks, now_s: float) -> list[PhaseCommand]:
         record = self.recording
-        for block in blocks:
+        if blocks:
             self._heard_s = now_s
+        for seen, block in zip(features.extract(self.parameters.front, blocks), blocks, strict=True):
             if self.over:
-                continue
-            seen = features.extract(self.parameters.front, block)
-            if block.phase_ticks and seen.fault:
+                break
+            if seen.phase_ticks and seen.fault:
                 self.abort(f"{seen.fault} at {100.0 * seen.power_fraction:.1f} % power")
                 break
-            error = seen.error_units if block.phase_ticks else 0.0
+            error = seen.error_units if seen.phase_ticks else 0.0
             record.blocks.append((seen.time_s, error, seen.phase_ticks, seen.count, block.duration_s))
         return self.on_timer(now_s)
 

@@ -10,6 +10,7 @@ the future is always the newest plan. Commands begin on edges between two blocks
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from .control_api import Planned
@@ -79,6 +80,21 @@ class Timeline:
     def pending(self, after_s: float, until_s: float) -> tuple[Planned, ...]:
         """Heat (W) of the commands that begin within this time."""
         return tuple(Planned(c.time_s, c.power_w) for c in self.commands if after_s <= c.time_s < until_s)
+
+    def strays(self, plan: Sequence[Planned], by_w: float) -> bool:
+        """Whether, from the plan's first time on, what was told differs from it by more than this anywhere."""
+        first_s = plan[0].time_s + TIME_SLACK_S
+        for planned in plan:
+            if abs(self.last_before(planned.time_s + TIME_SLACK_S).power_w - planned.value) > by_w:
+                return True
+        i = 0
+        for command in self.commands:
+            if command.time_s > first_s:
+                while i + 1 < len(plan) and plan[i + 1].time_s <= command.time_s + TIME_SLACK_S:
+                    i += 1
+                if abs(command.power_w - plan[i].value) > by_w:
+                    return True
+        return False
 
     def edge(self, timing: Timing, earliest_s: float) -> float:
         """First edge between two blocks not before `earliest_s`, given the commands already sent."""

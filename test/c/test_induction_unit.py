@@ -133,6 +133,49 @@ def test_short_blocks_go_out_three_together():
         assert after.clock == before.clock + 192 * PERIOD
 
 
+def test_batches_change_while_reports_run():
+    unit = Unit(y=4, block=(192, 3))
+    unit.report()
+    unit.mcu.run(0.02)
+    unit.mcu.send("induction_batch", oid=0, records=7)
+    unit.mcu.run(0.04)
+    unit.mcu.send("induction_batch", oid=0, records=3)  # what waits goes at once
+    unit.mcu.run(0.02)
+    records = unit.records()
+    sizes = [len(list(group)) for _, group in itertools.groupby(records, lambda r: r.message)]
+    assert sizes[:3] == [3, 3, 3] and sizes[-3:] == [3, 3, 3]
+    assert sizes.count(7) == 3  # 0.04 s are 25 blocks
+    assert [r.number for r in records] == list(range(len(records)))
+    for before, after in itertools.pairwise(records):
+        assert after.clock == before.clock + 192 * PERIOD
+
+
+def test_long_batches_of_long_records_are_divided_and_whole():
+    unit = Unit(y=4, block=(192, 7), max_duration=FREQ)
+    unit.mcu.sample_code = lambda clock: 20 if clock // PERIOD % 2 else 4000
+    unit.report()
+    unit.mcu.run(0.001)
+    for i in range(40):  # a phase step in the middle of every second block: cut, gap, phase and wide
+        unit.phase(9000 + 100 * (i % 2), 0.0005)
+        unit.mcu.run(0.0027)
+    records = unit.records()
+    assert len(records) > 60
+    sizes = [len(list(group)) for _, group in itertools.groupby(records, lambda r: r.message)]
+    assert min(sizes[:-1]) >= 3 and max(sizes) < 7
+    assert [r.number for r in records] == list(range(len(records)))
+    for before, after in itertools.pairwise(records):
+        between = (after.clock - before.clock) // PERIOD - before.count
+        assert between == after.discarded + after.lost
+
+
+@pytest.mark.parametrize("records", [0, 8])
+def test_a_batch_out_of_range_is_refused(records):
+    unit = Unit(y=4)
+    unit.mcu.send("induction_batch", oid=0, records=records)
+    unit.mcu.run(0.01)
+    assert unit.mcu.shutdown_reason() == "Invalid induction configuration"
+
+
 def test_a_wide_span_and_a_long_pause_come_through_whole():
     unit = Unit(y=4, block=(192, 3))
     unit.mcu.sample_code = lambda clock: 20 if clock // PERIOD % 2 else 4000
@@ -144,7 +187,7 @@ def test_a_wide_span_and_a_long_pause_come_through_whole():
     assert sum(r.discarded for r in records) == SETTLE
 
 
-@pytest.mark.parametrize(("samples", "records"), [(257, 2), (15, 2), (192, 0), (192, 4)])
+@pytest.mark.parametrize(("samples", "records"), [(257, 2), (15, 2), (192, 0), (192, 8)])
 def test_block_settings_out_of_range_are_refused(samples, records):
     unit = Unit(y=4)
     unit.mcu.send("config_induction_block", oid=0, samples=samples, records=records)

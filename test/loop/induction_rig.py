@@ -2,7 +2,7 @@
 
     InductionLoop ──PhaseCommand (down_s late)──> phase queue ─> plant.c (heat, tank, ADC)
          ^                                                          │ one code a bridge period
-         └── messages of three records (up_s late + jitter) <── block sums, cut at phase steps
+         └── messages of three or four records (up_s late + jitter) <── block sums, cut at phase steps
 
 The MCU model is written from the message contract, independent of src/: its blocks are packed to bytes and
 unpacked by thermal/convert.py, so that stage takes part. It refuses late commands (counted) and runs the
@@ -159,6 +159,7 @@ def _saturation(v: dict[str, float], k: float) -> tuple[float, float]:
 
 
 BLOCK_LEN, OVERSAMPLE, RECORDS = 192, 4, 3  # as [induction_heater] has them by default
+CALM_RECORDS = 4  # likewise, while nothing happens
 
 
 def default_parameters(**changes: Any) -> loop.LoopParameters:
@@ -266,8 +267,7 @@ class Rig:
         self.random = random.Random(seed)
         self.up_s, self.down_s, self.jitter_s = up_s, down_s, jitter_s
         self.drop = drop or (lambda _random: False)
-        self.convert = convert.ConvertParameters(OVERSAMPLE, PERIOD_TICKS, CLOCK_HZ, BLOCK_LEN)
-        self.convert_state = convert.ConvertState()
+        self.stream = convert.Stream(convert.ConvertParameters(OVERSAMPLE, PERIOD_TICKS, CLOCK_HZ, BLOCK_LEN))
         self.period = 0  # bridge periods since the start
         self.phase = 0
         self.late = 0  # commands that came after their time
@@ -278,6 +278,9 @@ class Rig:
         self._sum = self._count = self._max = self._first = self._discarded = 0
         self._min = 65535
         self._records: list[tuple[int, Row]] = []  # (first period, record)
+        self.sent_s: list[float] = []  # when the host sent commands
+        self._batch = RECORDS
+        self._batch_told: list[tuple[float, int]] = []  # (arrival at the MCU, records from then on)
         self._sequence = 0
         self._mail: list[tuple[float, int, int, bytes]] = []  # (arrival, sequence, clock, data)
         self._last_arrival = 0.0
@@ -323,12 +326,14 @@ class Rig:
 
     def _flush(self) -> None:
         """Send records together, fewer when one has waited long enough."""
+        while self._batch_told and self._batch_told[0][0] <= self.now_s:
+            self._batch = self._batch_told.pop(0)[1]
         while self._records:
             first, row = self._records[0]
             waited_s = (self.period - first - row.count) * PERIOD_S
-            if len(self._records) < RECORDS and waited_s < LONE_RECORD_S:
+            if len(self._records) < self._batch and waited_s < LONE_RECORD_S:
                 return
-            batch, self._records = self._records[:RECORDS], self._records[RECORDS:]
+            batch, self._records = self._records[: self._batch], self._records[self._batch :]
             base = batch[0][0]
             data = pack([row for _, row in batch], BLOCK_LEN)
             sequence, self._sequence = self._sequence, self._sequence + len(batch)
@@ -352,6 +357,7 @@ class Rig:
 
     def _send(self, commands: list[PhaseCommand]) -> None:
         if commands:  # a plan: what was pending from its first time on is void
+            self.sent_s.append(self.now_s)
             first = round(commands[0].time_s / PERIOD_S)
             self._queue = [entry for entry in self._queue if entry[0] < first]
         for command in commands:
@@ -360,6 +366,8 @@ class Rig:
                 self.late += 1
             assert not self._queue or period >= self._queue[-1][0], "commands out of order"
             self._queue.append((max(period, self.period), command.phase_ticks))
+        calm = self.driver is None and self.loop.is_calm(self.now_s)
+        self._batch_told.append((self.now_s + self.down_s, CALM_RECORDS if calm else RECORDS))
 
     def set_target(self, target_c: float) -> None:
         self._send(self.loop.set_target(target_c, self.now_s))
@@ -368,9 +376,7 @@ class Rig:
         now_s = self.now_s
         while self._mail and self._mail[0][0] <= now_s:
             _, sequence, clock, data = self._mail.pop(0)
-            blocks = convert.convert_message(
-                self.convert, self.convert_state, sequence, clock, data, lambda c: c / CLOCK_HZ
-            )
+            blocks = self.stream.take(sequence, clock, data, clock / CLOCK_HZ)
             self._send((self.driver or self.loop).on_blocks(blocks, now_s))
         if now_s >= self._timer_s:
             refresh_s = self.loop.parameters.timing.refresh_s

@@ -46,7 +46,7 @@ def test_a_signal_that_cannot_be_is_named(changes: dict[str, float], words: str)
 def test_too_little_noise_is_seen(noise_lsb: float, enough: bool) -> None:
     rig = Rig(Plant(3, noise_lsb=noise_lsb), default_parameters(law=TANK), 5)
     hold(rig, 3.0)
-    found = features.noise_lsb(rig.loop.state.noise)
+    found = rig.loop.chain.noise_lsb()
     assert found is not None
     assert (found >= features.NOISE_NEEDED_LSB) == enough
 

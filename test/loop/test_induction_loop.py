@@ -11,7 +11,8 @@ import random
 import numpy as np
 import pytest
 
-from loop.induction_rig import Plant, Rig, default_parameters
+from loop.induction_rig import CALM_RECORDS, RECORDS, Plant, Rig, default_parameters, true_law
+from thermal.control_api import Schedule
 
 TARGET_C = 250.0
 VARIATIONS = [
@@ -103,7 +104,7 @@ def test_lost_messages_are_counted_and_ridden_through() -> None:
 
     rig = Rig(Plant(3), default_parameters(), 5, drop=drop)
     heat(rig, 4.0)
-    assert rig.convert_state.missing_blocks > 5
+    assert rig.stream.counters.missing_blocks > 5
     assert (rig.watchdog_trips, rig.loop.fault) == (0, "")
     assert np.abs(skin(rig, 3.6) - TARGET_C).max() < 3.0
 
@@ -178,3 +179,37 @@ def test_silence_of_the_unit_stops_the_heating_before_the_fault() -> None:
     rig.run(1.0)
     assert "no samples" in rig.loop.fault
     assert rig.phase == 0
+
+
+def sizes_of_messages(rig: Rig, seconds: float) -> list[int]:
+    """Blocks that the host was given at a time."""
+    sizes: list[int] = []
+    take = rig.loop.on_blocks
+    rig.loop.on_blocks = lambda blocks, now_s: sizes.append(len(blocks)) or take(blocks, now_s)  # type: ignore[method-assign,func-returns-value]
+    rig.run(seconds)
+    del rig.loop.on_blocks
+    return sizes
+
+
+def test_a_calm_nozzle_is_reported_in_bulk_and_any_change_ends_that() -> None:
+    rig = Rig(Plant(3), default_parameters(law=true_law()), seed=5)
+    heat(rig, 3.0)
+    assert set(sizes_of_messages(rig, 0.2)) == {CALM_RECORDS}
+    commanded = len(rig.sent_s)
+    rig.run(1.0)
+    assert 45 <= len(rig.sent_s) - commanded <= 65  # a step each 16 to 20 ms
+    for change in (lambda: rig.set_target(TARGET_C + 5.0), lambda: rig.plant.set_inputs(8.0, 0.0)):
+        change()
+        rig.run(0.15)  # until 0.3 degC are missing, and a message each way
+        assert set(sizes_of_messages(rig, 0.1)) == {RECORDS}
+        rig.plant.set_inputs(0.0, 0.0)
+        rig.run(2.0)
+        assert set(sizes_of_messages(rig, 0.1)) == {CALM_RECORDS}
+
+
+def test_planned_extrusion_ends_the_calm_before_it_begins() -> None:
+    rig = Rig(Plant(3), default_parameters(law=true_law()), seed=5)
+    heat(rig, 3.0)
+    rig.loop.flow = Schedule((rig.now_s + 0.2,), (10.0,), 0.0)
+    rig.run(0.05)
+    assert set(sizes_of_messages(rig, 0.1)) == {RECORDS}

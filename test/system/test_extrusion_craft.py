@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from extras import extrusion
 from system.conftest import CONFIG, Simulate, square
-from thermal.extrusion import DieSwell, exit_diameter
+from thermal.extrusion import DieSwell, Overrun, exit_diameter
 
 
 def config(folder: Path, more: str) -> Path:
@@ -67,18 +69,74 @@ def test_die_swell_is_fitted_from_measured_strands(simulate: Simulate, tmp_path:
     assert float(found[2]) == pytest.approx(truth.gain_s, rel=0.02)
 
 
-def test_ooze_is_pushed_back_by_the_model(simulate: Simulate, tmp_path: Path) -> None:
+HOT = "M104 S215\nG28\nG1 Z40 F1200\nM109 S215\nM83\n"
+
+
+def test_strands_come_at_the_speeds_asked_for_whatever_the_overrides(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    gcode = (
+        HOT + "M82\nG92 E0\nM220 S50\nM221 S80\nEXTRUSION_CALIBRATE SPEEDS=1,4 PAUSE=1\nG1 E5 F240\nM400\n"
+    )
+    run = simulate(gcode, config=config(tmp_path, "[extrusion]\n"))
+    assert run.status == 0, run.stderr
+    feed_mm_s = np.array(run.column("flow_mm3_s")) / (math.pi / 4.0 * 1.75**2)
+    for speed_mm_s in (1.0, 4.0):
+        at_speed_s = 0.01 * np.count_nonzero(np.abs(feed_mm_s - speed_mm_s) < 0.15)
+        assert at_speed_s == pytest.approx(15.0 / speed_mm_s, rel=0.15)  # all but the ends
+    # 2 strands of 15 mm, then 5 mm at 80 %: M82 and M221 count again
+    assert run.column("e_mm")[-1] == pytest.approx(34.0, abs=0.02)
+
+
+def test_ooze_is_pushed_back_by_the_model_once(simulate: Simulate, tmp_path: Path) -> None:
+    """The wait is still queued as the commands are read."""
     log = tmp_path / "log"
     more = "[extrusion]\noverrun_length: 1.5\noverrun_time: 3\n"
-    gcode = "M104 S215\nG28\nM83\nM109 S215\nG1 E10 F240\nM400\nG4 P3000\nM400\nPRIME_OOZE\nM400\n"
+    gcode = HOT + "G1 E10 F240\nM400\nG4 P3000\nPRIME_OOZE\nPRIME_OOZE\nM400\n"
     run = simulate(gcode, config=config(tmp_path, more), more=["--log", str(log)])
     assert run.status == 0, run.stderr
-    pushed = re.search(r"Pushed ([0-9.]+) mm", log.read_text())
-    assert pushed is not None
+    pushed = re.findall(r"Pushed ([0-9.]+) mm", log.read_text())
+    assert len(pushed) == 1 and "Nothing has oozed" in log.read_text()
     # 1.5 (1 - exp(-3/3)) = 0.948 mm; motion ends and is looked at within 0.5 s
-    assert float(pushed[1]) == pytest.approx(0.948, abs=0.12)
-    e = run.column("e_mm")
-    assert e[-1] - 10.0 == pytest.approx(float(pushed[1]), abs=0.02)
+    assert float(pushed[0]) == pytest.approx(0.948, abs=0.12)
+    assert run.column("e_mm")[-1] - 10.0 == pytest.approx(float(pushed[0]), abs=0.02)
+
+
+def test_what_a_cold_spell_pushes_out_is_made_good_too(simulate: Simulate, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    more = "[extrusion]\noverrun_length: 1.5\noverrun_time: 3\noverrun_reheat: 5\n"
+    gcode = HOT + "G1 E10 F240\nM400\nM104 S0\nG4 P30000\nM400\nM109 S215\nPRIME_OOZE\nM400\n"
+    run = simulate(gcode, config=config(tmp_path, more), more=["--log", str(log)])
+    assert run.status == 0, run.stderr
+    assert min(run.column("true_c")[-1000:]) < 170.0  # it was cold
+    assert run.column("e_mm")[-1] - 10.0 == pytest.approx(1.5 + 5.0, abs=0.02)
+
+
+class ColdPrinter:
+    """Its G-code refuses to extrude, as of a cold nozzle."""
+
+    def __init__(self) -> None:
+        self.ran: list[str] = []
+
+    def lookup_object(self, name: str) -> ColdPrinter:
+        return self
+
+    def get_reactor(self) -> None:
+        return None
+
+    def run_script_from_command(self, script: str) -> None:
+        self.ran += script.split("\n")
+        if "G1" in script:
+            raise RuntimeError("Extrude below minimum temp")
+
+
+def test_a_refused_push_leaves_the_modes_of_extrusion_as_they_were() -> None:
+    printer = ColdPrinter()
+    craft = extrusion.Extrusion(printer, None, Overrun(1.5, 2.0), 1.75, 2.0)
+    with pytest.raises(RuntimeError, match="minimum temp"):
+        craft._extrude(["G1 E1 F120"])
+    first, last = printer.ran[0], printer.ran[-1]
+    assert first.startswith("SAVE_GCODE_STATE") and last == first.replace("SAVE", "RESTORE")
 
 
 @pytest.mark.parametrize(
@@ -87,6 +145,11 @@ def test_ooze_is_pushed_back_by_the_model(simulate: Simulate, tmp_path: Path) ->
         ("EXTRUSION_CALIBRATE SPEEDS=1,two WIDTHS=0.4,0.5", "numbers with commas"),
         ("EXTRUSION_CALIBRATE SPEEDS=1 WIDTHS=0.4", "two different speeds"),
         ("EXTRUSION_CALIBRATE SPEEDS=1,2 WIDTHS=0.4,-1", "above zero"),
+        ("EXTRUSION_CALIBRATE SPEEDS=1,2 WIDTHS=0.5,0.4", "thinner as the speed rises"),
+        ("EXTRUSION_CALIBRATE SPEEDS=1,2", "too cold"),
+        (HOT + "EXTRUSION_CALIBRATE SPEEDS=1,500", "slower than asked for"),
+        (HOT + "EXTRUSION_CALIBRATE SPEEDS=4 LENGTH=99", "LENGTH=99 is more than"),
+        (HOT + "G1 Z0.2\nEXTRUSION_CALIBRATE SPEEDS=1", "20 mm of air"),
         ("EXTRUSION_CALIBRATE", "SPEEDS"),
         ("PRIME_OOZE", "overrun_length"),
     ],
@@ -95,5 +158,6 @@ def test_a_bad_command_says_what_would_be_right(
     simulate: Simulate, tmp_path: Path, line: str, words: str
 ) -> None:
     log = tmp_path / "log"
-    simulate(line + "\n", config=config(tmp_path, "[extrusion]\n"), more=["--log", str(log)])
+    more = "[extruder]\nmax_extrude_only_distance: 50\n[extrusion]\n"
+    simulate(line + "\n", config=config(tmp_path, more), more=["--log", str(log)])
     assert words in log.read_text()

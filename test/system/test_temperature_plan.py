@@ -126,7 +126,7 @@ def test_a_print_that_waits_or_slows_is_laid_as_asked(simulate: Simulate, tmp_pa
     """Whatever stretches the print, the melt under way is that which was asked for, and nothing is left behind."""
     record = tmp_path / "rows.csv"
     lines = [f"G1 X{90 if i % 2 else 40} Y{40 + i} E{LINE_E:.4f} F2400\n" for i in range(4)]
-    gcode = f"{START}M104.1 S228\n{''.join(lines[:2])}{how}{''.join(lines[2:])}M104.1 S0\nM400\nG4 P4000\n"
+    gcode = f"{START}M104.1 S228\n{''.join(lines[:2])}{how}{''.join(lines[2:])}M104.1 S0\nM400\nG4 P9000\n"
     more = f"record: {record}\n"
     run = simulate(gcode, config=config(tmp_path, more))
     assert run.status == 0, run.stderr
@@ -224,16 +224,16 @@ def planned_run(simulate: Simulate, folder: Path, gcode: str, more: str = "", ar
 
 
 def test_a_pause_holds_the_users_target_and_resume_the_plan(simulate: Simulate, tmp_path: Path) -> None:
-    """Paused for 12 s: what is queued is laid as planned, then 215; the rest as planned again, nothing is lost."""
+    """Paused for 16 s: what is queued is laid as planned, then 215; the rest as planned again, nothing is lost."""
     more = (
         "[pause_resume]\n[delayed_gcode later]\ngcode:\n  RESUME\n"
         "[gcode_macro PAUSE]\nrename_existing: BASE_PAUSE\nvariable_target: 0\ngcode:\n  BASE_PAUSE\n"
         "  SET_GCODE_VARIABLE MACRO=PAUSE VARIABLE=target VALUE={printer.extruder.target}\n"
-        "  UPDATE_DELAYED_GCODE ID=later DURATION=12\n"
+        "  UPDATE_DELAYED_GCODE ID=later DURATION=16\n"
         "[gcode_macro RESUME]\nrename_existing: BASE_RESUME\ngcode:\n"
         '  M104 S{printer["gcode_macro PAUSE"].target}\n  BASE_RESUME\n'
     )
-    gcode = f"{lines(4)}PAUSE\n{lines(4, 50.0)}M400\nG4 P4000\nM400\n"
+    gcode = f"{lines(4)}PAUSE\n{lines(4, 50.0)}M400\nG4 P9000\nM400\n"
     run, rows, _ = planned_run(simulate, tmp_path, gcode, more, ("--until", "200"))
     assert run.summary["reason"] == "printed to its end"
     laid = rows[np.isfinite(rows["interface_c"])]
@@ -244,9 +244,9 @@ def test_a_pause_holds_the_users_target_and_resume_the_plan(simulate: Simulate, 
     gap = np.argmax(np.diff(extruding))
     paused = slice(extruding[gap], extruding[gap + 1])
     assert 0.01 * (paused.stop - paused.start) > 8.0
-    assert (
-        np.abs(target[paused][500:-300] - 215.0).max() < 0.1
-    )  # home within 5 s, off again shortly before the road
+    # home as fast as a nozzle without flow cools, 38 degC in 7 s (10 degC/s in the beginning, but its holder stays
+    # warm), off again shortly before the road
+    assert np.abs(target[paused][750:-300] - 215.0).max() < 0.1
     middle = slice(extruding[gap + 1] + 200, extruding[-1] - 100)
     assert target[middle].min() > 235.0  # as before the pause: 228 in the melt
     assert target[-1] == pytest.approx(
@@ -308,7 +308,7 @@ sensor_pin: PG3
 def test_another_tools_roads_are_left_out(simulate: Simulate, tmp_path: Path) -> None:
     """Only roads of the planned nozzle are in the books, and while the other prints it goes to the user's target."""
     gcode = (
-        f"{lines(4)}ACTIVATE_EXTRUDER EXTRUDER=extruder1\n{lines(6, 50.0)}"
+        f"{lines(4)}ACTIVATE_EXTRUDER EXTRUDER=extruder1\n{lines(10, 50.0)}"
         f"ACTIVATE_EXTRUDER EXTRUDER=extruder\n{lines(4, 60.0)}M400\nG4 P3000\nM400\n"
     )
     run, rows, _ = planned_run(simulate, tmp_path, gcode, SECOND_TOOL)
@@ -318,4 +318,4 @@ def test_another_tools_roads_are_left_out(simulate: Simulate, tmp_path: Path) ->
     extruding = np.flatnonzero(flow > 1.0)
     gap = np.argmax(np.diff(extruding))
     other = target[extruding[gap] : extruding[gap + 1]]
-    assert len(other) > 600 and np.abs(other[500:-250] - 215.0).max() < 0.1
+    assert len(other) > 1100 and np.abs(other[750:-250] - 215.0).max() < 0.1  # 7 s as in a pause

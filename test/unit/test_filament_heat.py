@@ -11,6 +11,7 @@ from scipy.linalg import solve_banded
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "klippy"))
 
 from thermal import extrusion, filament_heat, weld
+from thermal.materials import MATERIALS
 
 CHI = 1.5e-7  # ABS as printed in source 004
 TOLERANCE_C = 0.1  # the issue's limit; the grids below are fine enough for a third of it
@@ -130,6 +131,46 @@ def test_interface_of_equal_media_is_the_mean_and_of_unlike_ones_leans_to_the_ef
     assert weld.bonds(136.0, 135.0) and not weld.bonds(136.0, 135.0, margin_c=2.0)
 
 
+def contact(hot_c, cold_c, hot, cold, cells=600, dx=5e-6, step_s=5e-4, steps=300):
+    """Temperature of the face between two bodies, (k, rho, cp) each, at the end of each step: implicit finite
+    differences of heat fluxes on one grid, which know of no effusivity.
+    """
+    conductivity = np.repeat([hot[0], cold[0]], cells)
+    mass = np.repeat([hot[1] * hot[2], cold[1] * cold[2]], cells) * dx
+    half = 0.5 * dx / conductivity  # thermal resistance from a cell's middle to its face
+    link = 1.0 / (half[:-1] + half[1:])
+    bands = np.zeros((3, 2 * cells))
+    bands[1] = mass / step_s
+    bands[1, :-1] += link
+    bands[1, 1:] += link
+    bands[0, 1:] = bands[2, :-1] = -link
+    temps, faces = np.where(np.arange(2 * cells) < cells, float(hot_c), float(cold_c)), []
+    for _ in range(steps):
+        temps = solve_banded((1, 1), bands, mass / step_s * temps)
+        flux = link[cells - 1] * (temps[cells - 1] - temps[cells])
+        faces.append(temps[cells - 1] - flux * half[cells - 1])
+    assert temps[[0, -1]] == pytest.approx([hot_c, cold_c], abs=1e-3)  # still half spaces
+    return np.array(faces)
+
+
+@pytest.mark.parametrize(
+    ("hot", "cold"),
+    [
+        (MATERIALS["HDPE"], (0.25, 950.0, 2200.0)),  # itself: the mean
+        (MATERIALS["PEI"], (0.13, 1240.0, 1800.0)),  # on PLA
+        (MATERIALS["ABS"], (1.1, 2500.0, 800.0)),  # on a glass plate
+        (MATERIALS["PLA"], (0.035, 30.0, 1400.0)),  # on foam board, which source 002 laid HDPE on
+    ],
+)
+def test_contact_of_two_media_agrees_with_finite_differences(hot, cold):
+    """Half spaces take the contact's temperature at once and keep it; source 002 weighted by heat capacity instead."""
+    hot_e = weld.effusivity(hot.conductivity_w_mk, hot.density_kg_m3, hot.heat_j_kgk)
+    cold_e = weld.effusivity(*cold)
+    medium = (hot.conductivity_w_mk, hot.density_kg_m3, hot.heat_j_kgk)
+    faces = contact(200.0, 20.0, medium, cold)
+    assert faces[50:] == pytest.approx(weld.interface_c(200.0, 20.0, hot_e, cold_e), abs=TOLERANCE_C)
+
+
 def test_die_swell_of_source_002_and_its_fit():
     swell = extrusion.DieSwell(0.93, 0.09)  # 3 mm/s out: 1.2 mm
     feed = 3.0 * 1.2**2 / 3.0**2
@@ -141,8 +182,19 @@ def test_die_swell_of_source_002_and_its_fit():
         extrusion.fit_die_swell([1.0, 1.0], [1.0, 1.1], 3.0)
 
 
-def test_ooze_grows_to_its_total():
+def test_strands_that_do_not_swell_and_strands_that_cannot_be():
+    flat = extrusion.fit_die_swell([1.0, 2.0, 4.0], [0.42, 0.42, 0.41], 1.75)  # 0.01 mm is what calipers err
+    assert flat == extrusion.DieSwell(pytest.approx(1.25 / 3.0), 0.0)
+    with pytest.raises(ValueError, match="thinner as the speed rises"):
+        extrusion.fit_die_swell([1.0, 2.0, 4.0], [0.50, 0.48, 0.44], 1.75)
+    with pytest.raises(ValueError, match="widths are in mm"):
+        extrusion.fit_die_swell([1.0, 2.0, 4.0], [450.0, 480.0, 520.0], 1.75)
+
+
+def test_ooze_grows_to_its_total_and_a_cold_spell_adds_to_it():
     overrun = extrusion.Overrun(12.0, 3.0)
     assert extrusion.oozed_mm(overrun, 0.0) == 0.0
     assert extrusion.oozed_mm(overrun, 3.0) == pytest.approx(12.0 * (1 - math.exp(-1)))
     assert extrusion.oozed_mm(overrun, 300.0) == pytest.approx(12.0)
+    cold = extrusion.Overrun(4.0, 3.0, reheat_mm=15.0)  # source 002
+    assert extrusion.oozed_mm(cold, 300.0, reheated=True) == pytest.approx(19.0)

@@ -11,7 +11,7 @@ import pytest
 from configtext import ConfigError
 from extras import heater_bed, heater_generic, heaters, induction_heater, temperature_sensor, verify_heater
 from loop.block_codec import Row, pack
-from thermal import estimator
+from thermal import laws
 from unit.heater_fakes import CommandError, FakeCommand, FakePrinter
 
 CONFIG = """
@@ -281,7 +281,7 @@ def test_verify_shuts_the_printer_down_in_plain_words() -> None:
 
 
 def blocks(temp: float, phase: int, count: int = 2) -> bytes:
-    error = estimator.error_of(estimator.ExpLaw(), temp, phase)
+    error = laws.ExpLaw().error(temp, phase)
     value = int((256.0 + error) * 192) >> 4
     return pack([Row(192, value, phase, 200, 900)] * count, 192)
 
@@ -344,9 +344,12 @@ def test_blocks_become_temperature_and_phase_commands_ahead_of_time() -> None:
         "target": 250.0,
         "power": 1.0,
     }
-    clocks = [clock for _, clock, _ in printer.mcu.sent]
+    plans = [message for message in printer.mcu.sent if len(message) == 3]
+    clocks = [clock for _, clock, _ in plans]
     assert len(clocks) == 2  # the second takes the place of the first, which was for later
-    assert struct.unpack("<HH", printer.mcu.sent[-1][2][:4]) == (0, 45000)
+    assert struct.unpack("<HH", plans[-1][2][:4]) == (0, 45000)
+    batches = [message for message in printer.mcu.sent if len(message) == 2]
+    assert batches == [[3, 4], [3, 3]]  # records a message: off, then in a hurry
     assert clocks[-1] > 100.0 * 72e6 + 0.004 * 72e6
     detail = printer.lookup_object("induction_heater nozzle").get_status(100.0)
     assert detail["estimate"] == pytest.approx(200.0, abs=0.1)

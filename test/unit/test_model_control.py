@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from dataclasses import replace
 
 import pytest
@@ -109,6 +110,28 @@ def test_the_filter_tells_a_weak_drive_from_a_draught() -> None:
     assert state.gain == pytest.approx(1.0, abs=0.05)
 
 
+def test_readings_that_lean_one_way_move_the_disturbance_and_noise_does_not() -> None:
+    """Heat nobody told of, 3 W: a walk of 0.3 W in a second alone would take most of a second for it."""
+    p, noise = replace(NOZZLE, disturbance_w=0.3), random.Random(1)
+    truth = Truth(p, 250.0, 0.005)
+    state = model_filter.taken_over(p, model_filter.begin(p, 250.0, 0.0), 0.0)
+    held_w = hold_w(p, 250.0, 0.0, 0.0)
+
+    def run(messages: int) -> None:
+        nonlocal state
+        for _ in range(messages):
+            seen = truth.sample(held_w)
+            state = model_filter.observe(
+                p, state, [seen._replace(temp_c=seen.temp_c + noise.gauss(0.0, 0.05))]
+            )
+
+    run(400)
+    assert abs(state.disturbance_w) < 0.5
+    truth.disturbance_w = -3.0
+    run(40)
+    assert state.disturbance_w == pytest.approx(-3.0, abs=0.6)  # within 0.2 s
+
+
 def test_a_lagging_sensor_is_looked_through() -> None:
     p = replace(BLOCK, sensor_s=1.5, sigma_c=0.05)
     truth = Truth(p, 25.0, 0.3)
@@ -197,6 +220,65 @@ def test_flow_to_come_is_fed_forward() -> None:
     flowing, _ = model_step(NOZZLE, known(250.0), ask(250.0, 250.0, flow_mm3_s=flow), 10.0)
     melt_w = model_plant.melt_w_k(NOZZLE, 13.0) * 225.0
     assert flowing.value - still.value == pytest.approx(melt_w, rel=0.2)
+
+
+def stepped_on_time(flow: Schedule, temp_c: float, apply_s: float) -> list[Planned]:
+    """What the law says stride by stride if it is asked anew at each, the plant being its model."""
+    state, said, h = known(temp_c), [], NOZZLE.hold_s
+    nodes = advance(NOZZLE, state.nodes, (5.0, 1.0, 0.0), (0.0, 0.0), apply_s - 10.0)
+    for i in range(NOZZLE.ahead + 1):
+        at_s = apply_s + i * h
+        state = state._replace(time_s=at_s, nodes=nodes)
+        inputs = ControlInput(250.0, math.nan, applied=5.0, apply_s=at_s, pending=(), flow_mm3_s=flow)
+        seen = (Sample(at_s, at_s, math.nan, 0.0, 5.0),)
+        output, _ = model_step(NOZZLE, state, inputs._replace(samples=seen), at_s)
+        said.append(Planned(at_s, output.value))
+        surroundings = flow.at(at_s + 0.5 * h), 0.0
+        nodes = advance(NOZZLE, nodes, (output.value, 1.0, 0.0), surroundings, h)
+    return said
+
+
+@pytest.mark.parametrize("temp_c", [249.0, 250.0, 250.1])
+@pytest.mark.parametrize("flow_s", [10.021, 10.043])
+def test_the_plan_is_what_a_host_on_time_would_say(temp_c: float, flow_s: float) -> None:
+    flow = Schedule((flow_s,), (25.0,))
+    asked = ask(temp_c, 250.0, flow_mm3_s=flow)
+    output, _ = model_step(NOZZLE, known(temp_c), asked, 10.0)
+    plan = Schedule(
+        tuple(planned.time_s for planned in output.horizon),
+        tuple(planned.value for planned in output.horizon),
+        output.value,
+    )
+    on_time = stepped_on_time(flow, temp_c, 10.02)
+    told_j = sum(plan.at(said.time_s + 1e-4) * NOZZLE.hold_s for said in on_time)
+    asked_j = sum(said.value * NOZZLE.hold_s for said in on_time)
+    assert told_j == pytest.approx(asked_j, abs=0.02)  # 0.05 degC of this nozzle
+    for said in on_time[:6]:
+        assert plan.at(said.time_s + 1e-4) == pytest.approx(said.value, abs=0.02 * 81.3)
+
+
+def test_flow_that_begins_within_the_plan_is_in_it_and_later_flow_makes_none() -> None:
+    end_s = 10.02 + (NOZZLE.ahead + 1) * NOZZLE.hold_s
+    soon, _ = model_step(
+        NOZZLE, known(250.0), ask(250.0, 250.0, flow_mm3_s=Schedule((end_s - 0.02,), (25.0,))), 10.0
+    )
+    assert soon.horizon and soon.horizon[-1].value > soon.value + 1.0
+    later, _ = model_step(
+        NOZZLE, known(250.0), ask(250.0, 250.0, flow_mm3_s=Schedule((end_s + 0.01,), (25.0,))), 10.0
+    )
+    assert not later.horizon
+    blip = Schedule((10.04, 10.06), (25.0, 0.0))  # the same before and after
+    within, _ = model_step(NOZZLE, known(250.0), ask(250.0, 250.0, flow_mm3_s=blip), 10.0)
+    assert within.horizon
+
+
+def test_a_plan_fits_one_message() -> None:
+    """Ten steps, the first output among them, with the product's own 90 ms."""
+    p = replace(NOZZLE, ahead=11, fade_s=0.045)
+    flow = Schedule(tuple(10.0 + 0.005 * i for i in range(40)), tuple(25.0 * (i % 3) for i in range(40)))
+    for temp_c in (230.0, 243.0, 249.0, 250.0, 251.0):
+        output, _ = model_step(p, known(temp_c), ask(temp_c, 250.0, flow_mm3_s=flow), 10.0)
+        assert 1 + len(output.horizon) <= 10
 
 
 def test_a_ramp_ahead_is_begun_in_time() -> None:

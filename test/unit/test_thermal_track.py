@@ -3,35 +3,46 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
 
-from thermal import features, model, plausible, track
+from thermal import blocks, features, model, plausible, track
 from thermal.records import SampleBlock, TempEstimate
+from unit.chain_rig import FFI, LIB, new_chain, told
 
 BLOCK_S = 0.0016
 LOSS, HEAT = model.LossLaw(), model.HeatCapacity()
-PARAMETERS = track.TrackParameters(LOSS, HEAT)
+CHAIN = new_chain(filtered=track.TrackParameters(LOSS, HEAT))
 
 
-def block(n: int, phase: int = 8000, span: int = 6) -> SampleBlock:
-    return SampleBlock(n, 0, n * BLOCK_S, BLOCK_S, 192, 500.0, 497, 497 + span, phase, 0, 0)
+class Filter:
+    """The filter alone: blocks whose temperature and heat are told."""
+
+    def __init__(self) -> None:
+        self.state: Any = FFI.new("struct track_state *")
+        LIB.track_reset(self.state)
+        self._parameters = FFI.addressof(told(CHAIN), "track")
+
+    def block(self, n: int, power_w: float, temp_c: float, noise_c: float = 0.1) -> TempEstimate | None:
+        one = blocks.Blocks()
+        one.count = 1
+        raw = one.raw[0]
+        raw.time_s, raw.duration_s, raw.phase_ticks = n * BLOCK_S, BLOCK_S, 8000
+        raw.centre_s, raw.end_s, raw.heat_w = (n + 0.5) * BLOCK_S, (n + 1) * BLOCK_S, power_w
+        raw.temp_c, raw.sigma_c, raw.noise_c, raw.c_per_unit = temp_c, 1.0, noise_c, 1.3
+        LIB.track_block(self._parameters, self.state, one.raw)
+        return one.tracked(0)
 
 
-def seen(n: int, temp_c: float, noise_c: float = 0.1) -> TempEstimate:
-    return TempEstimate((n + 0.5) * BLOCK_S, temp_c, 1.0, noise_c, 1.3, 8000, True, "")
-
-
-def run(temps: np.ndarray, power_w: np.ndarray, noise_c: float) -> tuple[np.ndarray, track.TrackState]:
-    state, out = track.TrackState(), []
+def run(temps: np.ndarray, power_w: np.ndarray, noise_c: float) -> tuple[np.ndarray, Filter]:
+    filtered, out = Filter(), []
     random = np.random.default_rng(1)
     for n, (temp, watts) in enumerate(zip(temps, power_w, strict=True)):
-        got = track.track(
-            PARAMETERS, state, block(n), watts, seen(n, temp + random.normal(0, noise_c), noise_c)
-        )
+        got = filtered.block(n, watts, temp + random.normal(0, noise_c), noise_c)
         out.append(got.temp_c if got else math.nan)
-    return np.array(out), state
+    return np.array(out), filtered
 
 
 def test_at_rest_it_is_as_quiet_as_seventeen_bits() -> None:
@@ -55,30 +66,30 @@ def test_heat_nobody_told_of_is_found_within_its_memory() -> None:
     """Extrusion takes 13 K/s from one block to the next: harder than 50 ms of a real melt."""
     time_s = np.arange(1500) * BLOCK_S
     temps = 250.0 - np.where(time_s > 1.0, 13.0 * (time_s - 1.0), 0.0)
-    out, state = run(temps, np.full(1500, model.loss_w(LOSS, 250.0)), 0.1)
+    out, on = run(temps, np.full(1500, model.loss_w(LOSS, 250.0)), 0.1)
     assert np.abs(out[200:] - temps[200:]).max() < 0.5
-    assert state.rate_k_s == pytest.approx(-13.0, abs=3.0)
+    assert on.state.rate_k_s == pytest.approx(-13.0, abs=3.0)
 
 
 def test_one_wild_block_is_left_out_and_several_are_believed() -> None:
-    _, state = run(np.full(500, 200.0), np.full(500, 3.0), 0.1)
-    assert track.track(PARAMETERS, state, block(500), 3.0, seen(500, 320.0)) is None
-    good = track.track(PARAMETERS, state, block(501), 3.0, seen(501, 200.0))
+    _, on = run(np.full(500, 200.0), np.full(500, 3.0), 0.1)
+    assert on.block(500, 3.0, 320.0) is None
+    good = on.block(501, 3.0, 200.0)
     assert good is not None and good.temp_c == pytest.approx(200.0, abs=0.5)
-    results = [track.track(PARAMETERS, state, block(n), 3.0, seen(n, 320.0)) for n in range(502, 506)]
+    results = [on.block(n, 3.0, 320.0) for n in range(502, 506)]
     assert results[:3] == [None] * 3
     assert results[3] is not None and results[3].temp_c == 320.0
 
 
 def test_after_a_long_silence_it_starts_anew() -> None:
-    _, state = run(np.full(100, 200.0), np.full(100, 3.0), 0.1)
-    got = track.track(PARAMETERS, state, block(1000), 0.0, seen(1000, 120.0))
+    _, on = run(np.full(100, 200.0), np.full(100, 3.0), 0.1)
+    got = on.block(1000, 0.0, 120.0)
     assert got is not None and got.temp_c == 120.0
 
 
 def test_uncertainty_holds_the_laws_part_and_shrinks_only_the_noise() -> None:
-    _, state = run(np.full(300, 200.0), np.full(300, 3.0), 0.1)
-    got = track.track(PARAMETERS, state, block(300), 3.0, seen(300, 200.0))
+    _, on = run(np.full(300, 200.0), np.full(300, 3.0), 0.1)
+    got = on.block(300, 3.0, 200.0)
     assert got is not None
     assert got.sigma_noise_c < 0.06
     assert got.sigma_c >= math.sqrt(1.0 - 0.01)  # 1.0 in all, 0.1 of it noise
@@ -90,14 +101,13 @@ def test_uncertainty_holds_the_laws_part_and_shrinks_only_the_noise() -> None:
 @pytest.mark.parametrize("noise_lsb", [0.15, 0.3, 0.5, 1.0, 3.0])
 def test_noise_is_told_from_the_span_of_blocks(noise_lsb: float) -> None:
     random = np.random.default_rng(5)
-    state = features.NoiseState()
+    chain = new_chain()
     for n in range(400):
         codes = np.floor(500.0 + random.uniform() + noise_lsb * random.standard_normal(192) + 0.5)
         low, high = int(codes.min()), int(codes.max())
-        features.note_noise(
-            state, SampleBlock(n, 0, 0.0, BLOCK_S, 192, float(codes.mean()), low, high, 8000, 0, 0)
-        )
-    got = features.noise_lsb(state)
+        block = SampleBlock(n, 0, n * BLOCK_S, BLOCK_S, 192, float(codes.mean()), low, high, 8000, 0, 0)
+        chain.take(blocks.Blocks.of([block]))
+    got = chain.noise_lsb()
     assert got == pytest.approx(noise_lsb, rel=0.1)
     assert (got < features.NOISE_NEEDED_LSB * 0.95) == (noise_lsb == 0.15)
 

@@ -1,0 +1,42 @@
+"""What was told to the bridge, against what is meant now."""
+
+from __future__ import annotations
+
+import pytest
+
+from thermal.control_api import Planned
+from thermal.records import PhaseCommand
+from thermal.timeline import Timeline
+
+TOLD = ((1.00, 5.0), (1.02, 9.0), (1.05, 7.0))
+
+
+def line() -> Timeline:
+    told = Timeline()
+    told.note([PhaseCommand(time_s, 1000, power_w) for time_s, power_w in TOLD], 0.99)
+    return told
+
+
+def plan(*steps: tuple[float, float]) -> list[Planned]:
+    return [Planned(*step) for step in steps]
+
+
+def test_what_was_said_already_does_not_stray() -> None:
+    assert not line().strays(plan(*TOLD), 0.5)
+    assert not line().strays(plan((1.00, 5.2), (1.02, 8.9), (1.05, 7.3)), 0.5)
+    assert not line().strays(plan((1.02, 9.0), (1.05, 7.0)), 0.5)  # from a later start
+
+
+@pytest.mark.parametrize(
+    "steps",
+    [
+        ((1.00, 5.6), (1.02, 9.0), (1.05, 7.0)),  # the first
+        ((1.00, 5.0), (1.02, 9.0), (1.05, 7.0), (1.08, 8.0)),  # one more at the end
+        ((1.00, 5.0), (1.02, 9.0)),  # one less
+        ((1.00, 5.0), (1.05, 7.0)),  # one less between
+        ((1.00, 5.0), (1.03, 9.0), (1.05, 7.0)),  # one later
+        ((1.00, 5.0),),  # nothing of what was said holds any more
+    ],
+)
+def test_any_step_that_differs_strays(steps: tuple[tuple[float, float], ...]) -> None:
+    assert line().strays(plan(*steps), 0.5)
