@@ -19,13 +19,11 @@ follows the flow of single corners.
 from __future__ import annotations
 
 import argparse
-import itertools
 import json
 import math
 import re
 import subprocess
 import sys
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -35,6 +33,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
 
+import bench_plan_cost
 import configtext
 from configfile import ConfigWrapper
 from extras import temperature_plan
@@ -70,14 +69,6 @@ class Tracking:
     within_3_wanted: float
 
 
-def data_file(name: str) -> Path:
-    import importlib.util
-
-    spec = importlib.util.find_spec("pyGCodeDecode")
-    assert spec is not None and spec.origin is not None, "scripts/setup.sh demo installs the sliced files"
-    return Path(spec.origin).parent / "examples" / "data" / name
-
-
 def with_targets(source: Path, folder: Path, nozzle_c: int) -> Path:
     """The file with other targets; nothing waits for the bed."""
     target = folder / source.name
@@ -92,7 +83,7 @@ def with_targets(source: Path, folder: Path, nozzle_c: int) -> Path:
 def offline(
     path: Path, section: dict[str, str], base_c: float
 ) -> tuple[plan_offline.OfflinePlan, Table, float]:
-    """(plan, its figures, µs a move for planning alone)."""
+    """(plan, its figures, µs of processor time a move that planning takes in a printer)."""
     data = configtext.ConfigData()
     for name, value in section.items():
         data.set("temperature_plan", name, value, configtext.Origin("bench", 0))
@@ -110,33 +101,7 @@ def offline(
     figures = plan_report.figures(found, settings.material, first.summary)
     figures["interface_wanted_c"] = usual_c
     figures["duration_fixed_s"] = round(first.duration_s, 1)
-    return found, figures, planning_us(found)
-
-
-def planning_us(found: plan_offline.OfflinePlan, count: int = 50_000) -> float:
-    """Time of add, make and finish for the file's own moves, planned again each 0.25 s with 2 s ahead."""
-    from tempplan import Craft, Piece, TemperaturePlan
-    from thermal.deposit import Surroundings
-    from thermal.materials import MATERIALS
-
-    plan = TemperaturePlan(
-        NozzleLimits(), MATERIALS["ABS"], Surroundings(), Craft(interface_c=150.0, smooth_s=0.3)
-    )
-    pieces = []
-    for a, b in itertools.pairwise(found.moves[:count]):
-        end_s = max(a.start_s + 1e-4, min(b.start_s, a.start_s + 1.0))
-        pieces.append(Piece(a.start_s, end_s, a.start_mm, a.end_mm, 4.0, 0.2, 0.0, math.nan, 240.0))
-    began = time.process_time()
-    batch: list[Piece] = []
-    for piece in pieces:
-        batch.append(piece)
-        if piece.end_s - batch[0].start_s >= 0.25:
-            plan.add(batch)
-            from_s = batch[-1].end_s - 2.0
-            plan.make(from_s, plan.at(from_s, 240.0))
-            plan.finish(from_s - 0.5)
-            batch = []
-    return 1e6 * (time.process_time() - began) / max(1, len(pieces))
+    return found, figures, bench_plan_cost.cost_us(path)
 
 
 def simulate(
@@ -274,9 +239,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     table: Table = {}
     print(OFFLINE_HEAD)
     for kind, name in FILES.items():
-        path = with_targets(data_file(name), folder, NOZZLE_C)
+        path = with_targets(bench_plan_cost.data_file(name), folder, NOZZLE_C)
         _, figures, us = offline(path, SECTION, NOZZLE_C)
-        hard = with_targets(data_file(name), folder / "pc", HARD_NOZZLE_C)
+        hard = with_targets(bench_plan_cost.data_file(name), folder / "pc", HARD_NOZZLE_C)
         _, hard_figures, _ = offline(hard, HARD_SECTION, HARD_NOZZLE_C)
         table[kind] = {"offline": figures, "planning_us": us, "offline, PC": hard_figures}
         print(

@@ -145,24 +145,31 @@ G28
 M83
 G1 X60 Y60 Z0.3 F6000
 M109 S250
+{start}
 INDUCTION_DUMP HEATER=nozzle FILE={dump} DURATION={seconds}
 {lines}
 M400
 """
 LINES_MM3_S = 20.0
+START_LINES = 10  # of half a second: more than the look-ahead queue holds
 
 
 def stack_latency_ms(seconds: float) -> tuple[float, float]:
-    """(mean, greatest) age of a block's centre when the host takes it, ms, in a print on config/sim-induction.cfg."""
+    """(mean, greatest) age of a block's centre when the host takes it, ms, in a print on config/sim-induction.cfg.
+
+    The dump begins when the look-ahead queue is full, so that the print is under way.
+    """
     feed_mm_s, length_mm = 100.0, 50.0
     filament_mm = LINES_MM3_S * length_mm / feed_mm_s / 2.405  # 1.75 mm filament: 2.405 mm2
     lines = [
         f"G1 X{60 + length_mm * (i % 2 == 0)} E{filament_mm:.4f} F{60 * feed_mm_s:.0f}"
-        for i in range(math.ceil(seconds * feed_mm_s / length_mm))
+        for i in range(START_LINES + math.ceil(seconds * feed_mm_s / length_mm))
     ]
+    start, lines = lines[:START_LINES], lines[START_LINES:]
     with tempfile.TemporaryDirectory() as folder:
         dump, part = Path(folder) / "dump.csv", Path(folder) / "part.gcode"
-        part.write_text(STACK_GCODE.format(dump=dump, seconds=seconds, lines="\n".join(lines)))
+        words = {"start": "\n".join(start), "lines": "\n".join(lines)}
+        part.write_text(STACK_GCODE.format(dump=dump, seconds=seconds, **words))
         command = [ROOT / "scripts" / "simulate.py", ROOT / "config" / "sim-induction.cfg", part]
         subprocess.run([sys.executable, *map(str, command)], check=True, capture_output=True)
         with dump.open(newline="") as stream:

@@ -41,7 +41,7 @@ DEFAULT_DERIVATIVE_S = 0.010
 DEFAULT_LEAD_S = 0.015
 DEFAULT_BLOCK_SAMPLES = 192  # 1.6 ms at 120 kHz
 RECORDS_MOST = 7  # of 6 bytes fit one message
-CALM_MESSAGE_S = 0.0068  # while nothing happens: a message each 6.4 ms
+CALM_MESSAGE_S = 0.0105  # while nothing happens: a message each 9.6 ms
 DEFAULT_RECORDS = 3  # a message each 4.8 ms: 7.5 kB/s of a 25 kB/s line
 DEFAULT_CONTROL_S = 0.008  # a phase step costs 20 samples of settling: 2 % of the signal
 

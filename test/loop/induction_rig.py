@@ -2,7 +2,7 @@
 
     InductionLoop ──PhaseCommand (down_s late)──> phase queue ─> plant.c (heat, tank, ADC)
          ^                                                          │ one code a bridge period
-         └── messages of three or four records (up_s late + jitter) <── block sums, cut at phase steps
+         └── messages of three or six records (up_s late + jitter) <── block sums, cut at phase steps
 
 The MCU model is written from the message contract, independent of src/: its blocks are packed to bytes and
 unpacked by thermal/convert.py, so that stage takes part. It refuses late commands (counted) and runs the
@@ -159,7 +159,7 @@ def _saturation(v: dict[str, float], k: float) -> tuple[float, float]:
 
 
 BLOCK_LEN, OVERSAMPLE, RECORDS = 192, 4, 3  # as [induction_heater] has them by default
-CALM_RECORDS = 4  # likewise, while nothing happens
+CALM_RECORDS = 6  # likewise, while nothing happens
 
 
 def default_parameters(**changes: Any) -> loop.LoopParameters:

@@ -21,7 +21,7 @@ def test_a_host_late_by_up_to_50_ms_costs_less_than_half_as_much_again() -> None
         scatter = np.sqrt((np.var(after, ddof=1) + 1.5**2 * np.var(before, ddof=1)) / len(seeds))
         assert np.mean(after) < 1.5 * np.mean(before) + 2.0 * scatter, (name, before, after)
     for r in late:
-        assert r.flow_deviation_c < 0.2
+        assert r.flow_deviation_c < 0.1  # measured at most 0.06; a law that sends no plan ahead: 0.17
         assert r.ripple_c < 0.15
         assert (r.late, r.trips, r.fault) == (0, 0, "")
 

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from extras import temperature_plan
 from simulation import gcode_path, plan_offline
 from system.conftest import CONFIG, ROOT, Simulate
 
@@ -25,27 +24,28 @@ PAUSES = (
 START = "M104 S215\nG28\nG90\nM83\nG1 X40 Y40 Z0.3 F6000\nM109 S215\n"
 FILAMENT_MM2 = 2.405
 STEP_C = 2.0
-# M104 acts when it is read. That is BUFFER_FULL_S before its path, and a lazy flush (0.25 s) more; then the nozzle needs
-# its time: 33 degC down, at 10 degC/s and slowing down, with its holder still warm.
-EARLY_S, SETTLE_S = 2.5, 5.0
+# M104 acts when it is read: BUFFER_FULL_S (2 s) before its path, and two roads more that wait in the look-ahead. Then
+# the nozzle needs its time: 26 degC down, at 10 degC/s and slowing down, with its holder still warm.
+EARLY_S, SETTLE_S = 3.5, 5.0
+ROAD_S, ROADS = 0.5, 24
 # The least change that is written, half a degree of rounding, and what the control is off while the flow changes.
 TOLERANCE_C = STEP_C + 0.5 + 0.5
 
 
-def road(number: int, seconds: float, flow: float = 4.0) -> str:
-    """A line of 50 mm on a Y of its own."""
-    e_mm, feed = flow * seconds / FILAMENT_MM2, 60.0 * 50.0 / seconds
-    return f"G1 X{90 if number % 2 else 40} Y{50 + number} E{e_mm:.4f} F{feed:.1f}"
+def road(number: int, flow: float = 4.0) -> str:
+    """25 mm in X, on a Y of its own."""
+    e_mm, feed = flow * ROAD_S / FILAMENT_MM2, 60.0 * 25.0 / ROAD_S
+    return f"G1 Y{50 + number} F6000\nG1 X{65 if number % 2 else 40} E{e_mm:.4f} F{feed:.1f}"
 
 
 def part() -> str:
-    """Stretches of two features, 8 roads of 1.5 s each; in the midst a slower factor, a rest and a pause."""
+    """Four stretches of two features; between them a rest, a slower factor, a pause."""
     lines = []
-    for stretch in range(4):
+    for stretch, between in enumerate(("G4 P3000", "M220 S60", "PAUSE", "M220 S100")):
         lines.append(f";TYPE:{'Perimeter' if stretch % 2 else 'Infill'}")
-        lines += [road(8 * stretch + i, 1.5) for i in range(8)]
-        lines += {0: ["G4 P3000"], 1: ["M220 S60"], 2: ["PAUSE"]}.get(stretch, [])
-    return START + "\n".join(lines) + "\nM220 S100\nM104 S0\n"
+        lines += [road(ROADS * stretch + i) for i in range(ROADS)]
+        lines.append(between)
+    return START + "G1 X65 Y50 F6000\n" + "\n".join(lines) + "\nM400\nM104 S0\n"
 
 
 def emitted(folder: Path, gcode: str, section: str) -> tuple[str, plan_offline.OfflinePlan]:
@@ -84,14 +84,14 @@ def test_an_emitted_file_prints_as_foretold(simulate: Simulate, tmp_path: Path) 
     changes = [
         times[b][0] for a, b in zip(walls, list(walls)[1:], strict=False) if abs(walls[a] - walls[b]) > 5.0
     ]
-    assert len(changes) == 3
+    assert len(changes) >= 3  # and where M220 makes the flow less
     for y, wall_c in walls.items():
         here = times[y]
         quiet = np.array([all(not -EARLY_S < t - c < SETTLE_S for c in changes) for t in here])
         true = np.interp(here[quiet], trace["t_s"], trace["true_c"])
         looked += len(true)
         assert true == pytest.approx(wall_c, abs=TOLERANCE_C)
-    assert looked > 1500  # rows of 10 ms, of 48 s of roads
+    assert looked > 1000  # rows of 10 ms, of 48 s of roads and more
     assert max(walls.values()) - min(walls.values()) > 25.0
 
 

@@ -164,7 +164,9 @@ def test_no_file_makes_the_plan_ask_for_what_cannot_or_must_not_be(tmp_path: Pat
     assert check_slopes(watched, limits) > 50
     assert check_rows(record) > 20
     end_c = float(body.rpartition("M104 S")[2].split()[0])
-    home = [entry for entry in watched.emitted if entry.corners[-1][1] > 0.0][-1]  # then comes the end of the run
+    home = [entry for entry in watched.emitted if entry.corners[-1][1] > 0.0][
+        -1
+    ]  # then comes the end of the run
     assert home.by_user and home.corners[-1][1] == pytest.approx(end_c, abs=0.1)
 
 
