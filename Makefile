@@ -76,6 +76,8 @@ bench-api: setup sim chelper
 
 bench-plan: setup sim chelper
 	@$(PYTHON) scripts/bench_plan.py --out $(OUT)/bench/plan
+	@$(PYTHON) scripts/bench_plan_cost.py --memory benchy.gcode
+	@$(PYTHON) scripts/bench_plan_cost.py --real-time 30
 
 bench-control: setup-test sim chelper
 	@$(PYTHON) scripts/bench_control.py --out $(OUT)/bench $(if $(QUICK),--quick)

@@ -422,6 +422,8 @@ class Reactor:
         heap = self._heap
         wait, poll, monotonic = self.time_source.wait, self._fds, self.monotonic
         while self._running:
+            while heap and heap[0][2].ticket != heap[0][1]:
+                heapq.heappop(heap)  # moved or stopped since: nothing to wake up for
             wait(heap[0][0] if heap else _NEVER, poll)
             self._pass_time = now = monotonic()
             if self._async_calls:

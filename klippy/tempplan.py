@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import chelper
 from thermal import filament_heat
+from thermal.control_api import Reference
 from thermal.deposit import Surroundings
 from thermal.materials import Material
 from thermal.model import loss_w
@@ -23,8 +24,8 @@ from thermal.pace import Ages
 
 CORE_STEP_MM3_S = 0.5
 CORE_FLOW_MAX_MM3_S = 60.0
-KEPT_S = 1.0  # a controller looks back at what it was asked for by less than that
-_PIECE = struct.Struct("=18d")
+KEPT_S = 0.5  # a controller looks back at what it was asked for by less than that, less COMMIT_S
+_PIECE = struct.Struct("=19d")
 _POINT = struct.Struct("=2d")
 _DONE = struct.Struct("=9d")
 
@@ -84,6 +85,9 @@ class Summary:
     melt_rms_c: float  # planned less wanted melt
     cold_share: float  # of the path: the wanted weld would have needed a hotter melt than the material bears
     hot_share: float
+    band_c: tuple[
+        float, float
+    ]  # interface that the window can make of the hottest and of the coldest 5 % of the path
 
     @property
     def spread_c(self) -> tuple[float, float]:
@@ -193,7 +197,7 @@ class TemperaturePlan:
         for i, piece in enumerate(pieces):
             _PIECE.pack_into(
                 buffer, i * size, piece.start_s, piece.end_s, *piece.start_mm, *piece.end_mm, piece.flow_mm3_s,
-                piece.height_mm, piece.fan, piece.wish_c, piece.base_c, piece.pace, 0.0, 0.0, 0.0, 0.0,
+                piece.height_mm, piece.fan, piece.wish_c, piece.base_c, piece.pace, 0.0, 0.0, 0.0, 0.0, 0.0,
             )  # fmt: skip
         self.add_rows(rows, len(pieces))
         return [(row.substrate_c[0], row.melt_c, row.wall_c) for row in rows]
@@ -203,11 +207,19 @@ class TemperaturePlan:
         if self._lib.tempplan_add(self._plan, rows, count):
             raise MemoryError("no memory for the temperature plan")
 
-    def make(self, from_s: float, start_c: float, within_c: float = 0.0) -> list[tuple[float, float]]:
-        """Plan again from `from_s` on, where the nozzle is at `start_c`; corners (s, degC), also of the last second.
+    def make(self, from_s: float, start_c: float) -> list[tuple[float, float]]:
+        """Plan again from `from_s` on, where the nozzle is at `start_c`; corners (s, degC), also of the last KEPT_S."""
+        return list(_POINT.iter_unpack(self._made(from_s, start_c, 0.0)))
 
-        Corners within `within_c` of the line between others are left out.
-        """
+    def ahead(self, from_s: float, start_c: float, within_c: float) -> Reference | None:
+        """The same, without corners within `within_c` of the line between others; None: nothing lies ahead."""
+        corners = self._made(from_s, start_c, within_c)
+        if not corners:
+            return None
+        numbers = struct.unpack(f"={len(corners) // 8}d", corners)
+        return Reference(numbers[0::2], numbers[1::2])
+
+    def _made(self, from_s: float, start_c: float, within_c: float) -> bytes:
         count = self._lib.tempplan_make(self._plan, from_s, start_c)
         if count > self._room:
             self._room = 2 * count
@@ -215,7 +227,7 @@ class TemperaturePlan:
             self._corner_bytes = self._ffi.buffer(self._corners)
         if count:
             count = self._lib.tempplan_corners(self._plan, from_s - KEPT_S, within_c, self._corners)
-        return list(_POINT.iter_unpack(self._corner_bytes[: _POINT.size * count]))
+        return bytes(self._corner_bytes[: _POINT.size * count])
 
     def lead(self, corners: Sequence[tuple[float, float]]) -> None:
         """From the first of these (s, degC) on the nozzle is led by them, not by the plan."""
@@ -281,4 +293,5 @@ class TemperaturePlan:
             math.sqrt(report.off_squares * per),
             report.cold_mm * per,
             report.hot_mm * per,
+            (report.least_c, report.most_c),
         )

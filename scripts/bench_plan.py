@@ -9,7 +9,8 @@
     the first --seconds of it  printed on the simulated machine in closed loop: the melt that leaves the plant's nozzle,
                                planned, with the same targets set at the borders (no preview), and what one fixed
                                target would give on a nozzle that holds it without fail
-    steps                      15 degC every 1.5 s at constant flow: planned against set at the border
+    steps                      15 degC every 1.5 s at constant flow: planned against set at the border, also on nozzles
+                               whose exchange with the melt is not what the plan believes
 
 Melt of the plant at the flow of the moment, weighted with it. "against the plan": the melt that the planned nozzle
 temperature gives at that flow. "against wanted": wanted and extruded melt, both averaged over 0.5 s, since no nozzle
@@ -56,6 +57,7 @@ UA_W_K, HEAT_MJ_M3K, INLET_C = 0.0276, 2.1, 25.0  # of the reference plant
 LEAST_FLOW_MM3_S = 0.3
 AVERAGE_S = 0.5
 STEP_C, STEP_S, STEPS = 15.0, 1.5, 14
+STEP_EXCHANGES = (0.8, 0.9, 1.0, 1.1, 1.2)  # of the plant's nozzle, times what the plan believes
 Table = dict[str, Any]
 
 
@@ -96,31 +98,30 @@ def offline(
         )
 
     first = run(replace(settings, slowest=1.0, longest_pause_s=0.0))
-    usual_c = round(max(first.summary.interface_5_50_95_c[1][1], settings.craft.interface_c or 0.0))
-    found = run(replace(settings, craft=replace(settings.craft, interface_c=usual_c, follow_mm=0.0)))
+    known = plan_offline.steady(settings, first.summary, run(settings).summary)
+    found = run(known)
     figures = plan_report.figures(found, settings.material, first.summary)
-    figures["interface_wanted_c"] = usual_c
+    figures["interface_wanted_c"] = known.craft.interface_c
     figures["duration_fixed_s"] = round(first.duration_s, 1)
     return found, figures, bench_plan_cost.cost_us(path)
 
 
 def simulate(
-    gcode: Path, folder: Path, name: str, seconds: float, options: dict[str, str], plan: bool
+    gcode: Path, folder: Path, name: str, seconds: float, options: dict[str, str], exchange: float
 ) -> Table:
-    """One closed-loop run; its trace, and the rows of the plan if there is one."""
+    """One closed-loop run; its trace, and the rows of the plan. `exchange`: of the plant, times the plan's."""
     section = "[temperature_plan]\n" + "".join(f"{k}: {v}\n" for k, v in {**SECTION, **options}.items())
     record = folder / f"{name}-plan.csv"
     config, trace = folder / f"{name}.cfg", folder / f"{name}.csv"
     text = f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n{WIDER}"
-    config.write_text(text + (f"{section}record: {record}\n" if plan else ""))
+    nozzle = f"[simulator nozzle nozzle]\nmelt_ua_w_k: {exchange * UA_W_K:.6f}\n"
+    config.write_text(f"{text}{section}record: {record}\n{nozzle}")
     command = [ROOT / "scripts" / "simulate.py", config, gcode, "--trace", trace, "--until", seconds]
     done = subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True, check=False)
     if done.returncode:
         raise SystemExit(f"bench_plan: {name}: {done.stderr}")
-    found: Table = {"trace": np.genfromtxt(trace, delimiter=",", names=True)}
-    if plan:
-        found["plan"] = np.genfromtxt(record, delimiter=",", names=True)
-    return found
+    read = [np.genfromtxt(path, delimiter=",", names=True) for path in (trace, record)]
+    return {"trace": read[0], "plan": read[1]}
 
 
 def clock_offset_s(run: Table) -> float:
@@ -171,12 +172,18 @@ def tracking(run: Table, plan: Any, offset_s: float, fixed_c: float | None = Non
 
 
 def compare(
-    gcode: Path, folder: Path, name: str, seconds: float, options: dict[str, str], fixed_c: float
+    gcode: Path,
+    folder: Path,
+    name: str,
+    seconds: float,
+    options: dict[str, str],
+    fixed_c: float,
+    exchange: float = 1.0,
 ) -> dict[str, Tracking]:
     """The same path three ways."""
-    planned = simulate(gcode, folder, f"{name}-planned", seconds, options, plan=True)
+    planned = simulate(gcode, folder, f"{name}-planned", seconds, options, exchange)
     offset_s = clock_offset_s(planned)
-    border = simulate(gcode, folder, f"{name}-border", seconds, {**options, "preview": "no"}, plan=True)
+    border = simulate(gcode, folder, f"{name}-border", seconds, {**options, "preview": "no"}, exchange)
     plan = planned["plan"]
 
     def shifted(run: Table) -> float:  # waiting for the first temperature takes another time in each run
@@ -206,6 +213,45 @@ def steps_gcode() -> str:
         lines.append(f"SET_SEGMENT_TEMPERATURE TEMP={200.0 + STEP_C * (i % 2)}")
         lines.append(f"G1 X{6 + length_mm * (i + 1)} E{filament_mm:.5f} F{60 * feed_mm_s:.0f}")
     return "\n".join([*lines, "M400", ""])
+
+
+def step_errors(run: Table, plan: Any, offset_s: float) -> tuple[float, float, float]:
+    """(rms, mean, spread about the mean) of the melt against wanted over whole periods of 3 s, every row, degC."""
+    trace, period_s = run["trace"], 2.0 * STEP_S
+    times = trace["t_s"] + offset_s
+    begin_s = plan["start_s"][0] + period_s
+    end_s = begin_s + period_s * math.floor((plan["end_s"][-1] - begin_s - 0.5 * STEP_S) / period_s)
+    row = np.clip(np.searchsorted(plan["start_s"], times, side="right") - 1, 0, None)
+    inside = (times >= begin_s) & (times < end_s)
+    error = (trace["melt_c"] - plan["wanted_melt_c"][row])[inside]
+    return float(np.sqrt(np.mean(error**2))), float(np.mean(error)), float(np.std(error))
+
+
+def step_table(folder: Path, seconds: float) -> Table:
+    """The steps on nozzles whose exchange with the melt is not what the plan believes."""
+    steps = folder / "steps.gcode"
+    steps.write_text(steps_gcode())
+    print(
+        "\n15 C every 1.5 s: exchange of the nozzle, rms (mean, about the mean): planned, at the border, ratio"
+    )
+    table: Table = {}
+    for exchange in STEP_EXCHANGES:
+        runs, options = [], {"melt_min": "180"}
+        for preview in ("yes", "no"):
+            name = f"steps-{exchange}-{preview}"
+            runs.append(simulate(steps, folder, name, seconds, {**options, "preview": preview}, exchange))
+        planned, border = runs
+        offset_s = clock_offset_s(planned)
+        shift_s = offset_s + first_flow_s(planned) - first_flow_s(border)
+        found = [
+            step_errors(planned, planned["plan"], offset_s),
+            step_errors(border, planned["plan"], shift_s),
+        ]
+        (own, *_), (other, *_) = found
+        table[f"{exchange:.2f}"] = {"planned": found[0], "border": found[1], "ratio": own / other}
+        shown = "   ".join(f"{r:5.2f} ({m:+5.2f}, {s:4.2f})" for r, m, s in found)
+        print(f"x {exchange:4.2f}   {shown}   {own / other:5.2f}")
+    return table
 
 
 OFFLINE_HEAD = (
@@ -247,23 +293,18 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(
             offline_row(f"{kind}, ABS", figures, us), offline_row(f"{kind}, PC", hard_figures, us), sep="\n"
         )
-    steps = folder / "steps.gcode"
-    steps.write_text(steps_gcode())
     print("\nclosed loop                  run                 melt against plan     against wanted")
-    runs = [(kind, folder / name) for kind, name in FILES.items()]
-    for kind, path in [*runs, ("15 C every 1.5 s", steps)]:
-        extra = (
-            {"interface_temp": str(table[kind]["offline"]["interface_wanted_c"])}
-            if kind in table
-            else {"melt_min": "180"}
-        )
+    for kind, name in FILES.items():
+        path = folder / name
+        extra = {"interface_temp": str(table[kind]["offline"]["interface_wanted_c"])}
         found_by_run = compare(path, folder, path.stem, options.seconds, extra, NOZZLE_C)
-        table.setdefault(kind, {})["closed loop"] = {k: asdict(v) for k, v in found_by_run.items()}
+        table[kind]["closed loop"] = {k: asdict(v) for k, v in found_by_run.items()}
         for run, t in found_by_run.items():
             print(
                 f"{kind:<28} {run:<18} rms {t.rms_plan_c:5.2f} C {t.within_3_plan:6.1%} <= 3 C"
                 f"   rms {t.rms_wanted_c:5.2f} C {t.within_3_wanted:6.1%} <= 3 C"
             )
+    table["15 C every 1.5 s"] = step_table(folder, options.seconds)
     (folder / "plan.json").write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
     return 0
 

@@ -137,14 +137,17 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
 
         found = plain = run(replace(settings, slowest=1.0, longest_pause_s=0.0))
         follows = settings.craft.follow_mm > 0.0
-        if follows and found.moves:  # the whole file is known: hold the weld at its usual temperature
-            usual_c = round(max(plain.summary.interface_5_50_95_c[1][1], settings.craft.interface_c or 0.0))
-            settings = replace(settings, craft=replace(settings.craft, interface_c=usual_c, follow_mm=0.0))
-        if follows or settings.slowest < 1.0 or settings.longest_pause_s > 0.0:
+        paces = settings.slowest < 1.0 or settings.longest_pause_s > 0.0
+        if follows and found.moves:
+            settings = plan_offline.steady(
+                settings, plain.summary, run(settings).summary if paces else plain.summary
+            )
+        if follows or paces:
             found = run(settings)
         if follows and found.moves:
             print(
-                f"interface_temp: {usual_c} is what one fixed temperature gives half of this path; planned with it"
+                f"interface_temp: {settings.craft.interface_c} is what the material's window lets the whole path come"
+                " nearest to; planned with it"
             )
     if not found.moves:
         raise BadInput(f"{options.gcode}: no line of it extrudes while it moves")

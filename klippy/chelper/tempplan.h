@@ -43,6 +43,7 @@ struct tempplan_piece {
     double pace;                    /* part of its own speed at which it is laid, 1: not slowed down */
     /* filled in */
     double substrate_c[TEMPPLAN_HISTORIES], melt_c, wall_c;
+    double aim_c;                   /* wall for the weld alone, whatever material and nozzle bear */
 };
 
 struct tempplan_point {
@@ -53,6 +54,9 @@ struct tempplan_point {
 struct tempplan_report {
     double length_mm, bonded_mm[TEMPPLAN_HISTORIES];
     double interface_mm[TEMPPLAN_HISTORIES][TEMPPLAN_BINS];  /* length by interface temperature, whole degrees */
+    /* Added, not yet laid: its length, and by temperature of what it meets, whole degrees. */
+    double added_mm, substrate_mm[TEMPPLAN_BINS];
+    double least_c, most_c;         /* interface that the window can make of its hottest and of its coldest 5 % */
     double off_sum, off_squares;    /* planned less wanted melt, length weighted */
     double cold_mm;                 /* wanted melt lay above the window's top: the substrate was too cold */
     double hot_mm;                  /* below its bottom: too hot even for the coolest melt */

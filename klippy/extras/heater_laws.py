@@ -213,7 +213,19 @@ def _read_model(config: Any, max_power: float, smooth_s: float) -> tuple[Any, An
         "model_melt_w_per_k": config.getfloat("model_melt_w_per_k", 0.0, minval=0.0),
         "model_ambient_temp": config.getfloat("model_ambient_temp", 25.0, minval=-50.0, maxval=100.0),
     }
+    _both(config, values, "model_element_j_per_k", "model_element_w_per_k")
     return model_control.MODEL, model_parameters(values, max_power)
+
+
+def _both(config: Any, values: dict[str, float], *options: str) -> None:
+    """Options of which one says nothing without the other."""
+    given = [option for option in options if values[option]]
+    if len(given) == 1:
+        (other,) = set(options) - set(given)
+        raise config.error(
+            f"Option '{given[0]}' in section '{config.get_name()}' needs '{other}', above 0, too; without a heating"
+            f" element of its own leave both out ({config.where(given[0])})."
+        )
 
 
 def _read_mcu_onoff(config: Any, max_power: float, smooth_s: float) -> tuple[Any, Any]:
@@ -241,7 +253,9 @@ def read_law(config: Any, max_power: float, smooth_time_s: float) -> HeaterLaw:
     try:
         law, parameters = reader(config, max_power, smooth_time_s)
     except control_api.ParameterError as e:
-        raise config.error(f"Section '{config.get_name()}': {e}") from None
+        written = [option for option in OPTIONS[name] if config.get(option, None) is not None]
+        lines = "; ".join(f"{option}: {config.where(option)}" for option in written)
+        raise config.error(f"Section '{config.get_name()}': {e} ({lines}).") from None
     options = {"control": name}
     for option in OPTIONS[name]:
         text = config.get(option, None, note_valid=False)

@@ -28,6 +28,7 @@ class HeaterProfiles:
     def __init__(self, printer: Any) -> None:
         self.printer = printer
         self.profiles: dict[tuple[str, str], dict[str, str]] = {}  # (heater, profile) → tuning
+        self._sections: dict[tuple[str, str], Any] = {}  # the same, as written in the config
         self.loaded: dict[str, str] = {}  # heater → profile in use
 
     def register(self) -> None:
@@ -36,15 +37,30 @@ class HeaterProfiles:
             self.cmd_HEATER_PROFILE,
             desc="Save, load, use, list or remove tunings of a heater",
         )
+        self.printer.register_event_handler("klippy:connect", self._check)
 
     def read(self, config: Any) -> None:
         """One section [heater_profile HEATER NAME]."""
         words = config.get_name().split()
         if len(words) != 3:
-            raise config.error(f"Section '{config.get_name()}' must be named [{SECTION} HEATER NAME]")
+            raise config.error(
+                f"Section '{config.get_name()}' must be named [{SECTION} HEATER NAME] ({config.where()})."
+            )
         names = {*heater_tuning.INDUCTION_OPTIONS, *(n for o in heater_laws.OPTIONS.values() for n in o)}
         texts = {name: config.get(name, None) for name in sorted(names | {"control"})}
         self.profiles[words[1], words[2]] = {name: text for name, text in texts.items() if text is not None}
+
+        self._sections[words[1], words[2]] = config
+
+    def _check(self) -> None:
+        """All heaters are there: a profile that none of them could use is told now, not when it is wanted."""
+        heaters = self.printer.lookup_object("heaters")
+        for (name, _), config in self._sections.items():
+            try:
+                heater = heaters.lookup_heater(name)
+            except config.error as e:
+                raise config.error(f"Section '{config.get_name()}': {e} ({config.where()}).") from None
+            heater_tuning.read(heater, config, self.profiles[name, config.get_name().split()[2]])
 
     def cmd_HEATER_PROFILE(self, gcmd: Any) -> None:
         verbs = [verb for verb in VERBS if gcmd.get(verb, None) is not None]
@@ -71,6 +87,8 @@ class HeaterProfiles:
 
     def _list(self, gcmd: Any) -> None:
         wanted = gcmd.get("HEATER", None)
+        if wanted is not None:
+            heater_tuning.heater_of(self.printer, gcmd)
         lines = []
         for (heater, name), tuning in sorted(self.profiles.items()):
             if wanted in (None, heater):

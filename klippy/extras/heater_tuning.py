@@ -45,6 +45,9 @@ class _Overlay:
     def get_name(self) -> str:
         return str(self._base.get_name())
 
+    def where(self, option: str | None = None) -> str:
+        return str((self._of(option) if option else self._over).where(option))
+
     def _of(self, option: str) -> Any:
         return self._over if option.lower() in self._names else self._base
 
@@ -111,19 +114,25 @@ def options_of(heater: Any) -> Tuning:
     return Tuning(control=chosen.law.name, **texts)
 
 
-def check(printer: Any, heater: Any, tuning: dict[str, str]) -> Any:
-    """What the tuning means for this heater. Raises command_error in plain words on one that cannot be."""
-    section = section_of(heater)
-    config = _as_config(printer, section, tuning)
+def read(heater: Any, config: Any, tuning: dict[str, str]) -> Any:
+    """What a section's tuning means for this heater. Raises the config's error, or ParameterError."""
     known = INDUCTION_OPTIONS if is_induction(heater) else ("control", *_all_options())
     strange = sorted(set(tuning) - set(known))
     if strange:
-        raise printer.command_error(f"Heater '{heater.name}' has no tuning option {', '.join(strange)}")
+        raise config.error(
+            f"Option '{strange[0]}' in section '{config.get_name()}': heater '{heater.name}' has no such option"
+            f" ({config.where(strange[0])})."
+        )
+    if is_induction(heater):
+        overlay = _Overlay(heater.config, config, set(tuning))
+        return induction_settings.read_parameters(overlay, heater.unit.settings)
+    return heater_laws.read_law(config, heater.get_max_power(), heater.get_smooth_time())
+
+
+def check(printer: Any, heater: Any, tuning: dict[str, str]) -> Any:
+    """What the tuning means for this heater. Raises command_error in plain words on one that cannot be."""
     try:
-        if is_induction(heater):
-            overlay = _Overlay(heater.config, config, set(tuning))
-            return induction_settings.read_parameters(overlay, heater.unit.settings)
-        return heater_laws.read_law(config, heater.get_max_power(), heater.get_smooth_time())
+        return read(heater, _as_config(printer, section_of(heater), tuning), tuning)
     except (error, control_api.ParameterError) as e:
         raise printer.command_error(f"This tuning cannot be used for heater '{heater.name}': {e}") from None
 
@@ -136,6 +145,11 @@ def use(printer: Any, heater: Any, tuning: dict[str, str]) -> None:
     """Work with this tuning from now on, target kept, at the present power. Raises command_error."""
     meant = check(printer, heater, tuning)
     if not is_induction(heater):
+        if meant.name == "mcu_onoff" != heater.law.name:
+            raise printer.command_error(
+                f"Heater '{heater.name}' is switched by the host now; its MCU takes over (control: mcu_onoff) only at"
+                f" start-up: write it to section [{section_of(heater)}] and restart"
+            )
         heater.set_control(meant, keep_target=True)
         return
     heater.use(

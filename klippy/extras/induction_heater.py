@@ -125,7 +125,8 @@ class InductionHeater:
     def _on_blocks(self, blocks: Blocks) -> None:
         if not self._running:
             return
-        now_s = self._now_s()
+        eventtime = self._reactor.monotonic()
+        now_s = self.unit.print_time_now(eventtime)
         if self._driver is not None:
             for listener in self.loop.listeners:
                 for block in blocks:
@@ -135,6 +136,10 @@ class InductionHeater:
         self._look_ahead(now_s)
         self._send(self.loop.on_blocks(blocks, now_s), now_s)
         self._smooth()
+        if (
+            self._running and eventtime - self._quiet_s < QUIET_S
+        ):  # while blocks come there is nothing to watch
+            self._reactor.update_timer(self._timer, eventtime + self.parameters.timing.refresh_s)
 
     def _look_ahead(self, now_s: float) -> None:
         """Planned flow and fan, for laws that know what to do with them."""
@@ -159,7 +164,8 @@ class InductionHeater:
     def _send(self, commands: list[PhaseCommand], now_s: float) -> None:
         if commands:
             self.unit.queue_plan(commands)
-        self.unit.set_calm(self._driver is None and self.loop.is_calm(now_s))
+        watched = self._driver is not None or bool(self.loop.listeners)  # a calibration, a dump
+        self.unit.set_calm(not watched and self.loop.is_calm(now_s))
         if self.loop.fault and self._running:
             self._running = False
             text = f"Induction heater '{self.section_name}': {self.loop.fault}"

@@ -9,6 +9,7 @@ from typing import Any
 from thermal import (
     actuator,
     control,
+    control_api,
     estimator,
     features,
     laws,
@@ -151,7 +152,11 @@ def _control(
     pid = _pid(config, power_max_w)
     watermark = control.WatermarkParameters(config.getfloat("max_delta", 2.0, above=0.0), power_max_w)
     table = heater_laws.read_practical(config, power_max_w)
-    held = model_nozzle.nozzle_model(heat, loss, power_max_w, timing)
+    try:
+        held = model_nozzle.nozzle_model(heat, loss, power_max_w, timing)
+    except control_api.ParameterError as e:
+        where = config.where("heat_capacity_j_per_k")
+        raise config.error(f"Section '{config.get_name()}': {e} (heat_capacity_j_per_k: {where}).") from None
     if choice == "pid":
         return loop.Control(control.PID, pid, power_max_w)
     if choice == "watermark":
@@ -188,9 +193,16 @@ def _approach(config: Any, drive: actuator.DriveLaw, law: laws.Law) -> loop.Appr
 def _loss(config: Any) -> model.LossLaw:
     default = model.LossLaw()
     factor = config.getfloat("loss_factor", 1.0, above=0.0, maxval=10.0)
+    conductance_w_k = config.getfloat("loss_w_per_k", default.conductance_w_k, minval=0.0)
+    radiation_m2 = config.getfloat("loss_radiation_m2", default.radiation_m2, minval=0.0)
+    if not conductance_w_k + radiation_m2:
+        raise config.error(
+            f"Options 'loss_w_per_k' and 'loss_radiation_m2' in section '{config.get_name()}': one of them must be"
+            f" above 0, there is no nozzle without losses ({config.where('loss_w_per_k')})."
+        )
     return model.LossLaw(
-        factor * config.getfloat("loss_w_per_k", default.conductance_w_k, minval=0.0),
-        factor * config.getfloat("loss_radiation_m2", default.radiation_m2, minval=0.0),
+        factor * conductance_w_k,
+        factor * radiation_m2,
         config.getfloat("ambient_temp", default.ambient_c, minval=-50.0, maxval=100.0),
     )
 

@@ -28,6 +28,7 @@ LEAST_RISE_C = 30.0
 MARGIN_C = 10.0  # of the default target below max_temp
 USUAL_C = {"heater_bed": 80.0}
 NOZZLE_POWER_W = 30.0
+LEAST_POWER_W = 1.0  # no heater of a printer is weaker
 
 
 class ModelCalibrate:
@@ -57,7 +58,9 @@ class ModelCalibrate:
             )
         ambient_c = gcmd.get_float("AMBIENT", now_c, minval=-20.0, maxval=60.0)
         usual_c = min(USUAL_C.get(heater.name, 200.0), heater.max_temp - MARGIN_C)
-        target_c = gcmd.get_float("TARGET", usual_c, minval=now_c + LEAST_RISE_C, maxval=heater.max_temp)
+        target_c = gcmd.get_float(
+            "TARGET", usual_c, minval=round(now_c + LEAST_RISE_C, 1), maxval=heater.max_temp
+        )
         power_w = self._power(gcmd, session)
         plan = self._plan(gcmd, session, target_c)
         run = drill.Drill(plan, now_c)
@@ -80,7 +83,7 @@ class ModelCalibrate:
         written = heater_tuning.options_of(session.heater).get("heater_power_w")
         default = float(written) if written is not None else 0.0
         power_w = gcmd.get_float("POWER", default, minval=0.0)
-        if power_w <= 0.0:
+        if power_w < LEAST_POWER_W:
             raise gcmd.error(
                 "MODEL_CALIBRATE: the heater's power at full duty is needed once: POWER= in watts (voltage squared over"
                 " resistance)"

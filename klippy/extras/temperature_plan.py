@@ -22,14 +22,16 @@ from typing import Any
 from pathpieces import Asked, PathPieces
 from tempplan import Craft, Laid, Summary, TemperaturePlan
 from thermal import wishes
+from thermal.control_api import Reference
 from thermal.deposit import Surroundings
 from thermal.materials import MATERIALS, Material
 from thermal.nozzle_melt import MeltExchange, NozzleLimits, idle_way
 from thermal.pace import Pace, Pacer, Place
 
-REPLAN_S = 0.25  # so much new motion is worth another plan
+REPLAN_S = 0.5  # so much new motion is worth another plan ...
+REPLAN_MOVES = 16  # ... if it is so many moves, or twice as much time
 COMMIT_S = 0.20  # the plan nearer than this stays: commands for it may be on their way
-WORK_S = 0.25  # how often it is looked, at least
+WORK_S = 0.5  # how often it is looked, at least
 BOOK_BEHIND_S = 0.5  # pieces are booked when they are surely laid
 RETURN_S = 0.5  # so long after the last piece the nozzle goes back to the user's target
 FOLLOW_MM = 60000.0  # a fair part of a print: the weld is held where the user's own target has it on average
@@ -204,7 +206,8 @@ class TemperaturePlanner:
         fan = self.printer.lookup_object("fan", None)
         self._fan = fan.get_status(self._reactor.monotonic())["speed"] if fan is not None else 0.0
         self._path.note_planned(row, count, print_time, self._fan)
-        if self._path.facts().end_s - self._end_s >= REPLAN_S:
+        path, starts = self._path.facts(), print_time > self._end_s + COMMIT_S
+        if self._is_worth_it(path) or (starts and path.waiting <= count):
             self._reactor.update_timer(self._timer, self._reactor.NOW)
 
     def _ask(self, time_s: float, layer: int, z_mm: float) -> Asked:
@@ -258,8 +261,7 @@ class TemperaturePlanner:
         if path.waiting and self._base_c <= 0.0:
             self._path.drop(now_s)  # laid without a target; what still lies ahead may get one
         elif path.waiting:
-            news_s = path.end_s - self._end_s
-            if news_s >= REPLAN_S or now_s + 2.0 * COMMIT_S > self._end_s:
+            if self._is_worth_it(path) or now_s + 2.0 * COMMIT_S > self._end_s:
                 self._replan(now_s)
         elif self._reference is not None and now_s > self._end_s + RETURN_S:
             self._go_back(now_s)
@@ -267,6 +269,11 @@ class TemperaturePlanner:
         if not self.enabled and self._reference is None:
             return self._reactor.NEVER
         return eventtime + WORK_S
+
+    def _is_worth_it(self, path: Any) -> bool:
+        """Has so much motion come that it is planned at once?"""
+        news_s = float(path.end_s - self._end_s)
+        return news_s >= REPLAN_S and (path.waiting >= REPLAN_MOVES or news_s >= 2.0 * REPLAN_S)
 
     def _watch_target(self) -> None:
         """Who set the heater's target last? Not the plan: then it is the user's, and counts from now on."""
@@ -298,7 +305,7 @@ class TemperaturePlanner:
         self._use_craft()
         from_s = now_s + COMMIT_S
         self.plan.shift(from_s, moved_c)
-        self._set(self.plan.make(from_s, self._reference.at(from_s), WITHIN_C), now_s)
+        self._set(self.plan.ahead(from_s, self._reference.at(from_s), WITHIN_C), now_s)
         return True
 
     def _use_craft(self) -> None:
@@ -328,12 +335,12 @@ class TemperaturePlanner:
             start_c = self._reference.at(from_s)
         else:
             self.plan.lead([(now_s, start_c)])
-        self._set(self.plan.make(from_s, start_c, WITHIN_C), now_s)
+        self._set(self.plan.ahead(from_s, start_c, WITHIN_C), now_s)
 
-    def _set(self, corners: list[tuple[float, float]], now_s: float) -> None:
-        if corners:
-            self.heater.loop.set_reference(corners, now_s)
-            self._reference = self.heater.loop.reference
+    def _set(self, reference: Reference | None, now_s: float) -> None:
+        if reference is not None:
+            self.heater.loop.set_reference(reference, now_s)
+            self._reference = reference
 
     def _go_back(self, now_s: float) -> None:
         """Nothing more comes: back to the user's target."""
@@ -344,7 +351,7 @@ class TemperaturePlanner:
         holder_c = self.plan.holder_c(now_s, from_c)
         way = idle_way(self._nozzle, now_s, from_c, holder_c, self._base_c)
         self.plan.lead(way)
-        self._set(way, now_s)
+        self._set(Reference.of(way), now_s)
         self._end_s = way[-1][0] - RETURN_S
         if len(way) == 1:
             loop.set_reference([], now_s)

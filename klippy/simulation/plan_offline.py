@@ -16,6 +16,7 @@ import numpy as np
 from extras.temperature_plan import Settings
 from pathpieces import Asked, PathPieces
 from tempplan import Laid, Summary, TemperaturePlan
+from thermal import weld
 from thermal.deposit import Surroundings
 from thermal.nozzle_melt import NozzleLimits
 from thermal.pace import Pace, Pacer, Place
@@ -61,6 +62,17 @@ class OfflinePlan:
     duration_s: float
     base_c: float
     paces: list[PaceChange]
+
+
+def steady(settings: Settings, plain: Summary, paced: Summary) -> Settings:
+    """The whole file is known: the weld is held at one temperature from the first road on.
+
+    `plain`: of the file at its own speed, whose fixed temperature tells the usual weld; `paced`: with hot layers slowed
+    down, which tells what the window can still make of the ends of the path.
+    """
+    least_c = settings.craft.interface_c or 0.0
+    kept_c = weld.held_c(plain.interface_5_50_95_c[1][1], paced.band_c, least_c)
+    return replace(settings, craft=replace(settings.craft, interface_c=round(kept_c), follow_mm=0.0))
 
 
 class Planning:

@@ -70,8 +70,10 @@ class Reference:
         return all(temp_c == self.at(start_s) for temp_c in ahead)
 
     @staticmethod
-    def of(points: Sequence[tuple[float, float]]) -> Reference:
-        """From (time_s, temp_c) pairs, for example thermal.plan's corners."""
+    def of(points: Sequence[tuple[float, float]] | Reference) -> Reference:
+        """From (time_s, temp_c) pairs, for example thermal.plan's corners; a reference stays as it is."""
+        if isinstance(points, Reference):
+            return points
         times_s, temps_c = zip(*points, strict=True) if len(points) else ((), ())
         return Reference(times_s, temps_c)
 

@@ -178,7 +178,9 @@ class InductionLoop:
             self._decide(state.estimate, state.estimate.phase_ticks, now_s, apart_s=0.0)
         return self._command(now_s, apart_s=0.0)
 
-    def set_reference(self, points: Sequence[tuple[float, float]], now_s: float) -> list[PhaseCommand]:
+    def set_reference(
+        self, points: Sequence[tuple[float, float]] | control_api.Reference, now_s: float
+    ) -> list[PhaseCommand]:
         """The wanted temperature over time, (print time, degC) corners of straight lines: known ahead, met on time.
 
         Replaces the one before. `target_c` follows it; after the last corner its temperature stays the target.

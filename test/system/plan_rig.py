@@ -17,6 +17,7 @@ import chelper
 from extras import temperature_plan
 from simulation import simport
 from simulation.runner import Outcome, RunOptions, Simulation
+from thermal.control_api import Reference
 
 FILAMENT_MM2 = math.pi / 4.0 * 1.75**2
 
@@ -75,8 +76,11 @@ def _watch_planner(watched: Watched, patch: pytest.MonkeyPatch) -> None:
         give, set_user = loop.set_reference, loop.set_target
 
         def set_reference(points: Sequence[tuple[float, float]], now_s: float) -> Any:
-            corners = list(points) or [(now_s, loop.state.target_c)]
-            watched.emitted.append(Emitted(now_s, corners, by_user=not points))
+            known = Reference.of(points) if points else None
+            corners = [(now_s, loop.state.target_c)]
+            if known is not None:
+                corners = list(zip(known.times_s, known.temps_c, strict=True))
+            watched.emitted.append(Emitted(now_s, corners, by_user=known is None))
             return give(points, now_s)
 
         def set_target(target_c: float, now_s: float) -> Any:

@@ -219,6 +219,31 @@ def test_any_message_survives_values_and_text(data: st.DataObject, kinds: list[s
     assert parser.create_command(parser.format_params(params)) == encoded
 
 
+@settings(max_examples=300)
+@given(st.binary(max_size=24), st.text("uis", max_size=6))
+def test_parameters_decoded_in_c_are_those_of_the_documented_form(content: bytes, kinds: str) -> None:
+    ffi, lib = chelper.get_ffi()
+    found = ffi.new("int64_t[]", 6)
+    end = lib.message_decode(content, len(content), 0, kinds.encode(), found)
+    pos = 0
+    for n, kind in enumerate(kinds):
+        if kind == "s":
+            if pos >= len(content) or pos + 1 + content[pos] > len(content):
+                assert end == -2 - n
+                return
+            assert (found[n] >> 8, found[n] & 0xFF) == (pos + 1, content[pos])
+            pos += 1 + content[pos]
+            continue
+        try:
+            value, pos = msgproto.decode_vlq(content, pos)
+        except msgproto.error:
+            assert end == -1
+            return
+        value &= 0xFFFFFFFF
+        assert found[n] == (value - 2**32 if kind == "i" and value >= 2**31 else value)
+    assert end == pos
+
+
 @settings(max_examples=500)
 @given(st.binary(max_size=64))
 def test_fuzzed_contents_decode_or_raise_the_protocols_error(content: bytes) -> None:

@@ -98,6 +98,27 @@ def test_often_moved_timers_do_not_pile_up() -> None:
     assert len(reactor._heap) < 1000  # one live entry and a bounded number of stale ones
 
 
+def test_a_timer_that_was_moved_wakes_nobody_at_its_old_time() -> None:
+    class Watched(VirtualTime):
+        waits = 0
+
+        def wait(self, until: float, poll: Any) -> None:
+            self.waits += 1
+            super().wait(until, poll)
+
+    source = Watched(0.0)
+    reactor = Reactor(source)
+    pushed = reactor.register_timer(lambda eventtime: reactor.NEVER, 0.005)
+
+    def push(eventtime: float) -> float:
+        reactor.update_timer(pushed, eventtime + 0.005)  # always before it is due
+        return eventtime + 0.003
+
+    reactor.register_timer(push, 0.0)
+    run_for(reactor, 0.3)
+    assert source.waits == pytest.approx(100, abs=4)
+
+
 def test_completion_gives_its_value_to_all_waiting() -> None:
     reactor = Reactor(VirtualTime(0.0))
     completion = reactor.completion()
