@@ -31,9 +31,7 @@ SURPRISE = 14.0  # innovation squared over its variance beyond which the disturb
 SURPRISED_W = 3.0  # by about this much at once
 # Innovations that lean one way: their sum, each in its own sigma and fading so fast a message, is 1.5 by chance.
 LEAN_KEEP, LEAN_MOST = 0.75, 4.5  # three times that: the disturbance moves ...
-LEAN_SHARE = 0.275  # ... and its 1 sigma is no less than this of disturbance_start_w, ...
-LEAN_GROWTH = 2.0  # ... its variance more with each message that still leans
-# With a share of 0.5 the loop hunts by 0.7 degC under a thermometer drifted by 16 degC, which leans with the drive; so by 0.1.
+LEAN_SHARE = 0.5  # ... by about this much of disturbance_start_w a message
 JUMP_C, JUMP_SIGMA = 3.0, 6.0  # farther off than this within a message no heat goes: the thermometer jumped
 JUMPED_C = 10.0  # 1 sigma of such a jump
 REBASED_SIGMA = 10.0  # a step of the drive may move the sensing law by this many of a sample's sigma
@@ -345,11 +343,7 @@ def observe(
     surprise = run.innovation_c * run.innovation_c / spread
     lean = 0.0 if loose_c else LEAN_KEEP * state.lean + run.innovation_c / math.sqrt(spread)
     if abs(lean) > LEAN_MOST:
-        least, present = (
-            (LEAN_SHARE * p.disturbance_start_w) ** 2,
-            rows[places.disturbance][places.disturbance],
-        )
-        rows[places.disturbance][places.disturbance] = max(least, LEAN_GROWTH * present + 0.1 * least)
+        rows[places.disturbance][places.disturbance] += (LEAN_SHARE * p.disturbance_start_w) ** 2
     elif surprise > SURPRISE and not loose_c:
         rows[places.disturbance][places.disturbance] += SURPRISED_W * SURPRISED_W
     column = [row[m] for row in rows]

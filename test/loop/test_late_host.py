@@ -46,7 +46,7 @@ def test_a_late_host_on_a_plant_it_was_not_told_of(
     assert r.settle_ratio < 1.15
     assert r.overshoot_c < 3.0
     assert r.step_over_s < 0.10
-    assert r.flow_deviation_c < 1.5 * 0.6  # measured on 60 such plants: at most 0.49
+    assert r.flow_deviation_c < 1.5 * 0.6  # measured on 60 such plants: at most 0.56
     assert r.flow_steady_c < 0.1
     assert r.ripple_c < 0.3
     assert (r.late, r.trips, r.fault) == (0, 0, "")
