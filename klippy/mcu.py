@@ -452,6 +452,10 @@ class MCU:
 
     register_serial_response = register_response
 
+    def set_patience(self, name: str, seconds: float, most: int) -> None:
+        """Messages `name` need not be handled at once, but within so many seconds or when there are `most`."""
+        self._serial.set_patience(name, seconds, most)
+
     def alloc_command_queue(self) -> Any:
         """Commands keep their order within a queue only."""
         return self._serial.alloc_command_queue()

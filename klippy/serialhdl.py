@@ -176,6 +176,13 @@ class SerialReader:
 
     # --- receiving ---
 
+    def set_patience(self, name: str, seconds: float, most: int) -> None:
+        """Messages `name` may wait so long for a turn of the reactor, until there are `most`; 0: no longer."""
+        known = self.msgparser.lookup_response(name)
+        if known is not None:
+            message_id = known.id_bytes
+            self._lib.serialqueue_set_patience(self._sq, message_id, len(message_id), seconds, most)
+
     def _drain(self) -> None:
         """Take what the queue has for us. Called by the port in the reactor thread."""
         pulled = self._pulled

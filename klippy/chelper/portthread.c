@@ -25,6 +25,7 @@ struct portthread {
     int wake_read, wake_write;
     pthread_t thread;
     atomic_int stopping, error;
+    int has_news; // for the host, who has not been told yet
     uint8_t out[SERIALQUEUE_TRANSMIT_MIN]; // bytes the port has not taken yet
     int out_start, out_end;
 };
@@ -57,8 +58,7 @@ read_port(struct portthread *pt)
     uint8_t data[READ_SIZE];
     ssize_t n = read(pt->fd, data, sizeof(data));
     if (n > 0) {
-        if (serialqueue_receive(pt->sq, data, (int)n, monotonic_now()))
-            poke(pt->notify_fd);
+        pt->has_news |= serialqueue_receive(pt->sq, data, (int)n, monotonic_now()) > 0;
     } else if (!n) {
         fail(pt, -1);
     } else if (errno != EAGAIN && errno != EINTR) {
@@ -88,6 +88,21 @@ write_port(struct portthread *pt)
     }
 }
 
+// Wake the host when something waits for it that can not wait longer. Returns when to look again.
+static double
+tell_host(struct portthread *pt)
+{
+    if (!pt->has_news)
+        return SERIALQUEUE_NEVER;
+    double due = serialqueue_host_due(pt->sq);
+    if (due <= monotonic_now()) {
+        poke(pt->notify_fd);
+        pt->has_news = 0;
+        return SERIALQUEUE_NEVER;
+    }
+    return due;
+}
+
 static int
 poll_timeout_ms(double next_wake)
 {
@@ -102,8 +117,10 @@ port_loop(void *arg)
 {
     struct portthread *pt = arg;
     while (!atomic_load(&pt->stopping)) {
+        double next_told = tell_host(pt);
         int broken = atomic_load(&pt->error);
         double next_wake = broken ? SERIALQUEUE_NEVER : write_port(pt);
+        next_wake = next_told < next_wake ? next_told : next_wake;
         int has_output = pt->out_start != pt->out_end;
         struct pollfd fds[2] = {
             {.fd = pt->wake_read, .events = POLLIN},

@@ -60,11 +60,16 @@ int serialqueue_pull(struct serialqueue *sq, struct pull_message *out, int max);
 void serialqueue_set_clock_est(struct serialqueue *sq, double freq, double conv_time, uint64_t conv_clock);
 void serialqueue_set_wire(struct serialqueue *sq, double bits_per_second, int receive_window); // 0 = no such limit
 void serialqueue_get_stats(struct serialqueue *sq, struct serialqueue_stats *out);
+// Messages that begin with these bytes (their id, 1..4 of them) may wait so long for the host, until `most` are there;
+// most 0: none may.
+void serialqueue_set_patience(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int most);
 // file_mode: bytes of finished blocks waiting; `finish` ends the block that is being filled
 uint64_t serialqueue_file_pending(struct serialqueue *sq, int finish);
 
 // --- port side
 int serialqueue_receive(struct serialqueue *sq, const uint8_t *data, int len, double now);
+// When the host must have looked at what waits for it: 0 at once, SERIALQUEUE_NEVER if nothing does.
+double serialqueue_host_due(struct serialqueue *sq);
 int serialqueue_transmit(struct serialqueue *sq, uint8_t *out, int capacity, double now, double *next_wake);
 
 #endif

@@ -64,6 +64,7 @@ struct tx_block {
 struct rx_node {
     struct rx_node *next;
     struct pull_message message;
+    int is_patient;
 };
 
 struct file_buffer {
@@ -102,7 +103,10 @@ struct serialqueue {
     uint8_t rx[4 * MSGBLOCK_MAX];
     int rx_len;
     struct rx_node *rx_first, *rx_last;
-    int rx_waiting;
+    int rx_waiting, rx_patient; // all, and those that may wait
+    uint8_t patient_id[4];
+    int patient_len, patient_most;
+    double patience_s;
     struct file_buffer file;
     struct serialqueue_stats stats;
 };

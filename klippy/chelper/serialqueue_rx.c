@@ -10,6 +10,9 @@ deliver(struct serialqueue *sq, const struct pull_message *message)
     struct rx_node *node = sq_checked_alloc(NULL, sizeof(*node));
     node->message = *message;
     node->next = NULL;
+    node->is_patient = sq->patient_most && message->len >= sq->patient_len
+                       && !memcmp(message->data, sq->patient_id, (size_t)sq->patient_len);
+    sq->rx_patient += node->is_patient;
     if (sq->rx_first)
         sq->rx_last->next = node;
     else
@@ -173,6 +176,32 @@ serialqueue_receive(struct serialqueue *sq, const uint8_t *data, int len, double
     return waiting;
 }
 
+void
+serialqueue_set_patience(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int most)
+{
+    pthread_mutex_lock(&sq->lock);
+    int is_known = id_len > 0 && id_len <= (int)sizeof(sq->patient_id);
+    if (is_known)
+        memcpy(sq->patient_id, id, (size_t)id_len);
+    sq->patient_len = id_len;
+    sq->patient_most = is_known ? most : 0;
+    sq->patience_s = patience_s;
+    pthread_mutex_unlock(&sq->lock);
+}
+
+double
+serialqueue_host_due(struct serialqueue *sq)
+{
+    pthread_mutex_lock(&sq->lock);
+    double due = SERIALQUEUE_NEVER;
+    if (sq->rx_waiting > sq->rx_patient || (sq->rx_waiting && sq->rx_waiting >= sq->patient_most))
+        due = 0.0;
+    else if (sq->rx_waiting)
+        due = sq->rx_first->message.receive_time + sq->patience_s;
+    pthread_mutex_unlock(&sq->lock);
+    return due;
+}
+
 int
 serialqueue_pull(struct serialqueue *sq, struct pull_message *out, int max)
 {
@@ -182,6 +211,7 @@ serialqueue_pull(struct serialqueue *sq, struct pull_message *out, int max)
         struct rx_node *node = sq->rx_first;
         sq->rx_first = node->next;
         out[count++] = node->message;
+        sq->rx_patient -= node->is_patient;
         free(node);
     }
     sq->rx_waiting -= count;
@@ -197,5 +227,5 @@ sq_drop_received(struct serialqueue *sq)
         sq->rx_first = node->next;
         free(node);
     }
-    sq->rx_waiting = sq->rx_len = 0;
+    sq->rx_waiting = sq->rx_patient = sq->rx_len = 0;
 }

@@ -26,6 +26,8 @@ from thermal.records import PHASE_MAX_TICKS, PhaseCommand
 PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
 # Steps that may wait on the MCU at one time: a plan, and what stays of the one before.
 MOVE_QUEUE_SLOTS = 24
+# While nothing happens two messages of blocks wake the host once: waking costs it more than the messages.
+CALM_MESSAGES, CALM_WAIT_S = 2, 0.015
 PLAN_STEP = struct.Struct("<HH")
 
 OnBlocks = Callable[[Blocks], None]
@@ -150,6 +152,7 @@ class InductionUnit:
         if calm != self._calm:
             self._calm = calm
             self._batch.send([self._oid, self.settings.calm_records if calm else self.settings.records])
+            self.mcu.set_patience("induction_block", CALM_WAIT_S, CALM_MESSAGES if calm else 0)
 
     def set_report(self, enable: bool) -> None:
         """Start or stop sampling and reports."""

@@ -76,6 +76,9 @@ class FakeMcu:
     def request_move_queue_slot(self) -> None:
         pass
 
+    def set_patience(self, name: str, seconds: float, most: int) -> None:
+        pass
+
     def get_constant_float(self, name: str) -> float:
         return {"CLOCK_FREQ": 72e6}[name]
 

@@ -143,6 +143,35 @@ def test_board_is_identified_and_answers(board_path: str) -> None:
 
 
 @pytest.mark.parametrize("board_path", ["pty"], indirect=True)
+def test_patient_messages_wake_the_host_together(board_path: str) -> None:
+    def body(reactor: Reactor, serial: serialhdl.SerialReader) -> None:
+        serial.connect(board_path, 250000)
+        heard: list[bytes] = []
+        serial.register_response(lambda params: heard.append(params["data"]), "pong")
+
+        def wait_for(count: int, seconds: float) -> int:
+            end = reactor.monotonic() + seconds
+            while len(heard) < count and reactor.monotonic() < end:
+                reactor.pause(reactor.monotonic() + 0.01)
+            return len(heard)
+
+        serial.set_patience("pong", 60.0, 2)
+        serial.send("ping data=01")
+        assert wait_for(1, 0.3) == 0
+        serial.send("ping data=02")
+        assert wait_for(2, 10.0) == 2
+        serial.set_patience("pong", 0.05, 2)
+        serial.send("ping data=03")
+        assert wait_for(3, 10.0) == 3  # nobody comes to keep it company
+        serial.set_patience("pong", 60.0, 0)
+        serial.send("ping data=04")
+        assert wait_for(4, 10.0) == 4
+        assert heard == [b"\x01", b"\x02", b"\x03", b"\x04"]
+
+    in_reactor(body)
+
+
+@pytest.mark.parametrize("board_path", ["pty"], indirect=True)
 def test_host_can_disconnect_and_connect_again(board_path: str) -> None:
     def body(reactor: Reactor, serial: serialhdl.SerialReader) -> None:
         for _ in range(3):

@@ -501,3 +501,34 @@ def test_batches_of_step_commands_are_fast_enough_for_files() -> None:
     # peers print 43,000 moves a second with some 20 commands each; this must be a small part of that second:
     # 20,000 commands in 20 ms are a million a second
     assert spent < 0.020
+
+
+# --- messages that may wait for the host ---
+
+
+def test_only_the_named_messages_wait_and_only_so_many_and_so_long() -> None:
+    ffi, lib = chelper.get_ffi()
+    sq = ffi.gc(lib.serialqueue_alloc(0), lib.serialqueue_free)
+    pulled = ffi.new("struct pull_message[]", 8)
+    never = 1e30
+
+    def receive(content: bytes, now: float) -> float:
+        block = msgproto.encode_block(1, content)
+        lib.serialqueue_receive(sq, block, len(block), now)
+        return float(lib.serialqueue_host_due(sq))
+
+    lib.serialqueue_set_patience(sq, b"\x81\x05", 2, 0.015, 3)
+    assert lib.serialqueue_host_due(sq) == never
+    assert receive(b"\x81\x05one", 7.0) == pytest.approx(7.015, abs=0.003)  # less its time on the wire
+    assert receive(b"\x81\x05two", 7.005) == pytest.approx(7.015, abs=0.003)
+    assert receive(b"\x81\x05three", 7.010) == 0.0  # as many as may wait
+    assert lib.serialqueue_pull(sq, pulled, 8) == 3
+    assert lib.serialqueue_host_due(sq) == never
+    assert receive(b"\x81\x06", 8.0) == 0.0  # another message
+    assert receive(b"\x81\x05", 8.0) == 0.0
+    assert [pulled[i].len for i in range(lib.serialqueue_pull(sq, pulled, 8))] == [2, 2]
+    lib.serialqueue_set_patience(sq, b"\x81\x05", 2, 0.015, 0)
+    assert receive(b"\x81\x05", 9.0) == 0.0
+    lib.serialqueue_set_patience(sq, b"\x81\x05", 2, 0.015, 3)
+    lib.serialqueue_reset(sq, 0)  # another connection: another firmware's ids
+    assert receive(b"\x81\x05", 10.0) == 0.0
