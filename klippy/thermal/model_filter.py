@@ -308,6 +308,24 @@ def _moved(p: ModelParameters, places: Layout, nodes: Nodes, gains: list[float],
     return Nodes(element_c, temp_c, second_c, sensor_c, nodes.bore_c + step_c, nodes.flow)
 
 
+def _widened(p: ModelParameters, places: Layout, rows: list[list[float]], run: _Run, lean: float) -> float:
+    """Doubt more where the innovation says that the model was wrong: `rows` in place. Returns the new lean."""
+    m = places.measured
+    jumped = abs(run.innovation_c) > JUMP_C + JUMP_SIGMA * math.sqrt(rows[m][m] + 1.0 / run.weight)
+    loose_c = max(run.rebased_c, JUMPED_C if jumped else 0.0)
+    if loose_c:
+        for i in range(places.size):
+            rows[m][i] = rows[i][m] = 0.0 if i != m else rows[m][m] + loose_c * loose_c
+        return 0.0
+    spread = rows[m][m] + 1.0 / run.weight
+    lean = LEAN_KEEP * lean + run.innovation_c / math.sqrt(spread)
+    if abs(lean) > LEAN_MOST:
+        rows[places.disturbance][places.disturbance] += (LEAN_SHARE * p.disturbance_start_w) ** 2
+    elif run.innovation_c * run.innovation_c / spread > SURPRISE:
+        rows[places.disturbance][places.disturbance] += SURPRISED_W * SURPRISED_W
+    return lean
+
+
 def observe(
     p: ModelParameters,
     state: ModelState,
@@ -332,20 +350,9 @@ def observe(
     if not run.weight:
         covariance = tuple(map(tuple, rows))
         return state._replace(time_s=run.time_s, nodes=run.nodes, covariance=covariance)
+    lean = _widened(p, places, rows, run, state.lean)
     m = places.measured
-    jumped = abs(run.innovation_c) > JUMP_C + JUMP_SIGMA * math.sqrt(rows[m][m] + 1.0 / run.weight)
-    loose_c = max(run.rebased_c, JUMPED_C if jumped else 0.0)
-    if loose_c:
-        for i in range(places.size):
-            rows[m][i] = rows[i][m] = 0.0 if i != m else rows[m][m] + loose_c * loose_c
-    noise = 1.0 / run.weight
-    spread = rows[m][m] + noise
-    surprise = run.innovation_c * run.innovation_c / spread
-    lean = 0.0 if loose_c else LEAN_KEEP * state.lean + run.innovation_c / math.sqrt(spread)
-    if abs(lean) > LEAN_MOST:
-        rows[places.disturbance][places.disturbance] += (LEAN_SHARE * p.disturbance_start_w) ** 2
-    elif surprise > SURPRISE and not loose_c:
-        rows[places.disturbance][places.disturbance] += SURPRISED_W * SURPRISED_W
+    spread = rows[m][m] + 1.0 / run.weight
     column = [row[m] for row in rows]
     gains = [value / spread for value in column]
     covariance = tuple(

@@ -60,7 +60,8 @@ def pieces_of(rows):
 )
 def test_the_ramps_are_those_of_the_reference(rows, start_c, power_w, interface_c):
     """Same temperatures at every moment. 0.3 degC: losses are tables of whole degrees, and a rounding error away lies
-    the next entry. With little power to spare that is a few percent of a ramp of 10 degC; other faults make degrees."""
+    the next entry. With little power to spare that is a few percent of a ramp of 10 degC; other faults make degrees.
+    Of 150 random paths one half differs by 1e-13, one in a hundred by more than 0.04, none by more than 0.09."""
     limits = nozzle_melt.NozzleLimits(power_w=power_w)
     planner = Planner(limits, (ABS.low_c, ABS.high_c), 0.3)
     start_c = min(start_c, planner.ceiling_c)
