@@ -23,7 +23,8 @@ CYCLE_TIME_DEFAULT_S = 0.100
 MAX_TICKS = 2**31 - 1  # the farthest a 32-bit clock can be scheduled ahead
 ADC_REPORT_BYTES = 2  # one sum of samples, 16 bits, low byte first
 QUERY_ANALOG = (
-    "query_analog_in oid={} clock={} sample_ticks={} sample_count={} rest_ticks={} bytes_per_report=2"
+    "query_analog_in oid={} clock={} sample_ticks={} sample_count={} rest_ticks={}"
+    f" bytes_per_report={ADC_REPORT_BYTES}"
     " min_value={} max_value={} range_check_count={}"
 )
 # Firmware before 2025 (and Kalico's) has neither `bytes_per_report` nor several values to a report.

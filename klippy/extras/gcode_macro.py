@@ -15,7 +15,7 @@ from typing import Any
 import jinja2
 import jinja2.sandbox
 
-from gcode import is_traditional
+from gcode_command import is_traditional
 
 
 class StatusView:

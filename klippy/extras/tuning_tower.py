@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from gcode import is_traditional
+from gcode_command import is_traditional
 
 _TINY_MM = 1e-8  # a height computed a hair below a step belongs to the step
 

@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import gcode
-from gcode import CommandError, GCodeCommand, parse_extended, parse_traditional
+from gcode import CommandError, GCodeCommand
+from gcode_command import parse_extended, parse_traditional
 
 
 class FakePrinter:
