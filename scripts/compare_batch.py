@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Are two batch outputs the same motion? Steps, net position, first and last step of every stepper.
 
-    klippy/klippy.py printer.cfg -i part.gcode -o A -d DICT
+    .venv/bin/python klippy/klippy.py printer.cfg -i part.gcode -o A -d DICT
     scripts/compare_batch.py A.dict A B.dict B
 
 Steppers are told apart by their step pins. "Same" as batch mode means it: as many steps, ending in the same place, the
@@ -12,6 +12,8 @@ Exit status 0 the same, 1 not, 2 bad input.
 """
 
 from __future__ import annotations
+
+import in_venv  # noqa: F401  # isort: skip
 
 import argparse
 import math

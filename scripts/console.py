@@ -10,6 +10,8 @@ Every message of the MCU is shown. A host must not be connected to the same boar
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import ast
 import functools

@@ -2,13 +2,15 @@
 """Runs the image for a chip in real time behind a pseudo terminal, with a simulated machine around it.
 
     scripts/emulate.py stm32f334
-    klippy/klippy.py config/sim-f334.cfg          (in another terminal; `serial:` there is the pseudo terminal)
+    .venv/bin/python klippy/klippy.py config/sim-f334.cfg    (in another terminal; `serial:` is the pseudo terminal)
 
 The machine is that of the config's simulator sections; without --config that of the chip's own example in config/. The
 run ends with Ctrl-C, or when the chip's model objects to something the firmware does.
 """
 
 from __future__ import annotations
+
+import in_venv  # noqa: F401  # isort: skip
 
 import argparse
 import logging

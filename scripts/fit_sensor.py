@@ -8,6 +8,8 @@ Exit status 0 fitted, 2 the input cannot be used (the text says why).
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import json
 import sys

@@ -9,6 +9,8 @@ resistance models).  Exit status 0 fitted, 2 the input cannot be used.
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import json
 import sys

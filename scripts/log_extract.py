@@ -8,6 +8,8 @@ scripts/log_extract.py klippy.log --plot OUT.png        temperatures, power and 
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import re
 import sys

@@ -16,6 +16,8 @@ Exit status 0 drawn, 2 bad input.
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import configparser
 import json

@@ -11,6 +11,8 @@ that has nothing else. Exit status: 0 done, 2 bad input.
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import difflib
 import json

@@ -8,6 +8,8 @@ numbers. Usage: scripts/plot_plant.py [OUTPUT.png]
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import importlib
 import sys
 from pathlib import Path

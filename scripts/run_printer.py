@@ -17,6 +17,8 @@ and the host is klippy/klippy.py itself, as with real boards: it needs a compute
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import contextlib
 import ctypes

@@ -2,12 +2,14 @@
 """Runs the simulated printer in real time behind a pseudo terminal per MCU, for any Klipper-protocol host.
 
     scripts/run_simulator.py config/sim-induction.cfg --pty /tmp/ferrite_mcu
-    klippy/klippy.py config/sim-induction.cfg          (in another terminal; `serial:` is that path)
+    .venv/bin/python klippy/klippy.py config/sim-induction.cfg    (in another terminal; `serial:` is that path)
 
 Without --pty the paths are those of the config's own `serial` options.
 """
 
 from __future__ import annotations
+
+import in_venv  # noqa: F401  # isort: skip
 
 import argparse
 import logging

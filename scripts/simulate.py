@@ -9,6 +9,8 @@ and in the summary).
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import json
 import logging

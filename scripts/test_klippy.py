@@ -25,6 +25,8 @@ and, beyond Klipper's format, because an exit status alone proves little:
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import logging
 import os

@@ -4,6 +4,7 @@
 #include <math.h>
 
 #define QUANTISATION_VARIANCE (1.0 / 12.0) // LSB^2, a uniform rounding error
+#define ALIKE_BLOCKS 6.0                   // neighbours on one code err by the same: a message of them says it once
 
 double
 drive_power_w(double power_max_w, double exponent, double phase_max_ticks, double phase_ticks)
@@ -21,15 +22,26 @@ front_fault(const struct front_params *p, const struct coil_block *b)
     return b->lost ? BLOCK_LOST : BLOCK_GOOD;
 }
 
+// Variance (LSB^2) of what rounding leaves in the mean of any number of samples of Gaussian noise, over all places
+// between two codes. The error's first harmonic fades with exp(-(2 pi sigma)^2), the others faster (Widrow, Kollar,
+// Liu, Statistical Theory of Quantization, IEEE Trans. Instrum. Meas. 45, 1996): nothing at 0.5 LSB, all at none.
+static double
+stuck_variance(double noise_lsb)
+{
+    double turns = 2.0 * M_PI * noise_lsb;
+    return QUANTISATION_VARIANCE * exp(-turns * turns);
+}
+
 void
 front_measure(const struct front_params *p, struct coil_block *blocks, int count)
 {
     double variance = p->noise_lsb * p->noise_lsb + QUANTISATION_VARIANCE;
+    double stuck = ALIKE_BLOCKS * stuck_variance(p->noise_lsb);
     for (struct coil_block *b = blocks; b < blocks + count; b++) {
         b->centre_s = b->time_s + 0.5 * b->duration_s;
         b->end_s = b->time_s + b->duration_s;
         b->error_units = (b->mean_raw - p->adc_zero_raw) * p->units_per_lsb;
-        b->noise_units = sqrt(variance / b->count) * p->units_per_lsb;
+        b->noise_units = sqrt(variance / b->count + stuck) * p->units_per_lsb;
         b->fault = front_fault(p, b);
     }
 }
@@ -90,6 +102,12 @@ chain_note_span(const struct chain_params *p, struct chain_state *s, const struc
     s->span_lsb = s->spans == 1 ? span : s->span_lsb + (span - s->span_lsb) / s->spans;
 }
 
+double
+chain_noise_lsb(const struct chain_params *p, const struct chain_state *s)
+{
+    return s->spans < p->span_blocks / 4 ? NAN : s->span_lsb / p->span_per_noise;
+}
+
 // Each block's own temperature for the model law, and the heat since the block before.
 static struct model_sample
 sample_of(const struct chain_params *p, struct chain_state *s, const struct coil_block *b)
@@ -113,7 +131,11 @@ chain_take(const struct chain_params *p, struct chain_state *s, struct coil_bloc
            struct model_sample *samples)
 {
     int newest = -1;
-    front_measure(&p->front, blocks, count);
+    struct front_params front = p->front;
+    double noise_lsb = chain_noise_lsb(p, s);
+    if (!isnan(noise_lsb))
+        front.noise_lsb = noise_lsb;
+    front_measure(&front, blocks, count);
     for (int i = 0; i < count; i++) {
         struct coil_block *b = &blocks[i];
         chain_estimate(p, b);

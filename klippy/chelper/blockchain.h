@@ -8,6 +8,7 @@
 // klippy/thermal/chain.py fills the parameters and makes Python's records of what somebody wants to see.
 
 #include "blockwire.h"
+#include "modelfilter.h"
 #include "nozzletrack.h"
 #include "sensinglaw.h"
 
@@ -38,7 +39,7 @@ struct coil_block {
     double tracked_c, tracked_sigma_c, tracked_noise_c;
 };
 
-// The analogue front end: what one ADC code means.
+// The analogue front end: what one ADC code means. noise_lsb: of one sample, as told; what the blocks show counts.
 struct front_params {
     double adc_zero_raw, units_per_lsb, noise_lsb;
     int32_t adc_max_raw;
@@ -55,6 +56,7 @@ struct chain_params {
     double power_max_w, power_exponent, power_phase_max_ticks;
     struct track_params track;
     int32_t span_samples, span_blocks;              // noise from the span of blocks: nominal length, memory
+    double span_per_noise;                          // expected span of a block of that length, in sigma of a sample
     double phase_max_ticks;                         // of the usual drive
     double step_share, usual_s, doubt_c;            // model_sample: klippy/thermal/chain.py
 };
@@ -78,12 +80,6 @@ struct chain_state {
     double usual_share;         // p = (phase/phase_max)^2 as usual, of blocks with a temperature
 };
 
-// control_api.Sample
-struct model_sample {
-    double time_s, end_s, temp_c, sigma_c, output;
-    uint8_t is_rebased;
-};
-
 double drive_power_w(double power_max_w, double exponent, double phase_max_ticks, double phase_ticks);
 // centre_s, end_s, error_units, noise_units and what is wrong with a block before any law is asked.
 void front_measure(const struct front_params *p, struct coil_block *blocks, int count);
@@ -91,6 +87,8 @@ void front_measure(const struct front_params *p, struct coil_block *blocks, int 
 void chain_estimate(const struct chain_params *p, struct coil_block *block);
 void chain_watch_block(const struct chain_params *p, struct chain_watch *w, const struct coil_block *block);
 void chain_note_span(const struct chain_params *p, struct chain_state *s, const struct coil_block *block);
+// Standard deviation of one ADC sample in LSB, from the mean span; NaN before enough blocks.
+double chain_noise_lsb(const struct chain_params *p, const struct chain_state *s);
 // All of it for blocks in order of time, a sample for each. Index of the newest tracked one, -1: none.
 int chain_take(const struct chain_params *p, struct chain_state *s, struct coil_block *blocks, int count,
                struct model_sample *samples);

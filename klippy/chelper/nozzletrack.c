@@ -2,11 +2,10 @@
 
 #include "nozzletrack.h"
 #include "blockchain.h"
+#include "physics.h"
 #include <math.h>
 
 #define RATE_START 900.0 // (K/s)^2: variance of the unexplained rate at a start; 30 K/s
-#define STEFAN_BOLTZMANN 5.670374e-8 // W/m^2K^4
-#define ZERO_CELSIUS_K 273.15
 
 static double
 fourth_power(double x)

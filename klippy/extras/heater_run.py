@@ -109,7 +109,7 @@ def _stepper(run: Run, most: float) -> Callable[..., tuple[control_api.ControlOu
     ) -> tuple[control_api.ControlOutput, int]:
         seen = [s for s in inputs.samples if s.temp_c == s.temp_c and not s.rebased]
         if isinstance(run, drill.Drill):
-            run.heard(inputs.samples)
+            run.heard(inputs.samples, inputs.flow_mm3_s)
         temp_c = math.fsum(s.temp_c for s in seen) / len(seen) if seen else math.nan
         at_s = math.fsum(s.time_s for s in seen) / len(seen) if seen else time_s
         power = max(0.0, min(most, inputs.limit, run.decide(at_s, temp_c, min(most, inputs.limit))))

@@ -26,6 +26,7 @@ INDUCTION_OPTIONS = (
     ),
     *heater_laws.OPTIONS["practical"],
     *("heat_capacity_j_per_k", "loss_factor", "second_mass_factor", "ambient_temp"),
+    *("melt_exchange", "melt_heat", "melt_inlet_temp"),
 )
 NUMBER = "{:.6g}"
 
@@ -76,6 +77,10 @@ def is_induction(heater: Any) -> bool:
     return not isinstance(heater, Heater)
 
 
+def min_extrude_c(heater: Any) -> float:
+    return float((heater if is_induction(heater) else heater.settings).min_extrude_c)
+
+
 def section_of(heater: Any) -> str:
     """The printer.cfg section that holds the heater's tuning."""
     return f"induction_heater {heater.section_name}" if is_induction(heater) else heater.settings.name
@@ -99,6 +104,9 @@ def options_of(heater: Any) -> Tuning:
         "loss_factor": loss.link_w_k / base.link_w_k,
         "second_mass_factor": loss.second_j_k / base.second_j_k,
         "ambient_temp": loss.ambient_c,
+        "melt_exchange": parameters.melt.ua_w_k,
+        "melt_heat": parameters.melt.heat_mj_m3k,
+        "melt_inlet_temp": parameters.melt.inlet_c,
     }
     if isinstance(chosen.parameters, control.PidParameters):
         values["pid_kp_w_per_k"] = chosen.parameters.kp
@@ -159,6 +167,7 @@ def use(printer: Any, heater: Any, tuning: dict[str, str]) -> None:
             loss=meant.loss,
             track=meant.track,
             plausible=meant.plausible,
+            melt=meant.melt,
         )
     )
 

@@ -41,6 +41,7 @@ class Planner(Protocol):
     def take_target(self, target_c: float) -> bool: ...
     def is_on_path(self) -> bool: ...
     def user_target_c(self) -> float: ...
+    def renew(self) -> None: ...
 
 
 class InductionHeater:
@@ -227,6 +228,8 @@ class InductionHeater:
         parameters = settings.remodelled(parameters)
         before, self.parameters = self.parameters, parameters
         self.loop.use(parameters)
+        if self.planner is not None and parameters.melt != before.melt:
+            self.planner.renew()
         if (parameters.estimator, parameters.front) != (before.estimator, before.front):
             self.loop.state.estimate = loop.NOT_MEASURED  # told by another sensing law
 

@@ -18,6 +18,7 @@ from thermal import (
     model,
     model_control,
     model_nozzle,
+    nozzle_melt,
     plausible,
     practical,
     supervise,
@@ -143,6 +144,7 @@ def _control(
     heat: model.HeatCapacity,
     loss: plausible.TwoNodeLoss,
     timing: loop.Timing,
+    melt: nozzle_melt.MeltExchange,
 ) -> loop.Control:
     """The control law by name; the options of all are read, switching is no reason to delete a tuning."""
     choice = config.getchoice(
@@ -153,7 +155,7 @@ def _control(
     watermark = control.WatermarkParameters(config.getfloat("max_delta", 2.0, above=0.0), power_max_w)
     table = heater_laws.read_practical(config, power_max_w)
     try:
-        held = model_nozzle.nozzle_model(heat, loss, power_max_w, timing)
+        held = model_nozzle.nozzle_model(heat, loss, power_max_w, timing, melt)
     except control_api.ParameterError as e:
         where = config.where("heat_capacity_j_per_k")
         raise config.error(f"Section '{config.get_name()}': {e} (heat_capacity_j_per_k: {where}).") from None
@@ -173,7 +175,9 @@ def remodelled(parameters: loop.LoopParameters) -> loop.LoopParameters:
     if not chosen.models:
         return parameters
     balance = parameters.plausible
-    held = model_nozzle.nozzle_model(balance.heat, balance.loss, chosen.power_max_w, parameters.timing)
+    held = model_nozzle.nozzle_model(
+        balance.heat, balance.loss, chosen.power_max_w, parameters.timing, parameters.melt
+    )
     return replace(parameters, control=replace(chosen, parameters=held))
 
 
@@ -207,6 +211,17 @@ def _loss(config: Any) -> model.LossLaw:
     )
 
 
+def _melt(config: Any) -> nozzle_melt.MeltExchange:
+    """What the filament takes; MODEL_CALIBRATE with FLOW measures it."""
+    default = nozzle_melt.MeltExchange()
+    return replace(
+        default,
+        ua_w_k=config.getfloat("melt_exchange", default.ua_w_k, above=0.0, maxval=1.0),
+        heat_mj_m3k=config.getfloat("melt_heat", default.heat_mj_m3k, above=0.1, maxval=20.0),
+        inlet_c=config.getfloat("melt_inlet_temp", default.inlet_c, minval=-50.0, maxval=150.0),
+    )
+
+
 def _plausible(config: Any, heat: model.HeatCapacity, loss: model.LossLaw) -> plausible.PlausibleParameters:
     return plausible.PlausibleParameters(
         heat,
@@ -236,10 +251,11 @@ def read_parameters(config: Any, unit: UnitSettings) -> loop.LoopParameters:
     loss = _loss(config)
     heat = model.HeatCapacity(config.getfloat("heat_capacity_j_per_k", 0.414, above=0.0))
     balance = _plausible(config, heat, loss)
+    melt = _melt(config)
     return loop.LoopParameters(
         front,
         estimator.EstimatorParameters(law, supply=drive.law.vdc_v / drive.law.vdc_reference_v),
-        _control(config, drive.law, heat, balance.loss, timing),
+        _control(config, drive.law, heat, balance.loss, timing, melt),
         loss,
         drive,
         supervise.SuperviseParameters(temp_low_c, temp_high_c, calibrated=calibrated),
@@ -247,6 +263,7 @@ def read_parameters(config: Any, unit: UnitSettings) -> loop.LoopParameters:
         _approach(config, drive.law, law),
         track.TrackParameters(loss, heat),
         balance,
+        melt,
     )
 
 

@@ -51,7 +51,8 @@ class Settings:
     surroundings: Surroundings
     craft: Craft
     table: wishes.WishTable
-    exchange: MeltExchange
+    exchange_w_k: float | None  # instead of the heater's own
+    melt_mm3: float
     power_share: float
     slowest: float  # least part of the file's speed
     longest_pause_s: float  # before a layer
@@ -115,10 +116,21 @@ class TemperaturePlanner:
             power_w=self.settings.power_share * parameters.control.power_max_w,
             loss=parameters.loss,
             capacity=parameters.track.heat,
-            exchange=self.settings.exchange,
+            exchange=self._exchange(),
             holder_w_k=holder.link_w_k**2 / (holder.link_w_k + holder.second_w_k),
             holder_s=holder.second_j_k / (holder.link_w_k + holder.second_w_k),
         )
+
+    def _exchange(self) -> MeltExchange:
+        """As the heater knows it (MODEL_CALIBRATE with FLOW measures it), unless the section says otherwise."""
+        own: MeltExchange = self.heater.parameters.melt
+        ua_w_k = self.settings.exchange_w_k or own.ua_w_k
+        return replace(own, ua_w_k=ua_w_k, volume_mm3=self.settings.melt_mm3)
+
+    def renew(self) -> None:
+        """The heater works with other numbers: plan with them. What is being laid is laid with the ones before."""
+        if self.plan.summary().pieces == 0 and not self.is_on_path():
+            self._begin()
 
     def _begin(self) -> None:
         """An empty bed."""
@@ -530,10 +542,8 @@ def read_settings(config: Any) -> Settings:
             _read(config, "layers", wishes.read_ranges),
             _read(config, "heights", wishes.read_ranges),
         ),
-        MeltExchange(
-            ua_w_k=config.getfloat("melt_exchange", 0.0276, above=0.0),
-            volume_mm3=config.getfloat("melt_volume", 0.0, minval=0.0),
-        ),
+        config.getfloat("melt_exchange", None, above=0.0),
+        config.getfloat("melt_volume", 0.0, minval=0.0),
         config.getfloat("power_share", 0.8, above=0.0, maxval=1.0),
         config.getfloat("minimum_speed_factor", SLOWEST, above=0.0, maxval=1.0),
         config.getfloat("max_layer_pause", 0.0, minval=0.0, maxval=120.0),

@@ -9,18 +9,16 @@ estimator.py, laws.py, track.py, supervise.py.
 from __future__ import annotations
 
 import math
-import struct
-from functools import partial
 from typing import Any
 
 import chelper
 
 from . import features, laws
 from .actuator import DriveLaw
-from .blocks import BLOCKS_MOST, Blocks
-from .control_api import Sample
+from .blocks import Blocks
 from .estimator import EMPTY_MARGIN_C, EstimatorParameters
 from .records import TempEstimate
+from .samples import Samples
 from .supervise import SuperviseParameters
 from .track import TrackParameters, track_params
 
@@ -28,8 +26,8 @@ STEP_SHARE = 0.1  # of p = (phase/45000)^2: a step of the drive that may move th
 USUAL_S = 0.1  # memory of the usual p
 DOUBT_C = 40.0  # 1 sigma of the law's error per unit of p away from it; C1 +0.1 % makes it 17 to 29 degC
 
-_SAMPLE = struct.Struct("5d?7x")  # struct model_sample
-_new_sample = partial(tuple.__new__, Sample)  # Sample._make without a Python frame for each
+SAMPLES_USUAL = 64  # of a step; of one that comes late there are more ...
+SAMPLES_MOST = 512  # ... and beyond this, 0.8 s, they are forgotten
 
 
 class Chain:
@@ -40,9 +38,9 @@ class Chain:
         self._parameters = ffi.new("struct chain_params *")
         self.state: Any = ffi.new("struct chain_state *")
         self._watch, self._track = ffi.addressof(self.state, "watch"), ffi.addressof(self.state, "track")
-        self._samples = ffi.new("struct model_sample[]", BLOCKS_MOST)
-        self._sample_bytes = ffi.buffer(self._samples)
-        self._count = 0
+        self._ffi, self._samples_type = ffi, ffi.typeof("struct model_sample[]")
+        self._samples, self._room = ffi.new(self._samples_type, SAMPLES_USUAL), SAMPLES_USUAL
+        self.waiting = 0  # samples that nobody has taken yet
         self._watch.heard_s = self._watch.believed_s = math.inf
         self.restart_track()
 
@@ -68,6 +66,7 @@ class Chain:
         p.power_phase_max_ticks = drive.phase_max_ticks
         p.track = track_params(track)
         p.span_samples, p.span_blocks = features.SPAN_SAMPLES, features.NOISE_BLOCKS
+        p.span_per_noise = features.SPAN_PER_NOISE
         p.phase_max_ticks = front.phase_max_ticks
         p.step_share, p.usual_s, p.doubt_c = STEP_SHARE, USUAL_S, DOUBT_C
 
@@ -82,18 +81,34 @@ class Chain:
 
     def take(self, blocks: Blocks) -> TempEstimate | None:
         """Blocks in order of time; the newest filtered estimate among them, if any."""
-        self._count = blocks.count
-        newest = self._lib.chain_take(self._parameters, self.state, blocks.raw, blocks.count, self._samples)
+        count = blocks.count
+        if self.waiting + count > self._room:
+            self._make_room(count)
+        into = self._samples + self.waiting
+        newest = self._lib.chain_take(self._parameters, self.state, blocks.raw, count, into)
+        self.waiting += count
         return blocks.tracked(newest) if newest >= 0 else None
 
-    def samples(self) -> list[Sample]:
-        """Of the blocks taken last: each one's own temperature, and the heat since the one before."""
-        rows = _SAMPLE.iter_unpack(self._sample_bytes[: self._count * _SAMPLE.size])
-        return list(map(_new_sample, rows))
+    def _make_room(self, count: int) -> None:
+        """For so many more samples. What nobody has taken for so long nobody wants."""
+        if self.waiting + count > SAMPLES_MOST:
+            self.waiting = 0
+        held, self._room = self._samples, max(self._room, 2 * (self.waiting + count))
+        self._samples = self._ffi.new(self._samples_type, self._room)
+        self._ffi.memmove(self._samples, held, self.waiting * self._ffi.sizeof("struct model_sample"))
+
+    def samples(self) -> Samples:
+        """Of the blocks taken since last asked: each one's own temperature, and the heat since the one before."""
+        taken = Samples(self._samples, self.waiting)
+        if self.waiting:
+            self._samples, self._room = self._ffi.new(self._samples_type, SAMPLES_USUAL), SAMPLES_USUAL
+            self.waiting = 0
+        return taken
 
     def noise_lsb(self) -> float | None:
         """Standard deviation of one ADC sample in LSB; None before enough blocks."""
-        return features.noise_lsb(self.state.span_lsb, self.state.spans)
+        noise_lsb = float(self._lib.chain_noise_lsb(self._parameters, self.state))
+        return None if math.isnan(noise_lsb) else noise_lsb
 
     def take_heat_j(self) -> float:
         """Heat put in since the last time somebody asked."""

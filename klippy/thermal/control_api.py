@@ -18,11 +18,12 @@ model law also at sigma, times, reference ahead, flow and fan.
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from operator import le
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
+
+import chelper
 
 
 class ParameterError(ValueError):
@@ -35,39 +36,56 @@ def require(condition: bool, text: str) -> None:
         raise ParameterError(text)
 
 
-@dataclass(frozen=True, slots=True)
+def _line(times_s: tuple[float, ...], values: tuple[float, ...], before: float) -> Any:
+    """C's struct model_line."""
+    return chelper.get_ffi()[0].new("struct model_line *", (len(times_s), before, (*times_s, *values)))
+
+
 class Reference:
     """A temperature over time: straight lines between corners, held before the first and after the last.
 
-    `times_s` ascends (equal times make a step: the later corner counts from that instant on).
+    `times_s` ascends (equal times make a step: the later corner counts from that instant on). Never changed once made.
     """
 
-    times_s: tuple[float, ...]
-    temps_c: tuple[float, ...]
+    __slots__ = ("_line",)
 
-    def __post_init__(self) -> None:
-        require(len(self.times_s) == len(self.temps_c) > 0, "a reference needs as many times as temperatures")
-        finite = math.isfinite(sum(self.times_s)) and math.isfinite(sum(self.temps_c))
+    def __init__(self, times_s: tuple[float, ...], temps_c: tuple[float, ...]) -> None:
+        require(len(times_s) == len(temps_c) > 0, "a reference needs as many times as temperatures")
+        finite = math.isfinite(sum(times_s)) and math.isfinite(sum(temps_c))
         require(finite, "a reference needs finite corners")
-        ascending = all(map(le, self.times_s, self.times_s[1:]))
+        ascending = all(map(le, times_s, times_s[1:]))
         require(ascending, "the corners of a reference must be in order of time")
+        self._line = _line(times_s, temps_c, 0.0)
+
+    @classmethod
+    def of_pairs(cls, pairs: Any, count: int) -> Reference:
+        """From C: `count` pairs of doubles (time_s, temp_c), finite and in order of time, at least one. Copied."""
+        ffi, lib = chelper.get_ffi()
+        made = cls.__new__(cls)
+        made._line = ffi.new("struct model_line *", {"count": count, "at": 2 * count})
+        lib.model_line_fill(made._line, ffi.cast("double *", pairs))
+        return made
+
+    @property
+    def times_s(self) -> tuple[float, ...]:
+        return tuple(self._line.at[0 : self._line.count])
+
+    @property
+    def temps_c(self) -> tuple[float, ...]:
+        return tuple(self._line.at[self._line.count : 2 * self._line.count])
+
+    @property
+    def end_s(self) -> float:
+        """Time of the last corner."""
+        return float(self._line.at[self._line.count - 1])
+
+    def packed(self) -> Any:
+        """As C's struct model_line."""
+        return self._line
 
     def at(self, time_s: float) -> float:
         """Temperature in degC at this time."""
-        after = bisect_right(self.times_s, time_s)
-        if after == 0:
-            return self.temps_c[0]
-        if after == len(self.times_s):
-            return self.temps_c[-1]
-        start_s, start_c = self.times_s[after - 1], self.temps_c[after - 1]
-        share = (time_s - start_s) / (self.times_s[after] - start_s)
-        return start_c + share * (self.temps_c[after] - start_c)
-
-    def is_flat(self, start_s: float, end_s: float) -> bool:
-        """Whether one temperature is wanted all through start_s <= t <= end_s."""
-        after = bisect_right(self.times_s, start_s)
-        ahead = self.temps_c[after : bisect_right(self.times_s, end_s) + 1]
-        return all(temp_c == self.at(start_s) for temp_c in ahead)
+        return float(chelper.get_ffi()[1].model_line_corner(self._line, time_s))
 
     @staticmethod
     def of(points: Sequence[tuple[float, float]] | Reference) -> Reference:
@@ -85,17 +103,16 @@ class Schedule:
     times_s: tuple[float, ...] = ()
     values: tuple[float, ...] = ()
     before: float = 0.0
+    _line: Any = field(init=False, default=None, repr=False, compare=False)  # see packed()
+
+    def packed(self) -> Any:
+        """As C's struct model_line; made once."""
+        if self._line is None:
+            object.__setattr__(self, "_line", _line(self.times_s, self.values, self.before))
+        return self._line
 
     def at(self, time_s: float) -> float:
-        if not self.times_s:
-            return self.before
-        after = bisect_right(self.times_s, time_s)
-        return self.values[after - 1] if after else self.before
-
-    def changes(self, start_s: float, end_s: float) -> bool:
-        """Whether another value begins within start_s < t <= end_s."""
-        times_s = self.times_s
-        return bool(times_s) and bisect_right(times_s, start_s) != bisect_right(times_s, end_s)
+        return float(chelper.get_ffi()[1].model_line_step(self.packed(), time_s))
 
     @staticmethod
     def constant(value: float) -> Schedule:
@@ -138,7 +155,7 @@ class ControlInput(NamedTuple):
     )  # from when this output will be in force; NaN: time_s + the parameters' own delay
     reference: Reference | None = None  # the wanted temperature ahead; None: reference_c from now on
     hold_s: float = math.nan  # for how long; NaN: the parameters' own
-    samples: tuple[Sample, ...] = ()  # what measured_c is the newest of, where there are several to a step
+    samples: Sequence[Sample] = ()  # what measured_c is the newest of, where there are several to a step
     pending: tuple[Planned, ...] | None = (
         None  # decided before, in force until apply_s; None: as this law returned it
     )

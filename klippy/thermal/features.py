@@ -1,7 +1,8 @@
 """Blocks to error units: raw codes, phase to power fraction, and what makes a block unusable (chelper/blockchain.h).
 
-    error = (mean - zero) units_per_lsb        noise = units_per_lsb sqrt((noise_lsb^2 + 1/12) / count)
+    error = (mean - zero) units_per_lsb        noise = units_per_lsb sqrt((noise_lsb^2 + 1/12) / count + stuck)
 
+stuck: samples without noise of their own fall on one code, and their mean says no more than each (blockchain.c).
 Nothing is filtered here: each block keeps its own phase.
 """
 
@@ -26,40 +27,11 @@ class FeatureParameters:
     phase_max_ticks: int = PHASE_MAX_TICKS
 
 
-# (noise of one sample, mean of highest minus lowest code of 192 samples), LSB: Gaussian noise, mean anywhere
-# between two codes; recomputed by test/unit/test_thermal_track.py.
-SPAN_SAMPLES = 192
-SPAN_OF_NOISE = (
-    (0.05, 0.28),
-    (0.1, 0.54),
-    (0.15, 0.82),
-    (0.2, 1.09),
-    (0.25, 1.37),
-    (0.3, 1.63),
-    (0.35, 1.91),
-    (0.4, 2.19),
-    (0.5, 2.74),
-    (0.6, 3.28),
-    (0.8, 4.36),
-    (1.0, 5.47),
-    (1.5, 8.19),
-    (2.0, 10.96),
-    (4.0, 21.81),
-)
+# Highest minus lowest of 192 samples of Gaussian noise, expected, over its sigma. Whole codes do not change it: over
+# all places between two codes rounding leaves the mean of a difference as it is (recomputed in test_thermal_track.py).
+SPAN_SAMPLES, SPAN_PER_NOISE = 192, 5.46
 NOISE_NEEDED_LSB = 0.3  # less, and the mean of many samples no longer shows what lies between two codes
 NOISE_BLOCKS = 200  # memory of the running mean: a third of a second
-
-
-def noise_lsb(span_lsb: float, blocks: int) -> float | None:
-    """Standard deviation of one sample in LSB, from the mean span; None before enough blocks."""
-    if blocks < NOISE_BLOCKS // 4:
-        return None
-    low_noise = low_span = 0.0
-    for noise, span in SPAN_OF_NOISE:
-        if span_lsb <= span:
-            return low_noise + (noise - low_noise) * (span_lsb - low_span) / (span - low_span)
-        low_noise, low_span = noise, span
-    return span_lsb * low_noise / low_span
 
 
 def power_fraction(phase_ticks: float, phase_max_ticks: int = PHASE_MAX_TICKS) -> float:

@@ -5,7 +5,8 @@
 The model is model_plant's own, run open loop from the first row with the recorded outputs; least squares finds
 
     ordinary   heat capacity, loss, two lags, and where the run has the steps, fan loss and melt exchange
-    nozzle     heat capacity, loss factor, factor of the second mass (the paths' ratios are the reference nozzle's)
+    nozzle     heat capacity, loss factor, factor of the second mass (the paths' ratios are the reference nozzle's),
+               and from further steps with extrusion the exchange with the melt (fit_melt.py)
 
 The two lags of an ordinary heater (element, sensor) are told apart by nothing but their order: the longer one is
 given to the element, which is taken as ELEMENT_SHARE of the heat. 1 sigma is the jackknife's, and a share for the
@@ -28,10 +29,12 @@ from typing import Any
 import numpy as np
 from scipy import optimize
 
-from .drill import STAGES, Row
+from . import fit_melt
+from .drill import MELT, MELT_PROOF, STAGES, Row
 from .model import HeatCapacity
 from .model_nozzle import nozzle_model
 from .model_plant import ModelParameters, advance, at_rest, stepped
+from .nozzle_melt import MeltExchange
 from .plausible import scaled
 from .timeline import Timing
 
@@ -51,6 +54,8 @@ FIT_STEP_S = 0.1  # of the integration
 # No heater is three nodes: the simulated bed, which loses heat at two places where the model has one, comes out 2 %
 # too heavy, the same in every part of the run. Half of that as 1 sigma of any number.
 FORM_SHARE = 0.01
+FILAMENT_SHARE, INLET_C = 0.1, 3.0  # 1 sigma of the heat of a volume of filament, and of where it enters
+UNTOLD = 0.5  # a number in more doubt than this is not told
 FLAT_C = 0.01  # rms that the readings move with a number (per e-fold): less is not seen
 
 
@@ -91,20 +96,21 @@ def read_rows(path: Path) -> list[Row]:
 
 
 def thin(rows: Sequence[Row]) -> list[Row]:
-    """Every row with a reading at least STRIDE_S after the one before; the output is the mean since then."""
+    """Every row with a reading at least STRIDE_S after the one before; output and flow are the means since then."""
     first = next((i for i, row in enumerate(rows) if row.temp_c == row.temp_c), len(rows))
     rows = rows[first:]
     if not rows:
         raise LoadFitError("there is not one reading")
     kept = [rows[0]]
-    energy = 0.0
+    energy = volume = 0.0
     for before, row in pairwise(rows):
         energy += row.output * (row.time_s - before.time_s)
+        volume += row.flow_mm3_s * (row.time_s - before.time_s)
         since_s = row.time_s - kept[-1].time_s
         changed = row.stage != kept[-1].stage
         if not math.isnan(row.temp_c) and (since_s >= STRIDE_S or changed) and since_s > 0.0:
-            kept.append(row._replace(output=energy / since_s))
-            energy = 0.0
+            kept.append(row._replace(output=energy / since_s, flow_mm3_s=volume / since_s))
+            energy = volume = 0.0
     return kept
 
 
@@ -112,7 +118,8 @@ def predict(p: ModelParameters, rows: Sequence[Row]) -> np.ndarray[Any, np.dtype
     """Readings the model expects, degC, open loop from rest.
 
     Steps of one length whatever the lags: a number of steps that changes with the parameters makes ripples in which the
-    least squares get caught (1.4 % of the loss).
+    least squares get caught (1.4 % of the loss). In the MELT steps the node is where it was measured: the heat of
+    the filament is not asked for yet.
     """
     p = stepped(p, min(FIT_STEP_S, p.step_s) if p.second_j_k else FIT_STEP_S)
     nodes = at_rest(p, p.ambient_c)
@@ -120,6 +127,8 @@ def predict(p: ModelParameters, rows: Sequence[Row]) -> np.ndarray[Any, np.dtype
     for before, row in pairwise(rows):
         drive, around = (row.output, 1.0, 0.0), (row.flow_mm3_s, row.fan)
         nodes = advance(p, nodes, drive, around, row.time_s - before.time_s)
+        if row.stage.startswith(MELT):
+            nodes = nodes._replace(temp_c=row.temp_c, sensor_c=row.temp_c)
         if not abs(nodes.temp_c) < BAD_C:
             return np.full(len(rows), BAD_C)
         expected.append(nodes.sensor_c)
@@ -189,9 +198,29 @@ def _sigma(jacobian: Any, residual: Any) -> Any:
     return sigma
 
 
+def _untold(ua_w_k: float, rows: Sequence[Row]) -> float:
+    """Relative 1 sigma of an exchange told at one flow: it rests on a heat and an inlet of the filament taken as given.
+
+    heat = c f (1 - exp(-x)) (T - Tin), x = UA/(c f): filament that leaves as hot as the metal (x of 3 and more) takes
+    the same heat whatever UA is.
+    """
+    flow = max(row.flow_mm3_s for row in rows)
+    fed = [row.temp_c for row in rows if row.flow_mm3_s > 0.5 * flow]
+    if not flow or not fed:
+        return math.inf
+    x = ua_w_k / (1e-3 * MeltExchange().heat_mj_m3k * flow)
+    share = x / math.expm1(x) if x < 50.0 else 0.0  # of a relative change of UA in that of the heat
+    given = math.hypot(
+        (1.0 - share) * FILAMENT_SHARE, INLET_C / (sum(fed) / len(fed) - min(r.temp_c for r in rows))
+    )
+    found = given / max(share, 1e-9)
+    return found if found < UNTOLD else math.inf
+
+
 def fit_rows(rows: list[Row], power_w: float, ambient_c: float, is_nozzle: bool) -> LoadFit:
     """Fit and validation. Raises LoadFitError when the run did not tell, or the model does not hold."""
-    rows = [row for row in thin(rows) if row.stage in STAGES]  # the one that ended the run belongs to none
+    # the row that ended the run belongs to no stage
+    rows = [row for row in thin(rows) if row.stage in STAGES or row.stage.startswith(MELT)]
     train = [r for r in rows if r.stage not in HELD_OUT]
     held = len(rows) - len(train)
     if len(train) < LEAST_ROWS or held < LEAST_ROWS // 3:
@@ -210,9 +239,10 @@ def fit_rows(rows: list[Row], power_w: float, ambient_c: float, is_nozzle: bool)
             lambda x: ordinary_model(names, x, power_w, ambient_c),
         )
     measured = np.array([r.temp_c for r in rows])
+    told = np.array([not r.stage.startswith(MELT) for r in rows])
     count = len(train)
     found = optimize.least_squares(
-        lambda x: predict(build(x), train) - measured[:count],
+        lambda x: (predict(build(x), train) - measured[:count])[told[:count]],
         start,
         bounds=(np.array(start) - 3.5, np.array(start) + 3.5),
         diff_step=1e-3,
@@ -220,8 +250,12 @@ def fit_rows(rows: list[Row], power_w: float, ambient_c: float, is_nozzle: bool)
     )
     error = predict(build(found.x), rows) - measured
     rise_k = float(measured.max()) - ambient_c
-    check = error[count:]
-    fit = _result(names, found.x, _sigma(found.jac, error[:count]), error[:count], check, rise_k)
+    shown, check = error[:count][told[:count]], error[count:]
+    sigma = _sigma(found.jac, shown)
+    if STEPS["flow"] in names:
+        at = names.index(STEPS["flow"])
+        sigma[at] = math.hypot(sigma[at], _untold(math.exp(found.x[at]), train))
+    fit = _result(names, found.x, sigma, shown, check, rise_k)
     _judge(fit, names)
     return fit
 
@@ -254,6 +288,16 @@ def _judge(fit: LoadFit, names: Sequence[str]) -> None:
             raise LoadFitError(
                 f"the run does not tell {name}: {fit.values[name]:.3g} +- {fit.sigma[name]:.2g}"
             )
+
+
+def fit_further(rows: Sequence[Row], fit: LoadFit, ambient_c: float) -> fit_melt.MeltFit | None:
+    """The exchange with the melt, where the run has the steps for it."""
+    if not any(row.stage == MELT_PROOF for row in rows):
+        return None
+    v = fit.values
+    heat = HeatCapacity(v["heat_capacity_j_per_k"])
+    loss = scaled(v["loss_factor"], ambient_c, v["second_mass_factor"])
+    return fit_melt.fit_held(fit_melt.held_steps(thin(rows), heat, loss), ambient_c)
 
 
 def options(fit: LoadFit, power_w: float, ambient_c: float, is_nozzle: bool) -> dict[str, float]:
@@ -312,12 +356,17 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--nozzle", action="store_true")
     chosen = parser.parse_args(argv)
     try:
-        fit = fit_rows(read_rows(chosen.trace), chosen.power, chosen.ambient, chosen.nozzle)
-    except (LoadFitError, OSError, ValueError) as error:
+        rows = read_rows(chosen.trace)
+        fit = fit_rows(rows, chosen.power, chosen.ambient, chosen.nozzle)
+        melt = fit_further(rows, fit, chosen.ambient) if chosen.nozzle else None
+    except (LoadFitError, fit_melt.MeltFitError, OSError, ValueError) as error:
         print(f"fit_load: {error}", file=sys.stderr)
         return 2
-    tuning = options(fit, chosen.power, chosen.ambient, chosen.nozzle)
-    print(json.dumps({"options": tuning, "values": fit.values, "sigma": fit.sigma, "report": report(fit)}))
+    tuning, told = options(fit, chosen.power, chosen.ambient, chosen.nozzle), report(fit)
+    if melt is not None:
+        tuning |= fit_melt.options(melt)
+        told += fit_melt.report(melt)
+    print(json.dumps({"options": tuning, "values": fit.values, "sigma": fit.sigma, "report": told}))
     return 0
 
 

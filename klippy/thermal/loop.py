@@ -28,6 +28,7 @@ from typing import Any
 from . import actuator, control_api, estimator, features, model, plausible, supervise, track
 from .blocks import Blocks
 from .chain import Chain
+from .nozzle_melt import MeltExchange
 from .records import PhaseCommand, PowerRequest, SampleBlock, TempEstimate
 from .timeline import NOT_COMMANDED, TIME_SLACK_S, Timeline, Timing
 
@@ -88,6 +89,7 @@ class LoopParameters:
     approach: Approach
     track: track.TrackParameters
     plausible: plausible.PlausibleParameters
+    melt: MeltExchange = field(default_factory=MeltExchange)
 
 
 # (block, its filtered estimate or None, print time of its arrival)
@@ -107,7 +109,6 @@ class LoopState:
     request: PowerRequest = NO_REQUEST
     line: Timeline = field(default_factory=Timeline)  # commands sent
     horizon: tuple[control_api.Planned, ...] = ()  # what the law means to do after its request
-    samples: list[control_api.Sample] = field(default_factory=list)  # since the newest control step
     decided_s: float = -math.inf  # last control step
     restless_s: float = -math.inf  # when something happened last that wants a quick host
     settled_s: float = math.inf  # since when the estimate has been near the target
@@ -205,7 +206,8 @@ class InductionLoop:
         chosen, self.parameters = parameters.control, parameters
         if chosen.law is before.law:
             return
-        state.law, state.samples, state.horizon = chosen.law.start, [], ()
+        self.chain.samples()  # what was to be told to the law before
+        state.law, state.horizon = chosen.law.start, ()
         news = state.estimate
         if state.target_c <= 0.0 or not news.valid:
             return
@@ -224,8 +226,6 @@ class InductionLoop:
         news = self.chain.take(blocks)
         if blocks.count:
             state.line.edge_s = blocks.end_s
-        if self._parameters.control.models:
-            state.samples += self.chain.samples()
         if self.listeners:
             self._tell(blocks, now_s)
         if news is not None:
@@ -236,7 +236,8 @@ class InductionLoop:
             self._note_settled(news)
             self._note_balance(news)
             self._decide(news, before.phase_ticks, now_s)
-        elif state.samples:  # blocks without a temperature still tell the model what heat went in
+        elif self._parameters.control.models and self.chain.waiting:
+            # blocks without a temperature still tell the model what heat went in
             self._decide(state.estimate, 0, now_s)
         return self._step(now_s)
 
@@ -264,7 +265,7 @@ class InductionLoop:
         self.restart_filter()
         self.state.estimate = NOT_MEASURED
         self.state.line.note([PhaseCommand(now_s, 0, 0.0)], now_s)
-        self.state.samples = []
+        self.chain.samples()
         self.state.law = self._parameters.control.law.start
         self.state.actuator = actuator.ActuatorState()
         self.state.request = NO_REQUEST
@@ -378,7 +379,7 @@ class InductionLoop:
         state = self.state
         off = state.target_c <= 0.0
         quiet = off or abs(news.temp_c - state.target_c) < QUIET_C
-        if not quiet or state.horizon or len(state.samples) > SAMPLES_MOST:
+        if not quiet or state.horizon or self.chain.waiting > SAMPLES_MOST:
             return False
         if off or self._rests(now_s):
             return True
@@ -390,15 +391,15 @@ class InductionLoop:
     def _model_input(self, news: TempEstimate, now_s: float, apart_s: float) -> control_api.ControlInput:
         """For the model law: all that was measured since the step before, what is pending, what lies ahead."""
         state, timing = self.state, self._parameters.timing
-        samples, state.samples = tuple(state.samples), []
+        samples = self.chain.samples()
         apply_s = self._slot(now_s, apart_s) or now_s + timing.lead_s
-        since_s = samples[-1].end_s if samples else state.line.edge_s
+        since_s = samples.end_s if samples else state.line.edge_s
         limit_w = self._limit_w(state.target_c - news.temp_c) if state.target_c > 0.0 else 0.0
         return control_api.ControlInput(
             state.target_c,
             math.nan,
             limit=limit_w,
-            applied=samples[-1].output if samples else state.line.last_before(since_s).power_w,
+            applied=samples.output if samples else state.line.last_before(since_s).power_w,
             apply_s=apply_s,
             hold_s=timing.stride_s,
             samples=samples,

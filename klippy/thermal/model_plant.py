@@ -13,16 +13,21 @@
 
 g (drive gain, about 1) and d (disturbance, W) are what the filter learns. Forms follow the thermal balance of
 source 000's nozzle and of an ordinary cartridge hotend; the figures are the heater's own, from its config.
+
+The arithmetic is chelper/modelplant.c; here are its parameters and their limits.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from functools import cache
+from typing import Any, NamedTuple
+
+import chelper
 
 from .control_api import require
-from .model import STEFAN_BOLTZMANN, ZERO_CELSIUS_K
+from .model import ZERO_CELSIUS_K
 
 STEPS_PER_LAG = 10.0  # an Euler step is this much shorter than the fastest lag: 5 % of that lag in error
 LONGEST_STEP_S = 0.25
@@ -80,6 +85,7 @@ class ModelParameters:
     aim_s: float = field(init=False, default=0.0)  # the horizon H of one choice ...
     fade: float = field(init=False, default=0.0)  # ... and the share of a small deviation left by then
     air_k4: float = field(init=False, default=0.0)  # fourth power of the air's absolute temperature
+    _packed: Any = field(init=False, default=None, repr=False, compare=False)  # see packed()
 
     def __post_init__(self) -> None:
         self._check()
@@ -146,6 +152,18 @@ class ModelParameters:
     def most_w(self) -> float:
         return self.output_w * self.output_high
 
+    def packed(self) -> Any:
+        """As C's struct model_params, whose fields are named as here; made once."""
+        if self._packed is None:
+            values = {name: getattr(self, name) for name in _c_fields()}
+            object.__setattr__(self, "_packed", chelper.get_ffi()[0].new("struct model_params *", values))
+        return self._packed
+
+
+@cache
+def _c_fields() -> tuple[str, ...]:
+    return tuple(name for name, _ in chelper.get_ffi()[0].typeof("struct model_params").fields)
+
 
 def stepped(p: ModelParameters, step_s: float) -> ModelParameters:
     """The same heater, integrated with this step."""
@@ -165,41 +183,24 @@ class Nodes(NamedTuple):
     flow: float
 
 
+def nodes_of(raw: Any) -> Nodes:
+    """From C's struct model_nodes."""
+    return Nodes(raw.element_c, raw.temp_c, raw.second_c, raw.sensor_c, raw.bore_c, raw.flow)
+
+
 def at_rest(p: ModelParameters, temp_c: float) -> Nodes:
     """All nodes as they are when the controlled one has been held at this temperature for long."""
-    share = p.link_w_k / (p.link_w_k + p.second_loss_w_k) if p.second_j_k else 0.0
-    second_c = p.ambient_c + share * (temp_c - p.ambient_c)
-    element_c = temp_c
-    if p.element_j_k:
-        element_c += max(0.0, hold_w(p, temp_c, 0.0, 0.0)) / p.element_w_k
-    return Nodes(element_c, temp_c, second_c, temp_c, temp_c, 0.0)
+    return nodes_of(chelper.get_ffi()[1].model_at_rest(p.packed(), temp_c))
 
 
 def melt_w_k(p: ModelParameters, flow_mm3_s: float) -> float:
     """Heat the melt takes per kelvin of bore above inlet."""
-    capacity_w_k = p.melt_j_mm3_k * flow_mm3_s
-    if capacity_w_k <= 1e-9 or not p.melt_ua_w_k:
-        return 0.0
-    return capacity_w_k * -math.expm1(-p.melt_ua_w_k / capacity_w_k)
+    return float(chelper.get_ffi()[1].model_melt_w_k(p.packed(), flow_mm3_s))
 
 
 def hold_w(p: ModelParameters, temp_c: float, flow_mm3_s: float, fan: float) -> float:
     """Heat that holds the controlled node at this temperature in the long run."""
-    rise_k = temp_c - p.ambient_c
-    through = p.link_w_k * p.second_loss_w_k / (p.link_w_k + p.second_loss_w_k) if p.second_j_k else 0.0
-    hot_k, cold_k = temp_c + ZERO_CELSIUS_K, p.ambient_c + ZERO_CELSIUS_K
-    radiated = STEFAN_BOLTZMANN * p.radiation_m2 * (hot_k**4 - cold_k**4)
-    melt = melt_w_k(p, flow_mm3_s) * (temp_c - p.melt_in_c)
-    return (p.loss_w_k + fan * p.fan_w_k + through) * rise_k + radiated + melt
-
-
-def capacity_j_k(p: ModelParameters, temp_c: float) -> float:
-    return p.heat_j_k * (1.0 + p.heat_slope_per_k * (temp_c - 25.0))
-
-
-def heat_per_output_w(p: ModelParameters, temp_c: float) -> float:
-    """Heat of one unit of output at this temperature, drive gain 1."""
-    return p.output_w * (1.0 + p.output_slope_per_k * (temp_c - 25.0))
+    return float(chelper.get_ffi()[1].model_hold_w(p.packed(), temp_c, flow_mm3_s, fan))
 
 
 def advance(
@@ -210,36 +211,7 @@ def advance(
     dt_s: float,
 ) -> Nodes:
     """The nodes `dt_s` later. drive = (output, gain, disturbance_w); surroundings = (flow mm^3/s, fan 0..1)."""
-    if dt_s <= 0.0:
-        return nodes
-    steps = 1 if dt_s <= p.step_s else math.ceil(dt_s / p.step_s)
-    output, gain, disturbance_w = drive
-    flow_in, fan = surroundings
-    element_c, temp_c, second_c, sensor_c, bore_c, flow = nodes
-    h = dt_s / steps
-    air_w_k = p.loss_w_k + fan * p.fan_w_k
-    ambient_c, cold_k4, radiation = p.ambient_c, p.air_k4, STEFAN_BOLTZMANN * p.radiation_m2
-    bore_fade = math.exp(-h / p.bore_s) if p.bore_s else 0.0
-    sensor_fade = math.exp(-h / p.sensor_s) if p.sensor_s else 0.0
-    for _ in range(steps):
-        if flow != flow_in:
-            flow = flow_in + (flow - flow_in) * (math.exp(-h / p.flow_s) if p.flow_s else 0.0)
-        heat = gain * output * p.output_w * (1.0 + p.output_slope_per_k * (temp_c - 25.0))
-        if p.element_j_k:
-            passed = p.element_w_k * (element_c - temp_c)
-            element_c += h * (heat - passed) / p.element_j_k
-            heat = passed
-        link = p.link_w_k * (temp_c - second_c)
-        hot_k = temp_c + ZERO_CELSIUS_K
-        net = heat + disturbance_w - link - air_w_k * (temp_c - ambient_c)
-        net -= radiation * (hot_k * hot_k * hot_k * hot_k - cold_k4)
-        if flow > 1e-9:
-            net -= melt_w_k(p, flow) * (bore_c - p.melt_in_c)
-        if p.second_j_k:
-            second_c += h * (link - p.second_loss_w_k * (second_c - ambient_c)) / p.second_j_k
-        before_c = temp_c
-        temp_c += h * net / (p.heat_j_k * (1.0 + p.heat_slope_per_k * (temp_c - 25.0)))
-        middle_c = 0.5 * (before_c + temp_c)
-        sensor_c = middle_c + (sensor_c - middle_c) * sensor_fade if p.sensor_s else temp_c
-        bore_c = middle_c + (bore_c - middle_c) * bore_fade if p.bore_s else temp_c
-    return Nodes(element_c, temp_c, second_c, sensor_c, bore_c, flow)
+    ffi, lib = chelper.get_ffi()
+    raw = ffi.new("struct model_nodes *", nodes)
+    lib.model_advance(p.packed(), raw, ffi.new("struct model_drive *", drive), *surroundings, dt_s)
+    return nodes_of(raw)

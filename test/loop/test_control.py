@@ -13,8 +13,9 @@ import pytest
 
 from loop import control_bench as bench
 from loop import hotend_bench as hotend
-from loop.induction_rig import Plant, Rig, default_parameters, true_law
+from loop.induction_rig import PERIOD_S, Plant, Rig, default_parameters, true_law
 from thermal.control_api import Reference
+from thermal.features import FeatureParameters
 
 
 @cache
@@ -148,6 +149,19 @@ def test_a_drifted_thermometer_does_not_make_the_loop_run_away() -> None:
     assert np.ptp(late) < 2.0
     assert abs(late.mean() - 236.0) < 3.0  # off by what the thermometer is, not more
     assert trace["skin_c"].max() < 245.0
+
+
+@pytest.mark.parametrize("told_lsb", [0.0, 1.0])
+def test_an_adc_without_noise_does_not_make_the_loop_hunt(told_lsb: float) -> None:
+    """A code is 1.25 degC wide and says the same from one end to the other: believed to 0.1 it rippled by 2.4."""
+    front = FeatureParameters(noise_lsb=told_lsb)
+    rig = Rig(Plant(5, noise_lsb=0.0), default_parameters(law=true_law(), front=front), 5)
+    rig.run(0.6)
+    rig.set_target(250.0)
+    rig.run(3.0)
+    skin = np.asarray(rig.trace.skin_c[-round(1.0 / 32 / PERIOD_S) :])
+    assert np.ptp(skin) < 1.0  # measured: 0.4 to 0.7
+    assert np.abs(skin - 250.0).max() < 0.9
 
 
 @pytest.mark.parametrize("control", ["pid", "model"])

@@ -104,6 +104,24 @@ def test_another_hotend_lies_within_three_sigma_of_what_is_told(simulate: Simula
     within_three_sigma(text, "fan at full speed, W/K", 0.030)
 
 
+def test_a_fan_that_is_on_is_off_for_a_run_that_measures_it_and_comes_back(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    """A light hotend, so that the run is short."""
+    log = tmp_path / "host.log"
+    gcode = (
+        "M106 S128\nG4 P2000\nMODEL_CALIBRATE HEATER=extruder TARGET=150 WAIT=1 POWER=40 FAN=1\nG4 P2000\n"
+    )
+    run = simulate(
+        gcode, config=MEGA, settings=("simulator load extruder.body_j_k=6",), more=["--log", str(log)]
+    )
+    assert run.status == 0, run.stderr
+    within_three_sigma(log.read_text(), "loss, W/K", 0.0705)
+    within_three_sigma(log.read_text(), "fan at full speed, W/K", 0.030)
+    fan = run.column("fan")
+    assert fan[-1] == pytest.approx(128.0 / 255.0, abs=0.01) and min(fan[len(fan) // 4 :]) == 0.0
+
+
 def test_a_wrong_power_or_a_missing_one_is_said(simulate: Simulate, tmp_path: Path) -> None:
     run = simulate("MODEL_CALIBRATE HEATER=heater_bed WAIT=1\n", config=machine(tmp_path))
     assert "POWER= in watts" in run.stderr + run.stdout

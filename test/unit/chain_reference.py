@@ -7,7 +7,7 @@ the filter, the model law's samples: straight from the equations in the docstrin
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from loop import block_codec
 from thermal import actuator, estimator, features, laws, model, supervise, track
@@ -87,7 +87,8 @@ def estimate(
     p: estimator.EstimatorParameters, front: features.FeatureParameters, block: SampleBlock
 ) -> TempEstimate:
     error = (block.mean_raw - front.adc_zero_raw) * front.units_per_lsb
-    noise = math.sqrt((front.noise_lsb**2 + 1 / 12) / block.count) * front.units_per_lsb
+    stuck = 6 / 12 * math.exp(-((2 * math.pi * front.noise_lsb) ** 2))  # six blocks in a row err alike
+    noise = math.sqrt((front.noise_lsb**2 + 1 / 12) / block.count + stuck) * front.units_per_lsb
     temp_c, slope = NO_READING
     if block.phase_ticks == 0:
         reason = "bridge off"
@@ -138,9 +139,18 @@ class Chain:
     x: list[float] = field(default_factory=lambda: [NAN, 0.0])  # degC, K/s
     cov: list[list[float]] = field(default_factory=lambda: [[0.0, 0.0], [0.0, 0.0]])
     outliers: int = 0
+    noise_lsb: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.noise_lsb = self.front.noise_lsb
+
+    def begin_message(self) -> None:
+        """What the blocks so far tell of the noise counts for those of this message."""
+        if len(self.spans) >= features.NOISE_BLOCKS // 4:
+            self.noise_lsb = self.span_lsb() / 5.46
 
     def take(self, block: SampleBlock) -> tuple[TempEstimate, TempEstimate | None, Sample]:
-        own = estimate(self.estimator, self.front, block)
+        own = estimate(self.estimator, replace(self.front, noise_lsb=self.noise_lsb), block)
         end_s = block.time_s + block.duration_s
         self._watch(own, end_s)
         sine = math.sin(math.pi / 2 * block.phase_ticks / self.drive.phase_max_ticks)

@@ -228,7 +228,7 @@ def stepped_on_time(flow: Schedule, temp_c: float, apply_s: float) -> list[Plann
     nodes = advance(NOZZLE, state.nodes, (5.0, 1.0, 0.0), (0.0, 0.0), apply_s - 10.0)
     for i in range(NOZZLE.ahead + 1):
         at_s = apply_s + i * h
-        state = state._replace(time_s=at_s, nodes=nodes)
+        state = state.replaced(time_s=at_s, nodes=nodes)
         inputs = ControlInput(250.0, math.nan, applied=5.0, apply_s=at_s, pending=(), flow_mm3_s=flow)
         seen = (Sample(at_s, at_s, math.nan, 0.0, 5.0),)
         output, _ = model_step(NOZZLE, state, inputs._replace(samples=seen), at_s)

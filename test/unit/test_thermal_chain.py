@@ -67,6 +67,7 @@ def compare(chain: Any, reference: chain_reference.Chain, got: blocks.Blocks, ne
     samples = chain.samples()
     assert len(samples) == len(got)
     last = None
+    reference.begin_message()
     for i, block in enumerate(got):
         own, found, sample = reference.take(block)
         same(got.estimate(i), own)

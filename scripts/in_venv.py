@@ -1,0 +1,27 @@
+"""Imported first by the programs here: `scripts/NAME.py` runs with the packages of .venv, be it activated or not.
+
+Whoever starts them in an environment of his own keeps that one.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+from pathlib import Path
+
+PYTHON = Path(__file__).resolve().parent.parent / ".venv" / "bin" / "python"
+
+
+def _enter() -> None:
+    if sys.prefix != sys.base_prefix:  # some environment is in use
+        return
+    if PYTHON.exists():
+        os.execv(PYTHON, [str(PYTHON), *sys.orig_argv[1:]])
+    if importlib.util.find_spec("cffi") is None:
+        sys.exit(
+            f"{Path(sys.argv[0]).name}: Python packages are missing; `make setup` installs them into .venv"
+        )
+
+
+_enter()
