@@ -323,7 +323,8 @@ class MCU:
 
     def _stop_printer(self, what: str, reason: str) -> None:
         logging.error("%s\n%s\n%s", what, self._clocksync.dump_debug(), self._serial.stats(0.0))
-        text = f"{what}\n{shutdown_help(reason)}"
+        facts = filter(None, self._printer.send_event("mcu:explain_shutdown", self, reason))
+        text = "\n".join([what, *facts, shutdown_help(reason)])
         # handlers of the shutdown may want to sleep: not from inside a message handler
         self._reactor.register_callback(lambda eventtime: self._printer.invoke_shutdown(text))
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """What the temperature plan does for welds and how well the nozzle follows it, on three unlike sliced files.
 
-    scripts/bench_plan.py [--seconds 450] [--out out/bench/plan]
+    scripts/bench_plan.py [--seconds 450] [--out out/bench/plan] [--steps]
 
     whole file, offline        interface temperature along the path, planned against one fixed temperature at the
                                file's own speed; once more as PC without an enclosure, where one fixed temperature
@@ -9,8 +9,9 @@
     the first --seconds of it  printed on the simulated machine in closed loop: the melt that leaves the plant's nozzle,
                                planned, with the same targets set at the borders (no preview), and what one fixed
                                target would give on a nozzle that holds it without fail
-    steps                      15 degC every 1.5 s at constant flow: planned against set at the border, also on nozzles
-                               whose exchange with the melt is not what the plan believes
+    steps                      15 degC every 1.5 s at constant flow: planned against set at the border, on nozzles
+                               and filaments that are not what the config says, before and after MODEL_CALIBRATE with
+                               FLOW
 
 Melt of the plant at the flow of the moment, weighted with it. "against the plan": the melt that the planned nozzle
 temperature gives at that flow. "against wanted": wanted and extruded melt, both averaged over 0.5 s, since no nozzle
@@ -57,7 +58,8 @@ UA_W_K, HEAT_MJ_M3K, INLET_C = 0.0276, 2.1, 25.0  # of the reference plant
 LEAST_FLOW_MM3_S = 0.3
 AVERAGE_S = 0.5
 STEP_C, STEP_S, STEPS = 15.0, 1.5, 14
-STEP_EXCHANGES = (0.8, 0.9, 1.0, 1.1, 1.2)  # of the plant's nozzle, times what the plan believes
+STEP_SEEDS = (1, 2, 3, 4, 5, 6, 7, 8)
+CALIBRATE = "MODEL_CALIBRATE HEATER=extruder FLOW=15 WAIT=1\n"
 Table = dict[str, Any]
 
 
@@ -107,15 +109,14 @@ def offline(
 
 
 def simulate(
-    gcode: Path, folder: Path, name: str, seconds: float, options: dict[str, str], exchange: float
+    gcode: Path, folder: Path, name: str, seconds: float, options: dict[str, str], more: str = ""
 ) -> Table:
-    """One closed-loop run; its trace, and the rows of the plan. `exchange`: of the plant, times the plan's."""
+    """One closed-loop run; its trace, and the rows of the plan. `more`: further lines of the config."""
     section = "[temperature_plan]\n" + "".join(f"{k}: {v}\n" for k, v in {**SECTION, **options}.items())
     record = folder / f"{name}-plan.csv"
     config, trace = folder / f"{name}.cfg", folder / f"{name}.csv"
     text = f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n{WIDER}"
-    nozzle = f"[simulator nozzle nozzle]\nmelt_ua_w_k: {exchange * UA_W_K:.6f}\n"
-    config.write_text(f"{text}{section}record: {record}\n{nozzle}")
+    config.write_text(f"{text}{section}record: {record}\n{more}")
     command = [ROOT / "scripts" / "simulate.py", config, gcode, "--trace", trace, "--until", seconds]
     done = subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True, check=False)
     if done.returncode:
@@ -178,12 +179,11 @@ def compare(
     seconds: float,
     options: dict[str, str],
     fixed_c: float,
-    exchange: float = 1.0,
 ) -> dict[str, Tracking]:
     """The same path three ways."""
-    planned = simulate(gcode, folder, f"{name}-planned", seconds, options, exchange)
+    planned = simulate(gcode, folder, f"{name}-planned", seconds, options)
     offset_s = clock_offset_s(planned)
-    border = simulate(gcode, folder, f"{name}-border", seconds, {**options, "preview": "no"}, exchange)
+    border = simulate(gcode, folder, f"{name}-border", seconds, {**options, "preview": "no"})
     plan = planned["plan"]
 
     def shifted(run: Table) -> float:  # waiting for the first temperature takes another time in each run
@@ -227,30 +227,72 @@ def step_errors(run: Table, plan: Any, offset_s: float) -> tuple[float, float, f
     return float(np.sqrt(np.mean(error**2))), float(np.mean(error)), float(np.std(error))
 
 
+def step_plants() -> dict[str, dict[str, float]]:
+    """Nozzles and filaments by name: parameters of the plant. The exchange alone, then all of it at once."""
+    plants = {f"exchange x {e:.1f}": {"melt_ua_w_k": e * UA_W_K} for e in (0.8, 0.9, 1.0, 1.1, 1.2)}
+    for seed in STEP_SEEDS:
+        off = np.random.default_rng(seed).uniform(-1.0, 1.0, 6)
+        plants[f"all at once, seed {seed}"] = {
+            "melt_ua_w_k": (1.0 + 0.2 * off[0]) * UA_W_K,
+            "melt_heat_mj_m3k": (1.0 + 0.2 * off[1]) * HEAT_MJ_M3K,
+            "melt_in_c": INLET_C + 10.0 * off[2],
+            "mass_factor": 1.0 + 0.2 * off[3],
+            "loss_factor": 1.0 + 0.2 * off[4],
+            "efficiency_factor": 1.0 + 0.2 * off[5],
+        }
+    return plants
+
+
+def calibrated(folder: Path, plant: str) -> tuple[dict[str, str], float]:
+    """(options that MODEL_CALIBRATE finds on a machine with this plant, seconds it takes)."""
+    config, gcode, log = folder / "calibrate.cfg", folder / "calibrate.gcode", folder / "calibrate.log"
+    config.write_text(f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n{plant}")
+    gcode.write_text(CALIBRATE)
+    command = [ROOT / "scripts" / "simulate.py", config, gcode, "--log", log]
+    done = subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True, check=False)
+    found = dict(re.findall(r"save_config: set \[induction_heater nozzle\] (\w+) = (.*)", log.read_text()))
+    if done.returncode or "melt_exchange" not in found:
+        raise SystemExit(f"bench_plan: MODEL_CALIBRATE found nothing:\n{plant}\n{done.stderr}")
+    took = re.search(r"([0-9.]+) s simulated", done.stdout + done.stderr)
+    return found, float(took[1]) if took else math.nan
+
+
+def step_pair(folder: Path, seconds: float, more: str) -> dict[str, tuple[float, float, float]]:
+    """step_errors of the steps planned and set at the border."""
+    steps, options = folder / "steps.gcode", {"melt_min": "180"}
+    runs = [
+        simulate(steps, folder, f"steps-{preview}", seconds, {**options, "preview": preview}, more)
+        for preview in ("yes", "no")
+    ]
+    offset_s = clock_offset_s(runs[0])
+    shift_s = offset_s + first_flow_s(runs[0]) - first_flow_s(runs[1])
+    plan = runs[0]["plan"]
+    return {
+        "planned": step_errors(runs[0], plan, offset_s),
+        "border": step_errors(runs[1], plan, shift_s),
+    }
+
+
 def step_table(folder: Path, seconds: float) -> Table:
-    """The steps on nozzles whose exchange with the melt is not what the plan believes."""
-    steps = folder / "steps.gcode"
-    steps.write_text(steps_gcode())
-    print(
-        "\n15 C every 1.5 s: exchange of the nozzle, rms (mean, about the mean): planned, at the border, ratio"
-    )
+    """The steps on nozzles and filaments unlike the config, as configured and calibrated."""
+    (folder / "steps.gcode").write_text(steps_gcode())
+    print("\n15 C every 1.5 s, rms (mean, about the mean)    planned              at the border        ratio")
     table: Table = {}
-    for exchange in STEP_EXCHANGES:
-        runs, options = [], {"melt_min": "180"}
-        for preview in ("yes", "no"):
-            name = f"steps-{exchange}-{preview}"
-            runs.append(simulate(steps, folder, name, seconds, {**options, "preview": preview}, exchange))
-        planned, border = runs
-        offset_s = clock_offset_s(planned)
-        shift_s = offset_s + first_flow_s(planned) - first_flow_s(border)
-        found = [
-            step_errors(planned, planned["plan"], offset_s),
-            step_errors(border, planned["plan"], shift_s),
-        ]
-        (own, *_), (other, *_) = found
-        table[f"{exchange:.2f}"] = {"planned": found[0], "border": found[1], "ratio": own / other}
-        shown = "   ".join(f"{r:5.2f} ({m:+5.2f}, {s:4.2f})" for r, m, s in found)
-        print(f"x {exchange:4.2f}   {shown}   {own / other:5.2f}")
+    for name, plant in step_plants().items():
+        nozzle = "[simulator nozzle nozzle]\n" + "".join(f"{k}: {v:.6g}\n" for k, v in plant.items())
+        found, took_s = calibrated(folder, nozzle)
+        tuned = "[induction_heater nozzle]\n" + "".join(f"{k}: {v}\n" for k, v in found.items())
+        table[name] = {"calibration_s": took_s, "plant": plant, "found": found}
+        for when, more in (("before", nozzle), ("after", nozzle + tuned)):
+            pair = step_pair(folder, seconds, more)
+            ratio = pair["planned"][0] / pair["border"][0]
+            table[name][when] = {**pair, "ratio": ratio}
+            shown = "   ".join(f"{r:5.2f} ({m:+6.2f}, {s:4.2f})" for r, m, s in pair.values())
+            print(f"{name:<28} {when:<12} {shown}   {ratio:5.2f}", flush=True)
+    ratios = [row["after"]["ratio"] for row in table.values()]
+    print(
+        f"after calibration: {sum(r < 0.5 for r in ratios)} of {len(ratios)} below 0.5, largest {max(ratios):.2f}"
+    )
     return table
 
 
@@ -279,9 +321,13 @@ def main(argv: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--seconds", type=float, default=450.0, help="printed in closed loop of each file")
     parser.add_argument("--out", type=Path, default=ROOT / "out" / "bench" / "plan")
+    parser.add_argument("--steps", action="store_true", help="nothing but the steps")
     options = parser.parse_args(argv)
     folder = options.out
     folder.mkdir(parents=True, exist_ok=True)
+    if options.steps:
+        step_table(folder, options.seconds)
+        return 0
     table: Table = {}
     print(OFFLINE_HEAD)
     for kind, name in FILES.items():

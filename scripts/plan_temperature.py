@@ -122,6 +122,12 @@ def limits_of(heater: str, config: ConfigWrapper) -> NozzleLimits:
     return replace(base, min_c=0.0, max_c=high_c, min_extrude_c=low_c)
 
 
+def other_nozzles(config: ConfigWrapper) -> frozenset[int]:
+    """Numbers of the tools with a nozzle of their own: [extruder1] and so on."""
+    names = (section.get_name() for section in config.get_prefix_sections("extruder"))
+    return frozenset(int(name[8:]) for name in names if name[8:].isdigit())
+
+
 def plan(options: argparse.Namespace) -> dict[str, Any]:
     """Everything asked for; the figures."""
     config, settings, induction = read_config(options)
@@ -134,7 +140,8 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
         task = progress.add_task("planning", total=total)
 
         def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
-            planning = plan_offline.Planning(settings, limits_of(heater, config), replace(limits), arc_mm)
+            nozzle = limits_of(heater, config)
+            planning = plan_offline.Planning(settings, nozzle, replace(limits), arc_mm, other_nozzles(config))
             return planning.run(options.gcode, base_c, lambda lines: progress.update(task, completed=lines))
 
         found = plain = run(replace(settings, slowest=1.0, longest_pause_s=0.0))
@@ -153,6 +160,13 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
             )
     if not found.moves:
         raise BadInput(f"{options.gcode}: no line of it extrudes while it moves")
+    if found.other_tool_line >= 0:
+        if options.emit:
+            raise BadInput(
+                f"{options.gcode}, line {found.other_tool_line + 1}: this tool has a nozzle of its own, and --emit"
+                " knows one nozzle"
+            )
+        print("what the other tools lay is left out")
     print(temperature_plan.report_line(found.summary, settings.material))
     if found.summary.cold_share > 0.01:
         print(

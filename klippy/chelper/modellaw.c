@@ -55,7 +55,7 @@ static void
 go_through(struct future *f, const struct model_planned *decided, int count, double output, double until_s)
 {
     for (const struct model_planned *d = decided; d < decided + count; d++) {
-        hold(f, output, lesser(greater(d->time_s, f->time_s), until_s) - f->time_s);
+        hold(f, output, lesser(d->time_s, until_s) - f->time_s);
         output = d->value;
     }
     hold(f, output, until_s - f->time_s);

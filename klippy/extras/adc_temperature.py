@@ -12,6 +12,7 @@ import bisect
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
 from . import query_adc
@@ -29,6 +30,26 @@ class Curve(Protocol):
     def calc_adc(self, temp: float) -> float: ...
 
 
+@dataclass(frozen=True, slots=True)
+class ReadingRange:
+    """What a section allows, in degC, and as ratios of the ADC's full scale."""
+
+    low_c: float = -math.inf
+    high_c: float = math.inf
+    low: float = 0.0
+    high: float = 1.0
+
+    def explain(self, name: str, mcu_adc: Any, curve: Curve, mcu: Any, reason: str) -> str:
+        """After a board's "ADC out of range": what is known of this sensor, "" if it was not the one."""
+        value, at_s = mcu_adc.get_last_value()
+        if "ADC out of range" not in reason or mcu is not mcu_adc.get_mcu() or not at_s:
+            return ""
+        scale = mcu_adc.get_full_scale()
+        if math.floor(self.low * scale) <= round(value * scale) <= math.ceil(self.high * scale):
+            return ""
+        return f"{name}: {curve.calc_temp(value):.1f} C, allowed are {self.low_c:g} to {self.high_c:g} C."
+
+
 class PrinterADCtoTemperature:
     """One ADC pin with its curve."""
 
@@ -36,9 +57,11 @@ class PrinterADCtoTemperature:
         self.printer = printer
         self.name = name
         self.curve = curve
+        self._range = ReadingRange()
         self._callback: Callable[[float, float], None] | None = None
         self.mcu_adc = printer.lookup_object("pins").setup_pin("adc", pin)
         self.mcu_adc.setup_adc_callback(REPORT_TIME_S, self._on_adc)
+        printer.register_event_handler("mcu:explain_shutdown", self._explain)
 
     def setup_callback(self, temperature_callback: Callable[[float, float], None]) -> None:
         """`temperature_callback(print time of the sample, degC)` for every report."""
@@ -50,6 +73,7 @@ class PrinterADCtoTemperature:
     def setup_minmax(self, min_temp: float, max_temp: float) -> None:
         """Range for the MCU's check."""
         ratios = sorted(min(1.0, max(0.0, self.curve.calc_adc(t))) for t in (min_temp, max_temp))
+        self._range = ReadingRange(min_temp, max_temp, ratios[0], ratios[1])
         self.mcu_adc.setup_adc_sample(
             SAMPLE_TIME_S,
             SAMPLE_COUNT,
@@ -57,6 +81,9 @@ class PrinterADCtoTemperature:
             maxval=ratios[1],
             range_check_count=RANGE_CHECK_COUNT,
         )
+
+    def _explain(self, mcu: Any, reason: str) -> str:
+        return self._range.explain(self.name, self.mcu_adc, self.curve, mcu, reason)
 
     def _on_adc(self, read_time: float, read_value: float) -> None:
         if self._callback is not None:

@@ -85,7 +85,7 @@ class InductionSeat:
         heater.use(replace(heater.parameters, control=loop.Control(law, None, self.most, models=True)))
         self._told_c = run.target_c
         heater.set_temp(self._told_c)
-        self._taken = True
+        self._taken = heater.lent = True
 
     def keep(self, run: Run) -> None:
         """The loop's target follows the run's; one set from outside ends it."""
@@ -99,6 +99,7 @@ class InductionSeat:
         if self._taken:
             self.heater.set_temp(0.0)
             self.heater.use(self._before)
+            self.heater.lent = False
 
 
 def _stepper(run: Run, most: float) -> Callable[..., tuple[control_api.ControlOutput, int]]:

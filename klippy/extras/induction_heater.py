@@ -73,6 +73,7 @@ class InductionHeater:
         self._timer: Any = None
         self._driver: Driver | None = None
         self.planner: Planner | None = None
+        self.lent = False  # to a calibration: what it extrudes is no path to plan
         self._quiet_s = -math.inf
         self._warned = ""
         self._ahead: induction_flow.FlowAhead | None = None
@@ -311,7 +312,6 @@ class InductionHeater:
         news = state.estimate
         now_s = self.unit.print_time_now(eventtime)
         age_s = now_s - news.time_s
-        modelled = self.parameters.control.models
         return {
             **self.get_status(eventtime),
             "can_extrude": self.can_extrude,
@@ -324,7 +324,7 @@ class InductionHeater:
             "warning": self.warning() or None,
             "control": self.parameters.control.law.name,
             "flow": round(self.loop.flow.at(now_s), 3),
-            "disturbance_w": round(state.law.disturbance_w, 3) if modelled else None,
+            "disturbance_w": _rounded(getattr(state.law, "disturbance_w", None)),  # the model law's only
             "guard": "armed" if self._running else "off",
             "law": laws.coefficients_of(self.parameters.estimator.law)[0],
             "law_residual": self.parameters.estimator.law.residual_units,

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from . import query_adc
+from .adc_temperature import ReadingRange
 
 SAMPLE_TIME_S = 0.001
 SAMPLE_COUNT = 8
@@ -130,12 +131,14 @@ class McuTemperature:
         self.calibration = calibration
         self.line: Line | None = None
         self._range_c = (0.0, 0.0)
+        self._range = ReadingRange()
         self._callback: Callable[[float, float], None] | None = None
         self.mcu_adc = printer.lookup_object("pins").setup_pin("adc", f"{mcu_name}:{PIN}")
         self.mcu_adc.setup_adc_callback(REPORT_TIME_S, self._on_adc)
 
     def register(self) -> None:
         self.printer.register_event_handler("klippy:mcu_identify", self._handle_identify)
+        self.printer.register_event_handler("mcu:explain_shutdown", self._explain)
 
     def setup_callback(self, temperature_callback: Callable[[float, float], None]) -> None:
         self._callback = temperature_callback
@@ -146,10 +149,19 @@ class McuTemperature:
     def setup_minmax(self, min_temp: float, max_temp: float) -> None:
         self._range_c = (min_temp, max_temp)
 
+    def _explain(self, mcu: Any, reason: str) -> str:
+        return self._range.explain(self.name, self.mcu_adc, self.line, mcu, reason) if self.line else ""
+
     def _handle_identify(self) -> None:
         mcu = self.mcu_adc.get_mcu()
+        if PIN not in mcu.get_enumerations().get("pin", {}):
+            raise self.printer.config_error(
+                f"Sensor '{self.name}': the firmware of mcu '{self.mcu_name}' does not offer its chip's own temperature"
+                f" (there is no pin {PIN})"
+            )
         self.line = self._find_line(mcu, str(mcu.get_constants().get("MCU", "")))
         low, high = sorted(min(1.0, max(0.0, self.line.calc_adc(temp))) for temp in self._range_c)
+        self._range = ReadingRange(*self._range_c, low, high)
         self.mcu_adc.setup_adc_sample(
             SAMPLE_TIME_S, SAMPLE_COUNT, minval=low, maxval=high, range_check_count=RANGE_CHECK_COUNT
         )

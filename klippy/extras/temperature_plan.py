@@ -210,7 +210,7 @@ class TemperaturePlanner:
     # Moves, as soon as their times are known
 
     def _on_moves(self, row: Any, count: int, print_time: float) -> None:
-        if not self.enabled:
+        if not self.enabled or self.heater.lent:
             return
         serving = self._toolhead.get_extruder()
         if serving.get_name() and serving.get_heater() is not self.heater:

@@ -19,10 +19,14 @@ from extras import gcode_arcs
 from lookahead import LookAheadQueue, Move
 from thermal.wishes import Wishes, read_comment
 
+_NUMBERED = re.compile(r"N\d+\s*(.*?)(?:\*\s*\d+\s*)?$")
+# The command and its parameters; blanks between them are no matter (G1X10).
+_LINE = re.compile(r"([A-Z]\d+(?:\.\d+)?|[A-Z_][A-Z0-9_]*)\s*(.*)")
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
 _PARAMETER = re.compile(r"([A-Z_]+)=(\S+)")
 RIGHT_ANGLE_FACTOR = math.sqrt(2.0) - 1.0
 BATCH_MOVES = 500
+FARTHEST_MM = 10000.0  # no printer is larger; the map of the part grows with its area
 
 
 @dataclass(slots=True)
@@ -67,6 +71,8 @@ class _Modes:
     speed_mm_s: float = 25.0
     speed_factor: float = 1.0
     extrude_factor: float = 1.0
+    mm_per_e: float = 1.0  # after M200 D, E counts mm³
+    other_nozzle: bool = False  # another one is in use
     plane: gcode_arcs.Plane = gcode_arcs.PLANES["G17"]
     nozzle_c: float = 0.0
     fan: float = 0.0
@@ -74,11 +80,21 @@ class _Modes:
 
 
 class GcodePath:
-    """Reads one file. `bed_c`: newest bed target met; `lines`: read so far; `arc_mm`: longest chord of an arc."""
+    """Reads one file. `bed_c`: newest bed target met; `lines`: read so far; `arc_mm`: longest chord of an arc.
 
-    def __init__(self, limits: Limits, arc_mm: float = gcode_arcs.DEFAULT_RESOLUTION_MM) -> None:
+    `other_nozzles`: numbers of the tools that have a nozzle of their own. What they lay is left out, their targets too.
+    """
+
+    def __init__(
+        self,
+        limits: Limits,
+        arc_mm: float = gcode_arcs.DEFAULT_RESOLUTION_MM,
+        other_nozzles: frozenset[int] = frozenset(),
+    ) -> None:
         self.limits = limits
         self.arc_mm = arc_mm
+        self.other_nozzles = other_nozzles
+        self.other_tool_line = -1  # where another nozzle comes into use first
         self.layer_begins = False  # the line read last begins a layer
         self.bed_c = math.nan
         self.lines = 0
@@ -91,12 +107,18 @@ class GcodePath:
         self._ready: list[TimedMove] = []
 
     def moves(self, path: Path) -> Iterator[list[TimedMove]]:
-        """Batches of moves in order of time; one ends before each layer: the caller may choose its pace then."""
-        with path.open(encoding="utf-8", errors="replace") as stream:
+        """Batches of moves in order of time; one ends before each layer: the caller may choose its pace then.
+
+        Raises ValueError with the line that cannot be.
+        """
+        with path.open(encoding="utf-8-sig", errors="replace") as stream:
             for number, line in enumerate(stream):
                 self.lines = number + 1
                 self.layer_begins = False
-                self._take(line, number)
+                try:
+                    self._take(line, number)
+                except (ValueError, ArithmeticError) as error:
+                    raise ValueError(f"{path}, line {number + 1}: '{line.strip()[:60]}': {error}") from None
                 if self.layer_begins or len(self._ready) >= BATCH_MOVES:
                     yield self._hand_out()
         self.layer_begins = False
@@ -129,10 +151,12 @@ class GcodePath:
                 self._modes.wishes = self._since(self._modes.wishes.comment(found))
                 self.layer_begins = found.kind == "layer"
             return
-        text = text.partition(";")[0].strip().upper()
-        if not text:
+        text = text.partition(";")[0].upper()
+        numbered = _NUMBERED.match(text)
+        found_line = _LINE.match(numbered[1] if numbered else text)
+        if found_line is None:
             return
-        command, _, rest = text.partition(" ")
+        command, rest = found_line.groups()
         if command in ("G0", "G1", "G2", "G3"):
             words = {letter: float(value) for letter, value in _WORD.findall(rest)}
             if words.get("F", 0.0) > 0.0:
@@ -140,9 +164,17 @@ class GcodePath:
             for end in self._ways(command, words):
                 self._move(end, number)
             return
+        if command[0] == "T" and command[1:].isdigit():
+            self._use_tool(int(command[1:]), number)
+            return
         handler = getattr(self, "_on_" + command.replace(".", "_").lower(), None)
         if handler is not None:
             handler({**dict(_WORD.findall(rest)), **dict(_PARAMETER.findall(rest))})
+
+    def _use_tool(self, tool: int, line: int) -> None:
+        self._modes.other_nozzle = tool in self.other_nozzles
+        if self._modes.other_nozzle and self.other_tool_line < 0:
+            self.other_tool_line = line
 
     def _since(self, wishes: Wishes) -> Wishes:
         """Wishes by duration count from the end of what is queued."""
@@ -159,9 +191,11 @@ class GcodePath:
         end = list(start)
         for i, letter in enumerate("XYZE"):
             if letter in words:
-                value = words[letter] * (modes.extrude_factor if letter == "E" else 1.0)
+                value = words[letter] * (modes.extrude_factor * modes.mm_per_e if letter == "E" else 1.0)
                 absolute = modes.absolute and (letter != "E" or modes.absolute_e)
                 end[i] = value + (self._origin[i] if absolute else start[i])
+        if max(map(abs, end[:3])) > FARTHEST_MM:
+            raise ValueError("there is no printer so large")
         plane = modes.plane
         centre = tuple(words.get("IJK"[axis], 0.0) for axis in (plane.first, plane.second))
         if command in ("G0", "G1") or not any(centre):
@@ -175,7 +209,8 @@ class GcodePath:
         speed_mm_s = modes.speed_mm_s * modes.speed_factor
         if end[3] > start[3] and end[:2] != start[:2]:
             speed_mm_s *= modes.wishes.pace
-        move = Move(self.limits, self._position, end, speed_mm_s)  # type: ignore[arg-type]  # its four limits
+        laid = [*end[:3], start[3]] if modes.other_nozzle else end
+        move = Move(self.limits, start, laid, speed_mm_s)  # type: ignore[arg-type]  # its four limits
         self._position = end
         if not move.move_d:
             return
@@ -208,7 +243,7 @@ class GcodePath:
     def _on_g92(self, words: dict[str, str]) -> None:
         values = {i: float(words[letter]) for i, letter in enumerate("XYZE") if letter in words}
         for i in values or range(4):
-            factor = self._modes.extrude_factor if i == 3 else 1.0
+            factor = self._modes.extrude_factor * self._modes.mm_per_e if i == 3 else 1.0
             self._origin[i] = self._position[i] - values.get(i, 0.0) * factor
 
     def _on_g17(self, words: dict[str, str]) -> None:
@@ -233,12 +268,19 @@ class GcodePath:
             shown = (self._position[3] - self._origin[3]) / before
             self._origin[3] = self._position[3] - shown * self._modes.extrude_factor
 
+    def _on_m200(self, words: dict[str, str]) -> None:
+        diameter_mm = float(words.get("D", 0.0))
+        self._modes.mm_per_e = 4.0 / (math.pi * diameter_mm**2) if diameter_mm > 0.0 else 1.0
+
     def _on_g4(self, words: dict[str, str]) -> None:
         self._flush(lazy=False)
         self._time_s += 1e-3 * float(words.get("P", 0.0)) + float(words.get("S", 0.0))
 
     def _on_m104(self, words: dict[str, str]) -> None:
-        if float(words.get("S", 0.0)) > 0.0:  # off at the end of a file: nothing is laid any more
+        other = int(words["T"]) in self.other_nozzles if "T" in words else self._modes.other_nozzle
+        if (
+            float(words.get("S", 0.0)) > 0.0 and not other
+        ):  # off at the end of a file: nothing is laid any more
             self._modes.nozzle_c = float(words["S"])
 
     _on_m109 = _on_m104

@@ -17,8 +17,8 @@ from typing import BinaryIO
 
 from .plan_offline import OfflinePlan
 
-_TARGET = re.compile(rb"^\s*M10[49](?![.\d])[^;]*S\s*([0-9.]+)", re.IGNORECASE)
-_FACTOR = re.compile(rb"^\s*M220(?![.\d])[^;]*S\s*([0-9.]+)", re.IGNORECASE)
+_TARGET = re.compile(rb"^\s*(?:N\d+\s*)?M10[49](?![.\d])[^;]*S\s*([0-9.]+)", re.IGNORECASE)
+_FACTOR = re.compile(rb"^\s*(?:N\d+\s*)?M220(?![.\d])[^;]*S\s*([0-9.]+)", re.IGNORECASE)
 
 
 def write(source: Path, target: Path, plan: OfflinePlan, step_c: float) -> int:

@@ -62,6 +62,7 @@ class OfflinePlan:
     duration_s: float
     base_c: float
     paces: list[PaceChange]
+    other_tool_line: int = -1  # where the file takes a tool with another nozzle first, from 0; -1: nowhere
 
 
 def steady(settings: Settings, plain: Summary, paced: Summary) -> Settings:
@@ -78,10 +79,17 @@ def steady(settings: Settings, plain: Summary, paced: Summary) -> Settings:
 class Planning:
     """Plans one file; `progress(lines)` is called now and then."""
 
-    def __init__(self, settings: Settings, nozzle: NozzleLimits, limits: Limits, arc_mm: float = 1.0) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        nozzle: NozzleLimits,
+        limits: Limits,
+        arc_mm: float = 1.0,
+        other_nozzles: frozenset[int] = frozenset(),
+    ) -> None:
         self._settings = settings
         self._nozzle = nozzle
-        self._path = GcodePath(limits, arc_mm)
+        self._path = GcodePath(limits, arc_mm, other_nozzles)
         self._pacer = Pacer(settings.slowest, settings.longest_pause_s)
         self._paces: list[PaceChange] = []
         self._paced_s = 0.0
@@ -108,7 +116,8 @@ class Planning:
         self._book(math.inf)
         corners = np.array(self._corners or [(0.0, base_c)])
         duration_s = max(0.0, self._end_s)
-        return OfflinePlan(self._moves, corners, plan.summary(), duration_s, self._base_c, self._paces)
+        facts = duration_s, self._base_c, self._paces, self._path.other_tool_line
+        return OfflinePlan(self._moves, corners, plan.summary(), *facts)
 
     def _keep_pace(self) -> None:
         """A layer begins (or, in a file that tells none, has about been laid): how fast may it come?"""

@@ -95,8 +95,8 @@ def read_rows(path: Path) -> list[Row]:
     return rows
 
 
-def thin(rows: Sequence[Row]) -> list[Row]:
-    """Every row with a reading at least STRIDE_S after the one before; output and flow are the means since then."""
+def thin(rows: Sequence[Row], stride_s: float = STRIDE_S) -> list[Row]:
+    """Every row with a reading at least `stride_s` after the one before; output and flow are the means since then."""
     first = next((i for i, row in enumerate(rows) if row.temp_c == row.temp_c), len(rows))
     rows = rows[first:]
     if not rows:
@@ -108,7 +108,7 @@ def thin(rows: Sequence[Row]) -> list[Row]:
         volume += row.flow_mm3_s * (row.time_s - before.time_s)
         since_s = row.time_s - kept[-1].time_s
         changed = row.stage != kept[-1].stage
-        if not math.isnan(row.temp_c) and (since_s >= STRIDE_S or changed) and since_s > 0.0:
+        if not math.isnan(row.temp_c) and (since_s >= stride_s or changed) and since_s > 0.0:
             kept.append(row._replace(output=energy / since_s, flow_mm3_s=volume / since_s))
             energy = volume = 0.0
     return kept
@@ -297,7 +297,7 @@ def fit_further(rows: Sequence[Row], fit: LoadFit, ambient_c: float) -> fit_melt
     v = fit.values
     heat = HeatCapacity(v["heat_capacity_j_per_k"])
     loss = scaled(v["loss_factor"], ambient_c, v["second_mass_factor"])
-    return fit_melt.fit_held(fit_melt.held_steps(thin(rows), heat, loss), ambient_c)
+    return fit_melt.fit_held(fit_melt.held_steps(thin(rows, 0.0), heat, loss), ambient_c)
 
 
 def options(fit: LoadFit, power_w: float, ambient_c: float, is_nozzle: bool) -> dict[str, float]:

@@ -92,7 +92,7 @@ def _second_c(time_s: Any, temp_c: Any, loss: TwoNodeLoss) -> Any:
 
 
 def held_steps(rows: Sequence[Row], heat: HeatCapacity, loss: TwoNodeLoss) -> list[Held]:
-    """The heat of each further step. `rows`: all of the run, thinned (fit_load.thin). Raises MeltFitError."""
+    """The heat of each further step. `rows`: all of the run (fit_load.thin). Raises MeltFitError."""
     time_s, temp_c, output, flow = (np.array([r[i] for r in rows]) for i in (0, 1, 2, 4))
     second_c = _second_c(time_s, temp_c, loss)
     hot_k4 = (temp_c + ZERO_CELSIUS_K) ** 4 - (loss.ambient_c + ZERO_CELSIUS_K) ** 4
@@ -102,22 +102,30 @@ def held_steps(rows: Sequence[Row], heat: HeatCapacity, loss: TwoNodeLoss) -> li
     stored_j = heat.at_25c_j_k * over_c * (1.0 + 0.5 * heat.slope_per_k * over_c)
     middle_w = 0.5 * (lost_w + np.concatenate((lost_w[:1], lost_w[:-1])))
     left_j = np.cumsum((output - middle_w) * np.diff(time_s, prepend=time_s[0])) - stored_j
-    steps, begin = [], 0
+    steps, missed, begin = [], "", 0
     for stage, group in groupby(rows, key=lambda row: row.stage):
         end = begin + sum(1 for _ in group)
         if stage == "hold" or stage.startswith(MELT):
             part = _steady(stage, (time_s, temp_c, flow), begin, end)
+            if part is None:
+                missed, begin = missed or stage, end
+                continue
             slope_w = float(np.polyfit(time_s[part] - time_s[begin], left_j[part], 1)[0])
             means = (float(np.mean(x[part])) for x in (temp_c, flow, lost_w))
             mean_c, mean_flow, mean_loss = means
             lasts_s = float(time_s[part][-1] - time_s[part][0])
             steps.append(Held(stage, mean_c, mean_flow, slope_w, mean_loss, lasts_s))
         begin = end
+    if missed:
+        _check_filament(steps, loss.ambient_c)
+        raise MeltFitError(
+            f"step '{missed}' has no {LEAST_S:g} s at one temperature and flow: did the extruder stop?"
+        )
     return steps
 
 
-def _steady(stage: str, columns: tuple[Any, Any, Any], begin: int, end: int) -> slice:
-    """Rows of a step from where it is settled on, at one temperature and flow."""
+def _steady(stage: str, columns: tuple[Any, Any, Any], begin: int, end: int) -> slice | None:
+    """Rows of a step from where it is settled on, at one temperature and flow; None: too few."""
     time_s, temp_c, flow = columns
     settle_s = SETTLE_S if stage.startswith(MELT) else SETTLE_SHARE * (time_s[end - 1] - time_s[begin])
     settled = np.arange(begin, end)[time_s[begin:end] >= time_s[begin] + settle_s]
@@ -127,9 +135,7 @@ def _steady(stage: str, columns: tuple[Any, Any, Any], begin: int, end: int) -> 
         last = settled[time_s[settled] >= time_s[settled[-1]] - LEAST_S]
         settled = settled[np.abs(temp_c[settled] - np.median(temp_c[last])) <= HELD_C]
     if len(settled) < 20 or time_s[settled[-1]] - time_s[settled[0]] < LEAST_S:
-        raise MeltFitError(
-            f"step '{stage}' has no {LEAST_S:g} s at one temperature and flow: did the extruder stop?"
-        )
+        return None
     return slice(int(settled[0]), int(settled[-1]) + 1)
 
 

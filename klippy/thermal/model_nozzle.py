@@ -18,7 +18,7 @@ FLOW_LAG_S = 0.020  # compliance between motor and nozzle
 # Plan this far ahead. The output of a step holds from 15 to 23 ms after it; the next step is up to 25 ms later, 50 if
 # the host is late, and holds 23 ms after that: until then, 90 ms after the first, the MCU goes by the plan.
 AHEAD_S = 0.090
-# Random walk of heat nobody told of, W within a second, while nothing speaks for more (model_filter: lean, surprise).
+# Random walk of heat nobody told of, W within a second, while nothing speaks for more (modelfilter.h: lean, surprise).
 # On the reference nozzle 0.2, 0.3, 0.5, 1.5 W give 0.05, 0.06, 0.07, 0.11 degC of ripple peak to peak, and a host
 # late by 50 ms makes of them 0.06, 0.07, 0.09, 0.16; an unplanned flow of 25 mm3/s costs 0.7 degC with each.
 DISTURBANCE_W = 0.3

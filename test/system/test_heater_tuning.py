@@ -139,6 +139,24 @@ def test_an_induction_nozzle_finds_its_model_within_two_minutes(simulate: Simula
     assert run.column("phase_ticks")[-1] < 3000
 
 
+LOOK = """
+[gcode_macro LOOK]
+gcode:
+  {% set nozzle = printer["induction_heater nozzle"] %}
+  { action_respond_info("driven by %s, unexplained %s" % (nozzle.control, nozzle.disturbance_w)) }
+"""
+
+
+def test_a_nozzles_status_can_be_asked_for_during_its_calibration(simulate: Simulate, tmp_path: Path) -> None:
+    log = tmp_path / "host.log"
+    gcode = "LOOK\nMODEL_CALIBRATE HEATER=extruder TARGET=220\nG4 P1000\nLOOK\nABORT\n"
+    run = simulate(gcode, config=machine(tmp_path, LOOK), more=["--log", str(log)])
+    text = log.read_text()
+    assert run.status == 0, run.stderr + text[-2000:]
+    assert re.search(r"driven by model, unexplained -?[0-9.]+", text)
+    assert "driven by calibration, unexplained None" in text
+
+
 TELL = """
 [gcode_macro TELL]
 gcode:

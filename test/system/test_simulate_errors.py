@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -75,6 +76,26 @@ def test_a_file_that_asks_for_the_impossible_ends_with_its_error(
 
 def test_an_unknown_command_is_mentioned_and_passed_over(simulate: Simulate) -> None:
     assert simulate("G28\nM9876\nG1 X10 F6000\n").status == 0
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("heater_bed.min_temp=40", r"heater_bed: 2\d\.\d C, allowed are 40 to 120 C"),
+        ("simulator load bed.fault=1", r"heater_bed: -\d+\.\d C, allowed are 0 to 120 C"),
+    ],
+)
+def test_a_sensor_out_of_its_range_is_named(simulate: Simulate, setting: str, words: str) -> None:
+    run = simulate("G4 P5000\n", settings=[setting])
+    assert run.status == 3 and re.search(words, run.summary["reason"]), run.summary["reason"]
+    assert "reference:" not in run.summary["reason"]  # the sensor that is well
+
+
+def test_a_board_without_a_temperature_of_its_own_says_so(simulate: Simulate, tmp_path: Path) -> None:
+    path = tmp_path / "printer.cfg"
+    path.write_text(f"[include {CONFIG}]\n[temperature_sensor board]\nsensor_type: temperature_mcu\n")
+    run = simulate("G4 P500\n", config=path)
+    assert run.status == 2 and "Sensor 'board': the firmware of mcu 'mcu' does not offer" in run.stderr
 
 
 def test_an_emergency_stop_in_the_file_is_a_shutdown(simulate: Simulate) -> None:

@@ -17,11 +17,10 @@ from thermal.fit_melt import Held, MeltFit, MeltFitError
 from thermal.nozzle_melt import MeltExchange
 
 ROOM_C = 22.0
-TOLD_W = 1.0  # the host knows the power as it is, unless a nozzle's `coupling` differs
-TICK_S = 0.0025
+TICK_S = 0.005
 READ_TICKS = 2
-NOISE_C = 0.1
-LATE_TICKS = 8  # 20 ms from a decision to the heat
+NOISE_C = 0.05  # of a mean over 10 ms
+LATE_TICKS = 4  # 20 ms from a decision to the heat
 FLOW_MM3_S = 15.0
 
 
@@ -75,15 +74,13 @@ def extruded(run: drill.Drill, times: list[float], flows: list[float], now_s: fl
 
 
 @cache
-def recording(
-    n: Nozzle, flow_mm3_s: float = FLOW_MM3_S, seed: int = 1, moves: bool = True
-) -> tuple[Row, ...]:
+def recording(n: Nozzle, moves: bool = True) -> tuple[Row, ...]:
     """The run of MODEL_CALIBRATE on this nozzle, with noise and the delay of the loop."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     noise = rng.normal(0.0, NOISE_C, 80000).tolist()
     plan = drill.DrillPlan(
         230.0, 30.0, 1.0, 0.0, hold_s=25.0, cool_s=30.0, coast_s=10.0, heat_s=30.0, gain_s=5.0, lost_c=60.0,
-        even_c=5.0, further=drill.melt_steps(230.0, 185.0, flow_mm3_s),
+        even_c=5.0, further=drill.melt_steps(230.0, 185.0, FLOW_MM3_S),
     )  # fmt: skip
     run, skin_c, second_c, bore_c = drill.Drill(plan, ROOM_C), ROOM_C, ROOM_C, ROOM_C
     coming = deque([0.0] * LATE_TICKS)
@@ -116,8 +113,9 @@ def recording(
     return tuple(run.rows)
 
 
-def fitted(n: Nozzle, flow_mm3_s: float = FLOW_MM3_S, seed: int = 1) -> MeltFit:
-    rows = list(recording(n, flow_mm3_s, seed))
+@cache
+def fitted(n: Nozzle) -> MeltFit:
+    rows = list(recording(n))
     fit = fit_load.fit_rows(rows, 81.0, ROOM_C, is_nozzle=True)
     melt = fit_load.fit_further(rows, fit, ROOM_C)
     assert melt is not None
@@ -159,14 +157,14 @@ def test_the_run_lasts_less_than_two_minutes() -> None:
 @pytest.mark.parametrize(
     ("n", "limit_c"),
     [
-        (Nozzle(wall_k_w=0.5), 0.7),  # 0.8 mm of steel: found as a weaker exchange
-        (Nozzle(ua_per_k=1e-3), 1.5),
-        (Nozzle(c_per_k=1e-3), 2.5),
+        (Nozzle(wall_k_w=0.5), 1.0),  # 0.8 mm of steel: found as a weaker exchange
+        (Nozzle(ua_per_k=1e-3), 1.8),
+        (Nozzle(c_per_k=1e-3), 1.2),
     ],
     ids=["wall", "exchange grows with temperature", "heat grows with temperature"],
 )
 def test_what_the_model_lacks_costs_this_much(n: Nozzle, limit_c: float) -> None:
-    """Effects of real filament and steel that no number of the model stands for; at 5 mm3/s, within the window."""
+    """Effects of filament and steel that no number of the model stands for, at 5 mm3/s. Found: 0.6, 1.3, 0.8 degC."""
     errors = [abs(error_c(n, fitted(n).exchange, melt_c, 5.0)) for melt_c in (195.0, 205.0, 215.0)]
     assert max(errors) < limit_c
 
@@ -178,13 +176,13 @@ def test_an_empty_extruder_is_told() -> None:
 
 def test_filament_that_slips_at_the_fastest_flow_is_told() -> None:
     with pytest.raises(MeltFitError, match="the filament slipped at that flow"):
-        fitted(Nozzle(most_mm3_s=9.0))
+        fit_melt.fit_held(steps(Nozzle(most_mm3_s=9.0)), ROOM_C)
 
 
 def test_flows_too_slow_to_tell_the_exchange_are_refused() -> None:
     """At 3 mm3/s the filament leaves as hot as the bore: its heat says nothing of how easily it got it."""
     with pytest.raises(MeltFitError, match=r"too slow to tell the exchange .* give a higher FLOW"):
-        fitted(Nozzle(), 3.0)
+        fit_melt.fit_held(steps(Nozzle(), flow_mm3_s=3.0), ROOM_C)
 
 
 def test_an_extruder_that_does_not_move_is_told() -> None:
@@ -204,7 +202,7 @@ def test_the_nozzles_own_numbers_do_not_depend_on_the_filament() -> None:
     """While it is fed, the model of the nozzle is led by the readings."""
     fits = [
         fit_load.fit_rows(list(recording(n)), 81.0, ROOM_C, is_nozzle=True)
-        for n in (Nozzle(), Nozzle(ua=0.02, c=2.6e-3))
+        for n in (Nozzle(), Nozzle(most_mm3_s=0.0))
     ]
     for name, true in (("heat_capacity_j_per_k", 0.414), ("loss_factor", 1.0), ("second_mass_factor", 1.0)):
         for fit in fits:
@@ -214,10 +212,10 @@ def test_the_nozzles_own_numbers_do_not_depend_on_the_filament() -> None:
 # Steps as numbers, without a run
 
 
-def steps(n: Nozzle, bend_w: float = 0.0) -> list[Held]:
+def steps(n: Nozzle, bend_w: float = 0.0, flow_mm3_s: float = FLOW_MM3_S) -> list[Held]:
     """As a perfect run would have them; `bend_w`: more heat in the step the fit is not shown."""
     held = [Held("hold", 230.0, 0.0, 0.0, 4.5, 9.0)]
-    for step in drill.melt_steps(230.0, 185.0, FLOW_MM3_S):
+    for step in drill.melt_steps(230.0, 185.0, flow_mm3_s):
         heat_w = melt_w(n, step.target_c, step.flow_mm3_s) + bend_w * (step.stage == drill.MELT_PROOF)
         loss_w = 4.4 if step.target_c > 200.0 else 3.0
         held.append(Held(step.stage, step.target_c, step.flow_mm3_s, heat_w, loss_w, 4.0))
@@ -249,7 +247,7 @@ def test_the_doubt_covers_what_chance_does() -> None:
 
 def test_a_nozzle_that_did_not_hold_its_temperature_is_told() -> None:
     rows = [
-        row._replace(temp_c=row.temp_c - 8.0 * (row.time_s % 3.0)) if row.stage == "melt fast, hot" else row
+        row._replace(temp_c=row.temp_c - 4.0 * row.time_s) if row.stage == "melt fast, hot" else row
         for row in recording(Nozzle())
     ]
     fit = fit_load.fit_rows(list(recording(Nozzle())), 81.0, ROOM_C, is_nozzle=True)

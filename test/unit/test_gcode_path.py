@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import math
+import operator
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -67,10 +70,10 @@ def pieces_of(moves, ask=lambda time_s, layer, z_mm: PLAIN) -> list[Piece]:  # t
     return taken(path, ask)
 
 
-def moves_of(text: str, tmp_path: Path):  # type: ignore[no-untyped-def]
+def moves_of(text: str, tmp_path: Path, other_nozzles: frozenset[int] = frozenset()):  # type: ignore[no-untyped-def]
     path = tmp_path / "part.gcode"
     path.write_text(text)
-    reader = GcodePath(LIMITS)
+    reader = GcodePath(LIMITS, other_nozzles=other_nozzles)
     return reader, [move for batch in reader.moves(path) for move in batch]
 
 
@@ -99,6 +102,61 @@ def test_relative_and_absolute_coordinates_give_the_same_path(tmp_path: Path) ->
         _, moves = moves_of(text, tmp_path)
         ways.append([(m.move.end_pos[:3], round(m.move.axes_d[3], 9)) for m in moves])
     assert ways[0] == ways[1]
+
+
+def with_numbers(text: str) -> str:
+    """As sent to a serial port: line numbers and check sums."""
+    lines = []
+    for number, line in enumerate(text.split("\n")):
+        told = f"N{number} {line}"
+        lines.append(
+            f"{told}*{functools.reduce(operator.xor, told.encode())}" if line[:1] not in ("", ";") else line
+        )
+    return "\n".join(lines)
+
+
+def squeezed(text: str) -> str:
+    return "\n".join(line if line[:1] in ";E" else line.replace(" ", "") for line in text.split("\n"))
+
+
+def in_volume(text: str) -> str:
+    """E in mm³, as PrusaSlicer writes it with "use volumetric E"."""
+    return "M200 D1.75\n" + re.sub(r"E([0-9.]+)", lambda m: f"E{float(m[1]) * AREA:.9f}", text)
+
+
+@pytest.mark.parametrize(
+    "write",
+    [
+        with_numbers,
+        squeezed,
+        in_volume,
+        str.lower,
+        lambda text: "\ufeff" + text[1:],  # the file begins with M140
+        lambda text: text.replace("\n", "\r\n"),
+        lambda text: text.replace("E2.0\n", "E2.0 ; ☃\n"),
+    ],
+)
+def test_a_file_says_the_same_however_its_lines_are_written(write, tmp_path: Path) -> None:  # type: ignore[no-untyped-def]
+    ways = []
+    for text in (LINES, write(LINES)):
+        reader, moves = moves_of(text, tmp_path)
+        assert reader.bed_c == 90.0
+        facts = [(m.wishes, m.nozzle_c, m.move.end_pos[:3], round(m.move.axes_d[3], 7)) for m in moves]
+        ways.append([str(fact) for fact in facts])
+    assert ways[0] == ways[1] and len(ways[0]) == 6
+
+
+def test_what_a_tool_with_another_nozzle_lays_is_left_out(tmp_path: Path) -> None:
+    text = (
+        "M83\nM104 T0 S210\nM104 T1 S250\nG1 X10 E1 F3000\nT1\nM104 S255\nG1 X20 E1\nM104 T0 S180\nG1 X30\n"
+        "T0\nM104 S215\nG1 X40 E1\n"
+    )
+    reader, moves = moves_of(text, tmp_path, frozenset({1}))
+    assert [(m.move.end_pos[0], m.move.axes_d[3]) for m in moves] == [(10, 1), (20, 0), (30, 0), (40, 1)]
+    assert [m.nozzle_c for m in moves] == [210.0, 210.0, 180.0, 215.0] and reader.other_tool_line == 4
+    reader, moves = moves_of(text, tmp_path)  # several filaments, one nozzle
+    assert sum(m.move.axes_d[3] for m in moves) == 3 and reader.other_tool_line == -1
+    assert [m.nozzle_c for m in moves] == [250.0, 255.0, 180.0, 215.0]
 
 
 def test_pieces_hold_all_the_filament_and_all_the_time(tmp_path: Path) -> None:
@@ -249,6 +307,19 @@ def test_the_tool_writes_a_page_figures_and_a_file_with_commands(tmp_path: Path)
         (["--step", "-3"], CONFIG, LINES, "0.1 to 50"),
         ([], CONFIG.replace("235", "warm"), LINES, "'warm' is not a number"),
         ([], CONFIG, "G28\nM104 S200\n", "no line of it extrudes"),
+        (
+            [],
+            CONFIG,
+            LINES + "M220 Sx\nM106 S1\nM104.1 S200\nSET_SEGMENT_TEMPERATURE TEMP=hot\n",
+            "line 23: 'SET_SEGMENT",
+        ),
+        ([], CONFIG, LINES + "G1 X1000000 E5\n", "line 20: 'G1 X1000000 E5': there is no printer so large"),
+        (
+            ["--emit", "out"],
+            CONFIG + "[extruder1]\n",
+            LINES + "T1\nG1 X5 E2\n",
+            "line 20: this tool has a nozzle",
+        ),
         (["--config", "/nonexistent.cfg"], CONFIG, LINES, "/nonexistent.cfg"),
         ([], CONFIG.replace("max_accel: 3000", "max_accel: -1"), LINES, "max_accel"),
     ],

@@ -269,6 +269,27 @@ def test_samples_in_c_are_those_of_python() -> None:
     assert repr(a[0]) == repr(b[0])
 
 
+@pytest.mark.parametrize("beyond_s", [-0.02, -0.001, 0.001, 0.02, 5.0])
+@pytest.mark.parametrize("slope_k_s", [0.0, 30.0])
+def test_only_a_reference_flat_to_the_plans_end_needs_no_plan(beyond_s: float, slope_k_s: float) -> None:
+    """Settled at 250 degC; the last corner lies so far beyond what is planned, the one before it in the past."""
+    p = ModelParameters(
+        heat_j_k=0.414, loss_w_k=0.02, output_w=1.0, output_high=80.0, hold_s=0.008, fade_s=0.045, ahead=11
+    )
+    state, other = model_filter.begin(p, 250.0, 10.0), plant.begin(p, 250.0, 10.0)
+    end_s = 10.02 + (p.ahead + 1) * p.hold_s + beyond_s
+    ramp = Reference((10.02, end_s), (250.0, 250.0 + slope_k_s * (end_s - 10.02)))
+    held_w = model_plant.hold_w(p, 250.0, 0.0, 0.0)
+    inputs = ControlInput(250.0, 250.0, applied=held_w, apply_s=10.02, pending=(), reference=ramp)
+    got, wanted = (
+        model_step(p, state, inputs, 10.001)[0],
+        reference.model_step(p, other, inputs, 10.001)[0],
+    )
+    same(got, wanted)
+    assert abs(got.predicted_c - 250.0) < 0.1
+    assert bool(got.horizon) == bool(slope_k_s)
+
+
 def test_a_reference_from_c_is_the_same() -> None:
     ffi = chelper.get_ffi()[0]
     corners = [(1.0, 200.0), (2.0, 210.0), (2.0, 190.0), (4.0, 195.0)]
