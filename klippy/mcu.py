@@ -453,9 +453,14 @@ class MCU:
 
     register_serial_response = register_response
 
-    def set_patience(self, name: str, seconds: float, most: int) -> None:
-        """Messages `name` need not be handled at once, but within so many seconds or when there are `most`."""
-        self._serial.set_patience(name, seconds, most)
+    def register_lot(
+        self, cb: Callable[[Any, int], None], msgformat: str, seconds: float = 0.0, most: int = 0
+    ) -> None:
+        """Call `cb(messages, count)` with undecoded messages, when there are `most` or one has waited so long."""
+        try:
+            self._serial.register_lot(cb, msgformat, seconds, most)
+        except msgproto.error as e:
+            self._fail(self._missing_command_text(msgformat, e))
 
     def alloc_command_queue(self) -> Any:
         """Commands keep their order within a queue only."""

@@ -27,10 +27,11 @@ class Asked(NamedTuple):
     by_place: bool = False
 
 
+NO_MEMORY = "no memory for the temperature plan"
 # (print time of a move's start, layer, z) -> Asked
 Asker = Callable[[float, int, float], Asked]
-# (struct tempplan_piece *, how many)
-Taker = Callable[[Any, int], None]
+# (struct tempplan_path *, struct path_wish *) -> moves that still wait; below 0: no memory
+Taker = Callable[[Any, Any], int]
 
 
 class PathPieces:
@@ -40,15 +41,22 @@ class PathPieces:
         self._ffi, self._lib = chelper.get_ffi()
         path = self._lib.tempplan_path_alloc(filament_area_mm2, longest_mm)
         if path == self._ffi.NULL:
-            raise MemoryError("no memory for the temperature plan")
-        self._path = self._ffi.gc(path, self._lib.tempplan_path_free)
+            raise MemoryError(NO_MEMORY)
+        self.handle = self._ffi.gc(path, self._lib.tempplan_path_free)
+        self.wish = self._ffi.new("struct path_wish *")  # what was asked for last
         self._facts = self._ffi.new("struct path_facts *")
-        self._wish = self._ffi.new("struct path_wish *")
-        self._pieces = self._ffi.new("struct tempplan_piece **")
+        self._note_planned = self._lib.tempplan_path_note_planned
+        self.forget()
 
-    def note_planned(self, row: Any, count: int, print_time: float, fan: float) -> None:
-        """The first `count` moves of the look-ahead's row; the first begins at `print_time`."""
-        self._check(self._lib.tempplan_path_note_planned(self._path, row, count, print_time, fan))
+    def note_planned(self, row: Any, count: int, print_time: float, fan: float, planned_s: float) -> bool:
+        """The first `count` moves of the look-ahead's row; the first begins at `print_time`.
+
+        True: with them so much waits beyond `planned_s` that it is worth another plan.
+        """
+        due = self._note_planned(self.handle, row, count, print_time, fan, planned_s)
+        if due < 0:
+            raise MemoryError(NO_MEMORY)
+        return due > 0
 
     def note(self, moves: Sequence[Any], fan: float = 0.0) -> None:
         """Move objects (lookahead.Move) that have their print_time. Moves of the extruder alone lay nothing."""
@@ -60,29 +68,36 @@ class PathPieces:
             row.start_pos, row.end_pos = move.start_pos[:3], move.end_pos[:3]
             dx, dy, _, de = move.axes_d
             row.filament_mm = de if move.is_kinematic_move and de > 0.0 and (dx or dy) else 0.0
-        self._check(self._lib.tempplan_path_note(self._path, rows, len(moves)))
+        self.check(self._lib.tempplan_path_note(self.handle, rows, len(moves)))
+
+    def forget(self, until_s: float = -math.inf) -> None:
+        """What was asked for last holds up to then only."""
+        self.wish.until_s = min(self.wish.until_s, until_s)
+
+    def inquire(self, ask: Asker) -> None:
+        """Ask what holds for the first move that waits."""
+        facts, wish = self.facts(), self.wish
+        asked = ask(facts.next_s, int(facts.layer), facts.z_mm)
+        wish.wish_c, wish.base_c, wish.height_mm, wish.pace, wish.until_s, wish.by_place = asked
 
     def feed(self, ask: Asker, take: Taker) -> None:
-        """All that waits, as pieces, to `take`."""
-        facts, wish = self.facts(), self._wish
-        while facts.waiting:
-            asked = ask(facts.next_s, int(facts.layer), facts.z_mm)
-            wish.wish_c, wish.base_c, wish.height_mm, wish.pace, wish.until_s, wish.by_place = asked
-            count = self._check(self._lib.tempplan_path_run(self._path, wish, self._pieces))
-            if count:
-                take(self._pieces[0], count)
-            facts = self.facts()
+        """All that waits, as pieces, to `take`; all is asked for anew."""
+        self.forget()
+        while self.check(take(self.handle, self.wish)):
+            self.inquire(ask)
 
     def drop(self, until_s: float = math.inf) -> None:
         """Forget what waits and ends by then."""
-        self._lib.tempplan_path_drop(self._path, until_s)
+        self._lib.tempplan_path_drop(self.handle, until_s)
 
     def facts(self) -> Any:
         """struct path_facts as it is now: next_s, end_s, layer, z_mm, height_mm, waiting, laid."""
-        self._lib.tempplan_path_facts(self._path, self._facts)
+        self._lib.tempplan_path_facts(self.handle, self._facts)
         return self._facts
 
-    def _check(self, status: int) -> int:
+    @staticmethod
+    def check(status: int) -> int:
+        """The status of a C call, unless it says that there is no memory."""
         if status < 0:
-            raise MemoryError("no memory for the temperature plan")
+            raise MemoryError(NO_MEMORY)
         return status

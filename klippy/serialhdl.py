@@ -23,8 +23,10 @@ from reactor import Reactor, ReactorCompletion
 
 Params = msgproto.Params
 ResponseHandler = Callable[[Params], None]
+LotHandler = Callable[[Any, int], None]
 
 PULL_MAX = 64
+LOT_MAX = 32
 IDENTIFY_CHUNK = 40  # bytes of dictionary asked for at once: the answer fits a block
 CONNECT_TIMEOUT_S = 15.0  # an MCU behind a boot loader starts within a few seconds
 REOPEN_PAUSE_S = 0.5
@@ -82,6 +84,8 @@ class SerialReader:
         self._ffi, self._lib = chelper.get_ffi()
         self._port: serialport.Port | None = None
         self._pulled = self._ffi.new("struct pull_message[]", PULL_MAX)
+        self._lot = self._ffi.new("struct pull_message[]", LOT_MAX)
+        self._on_lot: LotHandler | None = None
         self._stats = self._ffi.new("struct serialqueue_stats *")
         self._tables = _Tables()
         self._notify_id = 0
@@ -96,6 +100,7 @@ class SerialReader:
         self._lib.serialqueue_reset(self._sq, file_mode)
         self._tables.waiters.clear()
         self._tables.notices.clear()
+        self._on_lot = None
         self._clock = _Clock()
 
     # --- connecting ---
@@ -176,12 +181,15 @@ class SerialReader:
 
     # --- receiving ---
 
-    def set_patience(self, name: str, seconds: float, most: int) -> None:
-        """Messages `name` may wait so long for a turn of the reactor, until there are `most`; 0: no longer."""
-        known = self.msgparser.lookup_response(name)
-        if known is not None:
-            message_id = known.id_bytes
-            self._lib.serialqueue_set_patience(self._sq, message_id, len(message_id), seconds, most)
+    def register_lot(self, callback: LotHandler, msgformat: str, seconds: float = 0.0, most: int = 0) -> None:
+        """Hand messages of this format on undecoded, many at a time: `callback(messages, count)` in the reactor thread.
+
+        `messages` are C's struct pull_message, up to LOT_MAX. They wait until there are `most` of them or the oldest
+        is so old. One format only; registering it again changes what it waits for.
+        """
+        message_id = self.msgparser.lookup_command(msgformat).id_bytes
+        self._on_lot = callback
+        self._lib.serialqueue_set_lot(self._sq, message_id, len(message_id), seconds, most)
 
     def _drain(self) -> None:
         """Take what the queue has for us. Called by the port in the reactor thread."""
@@ -196,6 +204,16 @@ class SerialReader:
                         notice(params)
                 elif params:
                     self._dispatch(params)
+        if self._on_lot is not None:
+            self._drain_lot(self._on_lot)
+
+    def _drain_lot(self, handler: LotHandler) -> None:
+        lot = self._lot
+        while count := self._lib.serialqueue_pull_lot(self._sq, lot, LOT_MAX, self.reactor.monotonic()):
+            try:
+                handler(lot, count)
+            except Exception:
+                logging.exception("%shandler of a lot of messages failed", self.warn_prefix)
 
     def _unpack(self, message: Any) -> tuple[int, Params]:
         params: Params = {}

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import chelper
+from pathpieces import PathPieces
 from thermal import filament_heat
 from thermal.control_api import Reference
 from thermal.deposit import Surroundings
@@ -24,9 +25,8 @@ from thermal.pace import Ages
 
 CORE_STEP_MM3_S = 0.5
 CORE_FLOW_MAX_MM3_S = 60.0
-KEPT_S = 0.5  # a controller looks back at what it was asked for by less than that, less COMMIT_S
+CORNERS = 64  # of a reference, usually fewer
 _PIECE = struct.Struct("=19d")
-_POINT = struct.Struct("=2d")
 _DONE = struct.Struct("=9d")
 
 
@@ -146,7 +146,10 @@ class TemperaturePlan:
             raise MemoryError("no memory for the temperature plan")
         self._plan = self._ffi.gc(plan, self._lib.tempplan_free)
         self._done = bytearray()
-        self._room, self._corners, self._corner_bytes = 0, self._ffi.NULL, b""
+        self._turn = self._ffi.new("struct path_turn *")
+        self._take_turn = self._lib.tempplan_path_turn
+        self._line_type = self._ffi.typeof("struct model_line *")
+        self._line = self._new_line()
 
     def _parameters(self, material: Material, surroundings: Surroundings, craft: Craft) -> Any:
         limits = self._limits
@@ -199,35 +202,56 @@ class TemperaturePlan:
                 buffer, i * size, piece.start_s, piece.end_s, *piece.start_mm, *piece.end_mm, piece.flow_mm3_s,
                 piece.height_mm, piece.fan, piece.wish_c, piece.base_c, piece.pace, 0.0, 0.0, 0.0, 0.0, 0.0,
             )  # fmt: skip
-        self.add_rows(rows, len(pieces))
+        if self._lib.tempplan_add(self._plan, rows, len(pieces)):
+            raise MemoryError("no memory for the temperature plan")
         return [(row.substrate_c[0], row.melt_c, row.wall_c) for row in rows]
 
-    def add_rows(self, rows: Any, count: int) -> None:
-        """The same with pieces that are in the C helper (struct tempplan_piece *)."""
-        if self._lib.tempplan_add(self._plan, rows, count):
-            raise MemoryError("no memory for the temperature plan")
+    def take(self, path: Any, wish: Any) -> int:
+        """The same with what waits on a path in the C helper (pathpieces.Taker)."""
+        return int(self._lib.tempplan_path_take(path, wish, self._plan))
 
-    def make(self, from_s: float, start_c: float) -> list[tuple[float, float]]:
-        """Plan again from `from_s` on, where the nozzle is at `start_c`; corners (s, degC), also of the last KEPT_S."""
-        return list(_POINT.iter_unpack(self._made(from_s, start_c, 0.0)))
+    def make(self, from_s: float, start_c: float, within_c: float = 0.0) -> list[tuple[float, float]]:
+        """Plan again from `from_s` on, where the nozzle is at `start_c`; corners (s, degC), also some of the past.
+
+        Without corners within `within_c` of the line between others.
+        """
+        count = self._lib.tempplan_make(self._plan, from_s, start_c, within_c)
+        return [(p.time_s, p.temp_c) for p in self._lib.tempplan_corners(self._plan)[0:count]]
 
     def ahead(self, from_s: float, start_c: float, within_c: float) -> Reference | None:
-        """The same, without corners within `within_c` of the line between others; None: nothing lies ahead."""
-        corners = self._made(from_s, start_c, within_c)
-        if not corners:
-            return None
-        numbers = struct.unpack(f"={len(corners) // 8}d", corners)
-        return Reference(numbers[0::2], numbers[1::2])
+        """The same as a reference; None: nothing lies ahead."""
+        count = self._lib.tempplan_make(self._plan, from_s, start_c, within_c)
+        return self._reference(count) if count else None
 
-    def _made(self, from_s: float, start_c: float, within_c: float) -> bytes:
-        count = self._lib.tempplan_make(self._plan, from_s, start_c)
-        if count > self._room:
-            self._room = 2 * count
-            self._corners = self._ffi.new("struct tempplan_point[]", self._room)
-            self._corner_bytes = self._ffi.buffer(self._corners)
-        if count:
-            count = self._lib.tempplan_corners(self._plan, from_s - KEPT_S, within_c, self._corners)
-        return bytes(self._corner_bytes[: _POINT.size * count])
+    def turn(
+        self, path: PathPieces, from_s: float, within_c: float, booked_s: float
+    ) -> tuple[float, Reference | None] | None:
+        """All that a timer has to do, in one call: take what waits on the path, book what lies before `booked_s`, plan
+        again from `from_s` on, where the nozzle is led then. (End of what is planned, the reference as it is now; None:
+        nothing lies ahead.)
+
+        None: another wish holds for moves that still wait (PathPieces.inquire).
+        """
+        turn, line = self._turn, self._line
+        waiting = self._take_turn(
+            path.handle, path.wish, self._plan, from_s, within_c, booked_s, turn, line, CORNERS
+        )
+        if waiting:
+            path.check(waiting)
+            return None
+        count = turn.count
+        if not count:
+            return turn.end_s, None
+        if count > CORNERS:
+            return turn.end_s, self._reference(count)
+        self._line = self._new_line()
+        return turn.end_s, Reference.of_line(line)
+
+    def _reference(self, count: int) -> Reference:
+        return Reference.of_pairs(self._lib.tempplan_corners(self._plan), count)
+
+    def _new_line(self) -> Any:
+        return self._ffi.new(self._line_type, {"at": 2 * CORNERS})
 
     def lead(self, corners: Sequence[tuple[float, float]]) -> None:
         """From the first of these (s, degC) on the nozzle is led by them, not by the plan."""

@@ -62,11 +62,12 @@ class Printer:
         limits = NozzleLimits()
         self.time_s = 0.0
         self.woken = False
+        self.next_s = 0.0  # when the section's timer is due
         self.loop = SimpleNamespace(
             reference=None, state=SimpleNamespace(target_c=NOZZLE_C), set_reference=self._set_reference
         )
         self.heater = SimpleNamespace(
-            batch=False, min_temp=limits.min_c, max_temp=limits.max_c, min_extrude_c=limits.min_extrude_c,
+            batch=False, lent=False, min_temp=limits.min_c, max_temp=limits.max_c, min_extrude_c=limits.min_extrude_c,
             loop=self.loop, now_s=lambda: self.time_s,
         )  # fmt: skip
         extruder = SimpleNamespace(get_name=lambda: "extruder", get_heater=lambda: self.heater)
@@ -78,10 +79,17 @@ class Printer:
         )
         self.marks: list[Callable[[float], None]] = []
         heaters = SimpleNamespace(lookup_heater=lambda name: self.heater)
-        self._objects = {"gcode": ignore, "toolhead": self.toolhead, "heaters": heaters}
+        fan = SimpleNamespace(fan=SimpleNamespace(last_fan_value=0.0))
+        stats = SimpleNamespace(state="standby")
+        self._objects = {
+            "gcode": ignore, "toolhead": self.toolhead, "heaters": heaters, "fan": fan, "print_stats": stats,
+        }  # fmt: skip
 
     def _set_reference(self, points: Sequence[tuple[float, float]], now_s: float) -> None:
+        """As thermal/loop.py does it."""
         self.loop.reference = Reference.of(points) if points else None
+        if self.loop.reference is not None:
+            self.loop.state.target_c = self.loop.reference.at(now_s)
 
     def get_reactor(self) -> Any:
         return SimpleNamespace(
@@ -121,8 +129,8 @@ class Section(temperature_plan.TemperaturePlanner):
     def moves(self, row: Any, count: int, time_s: float) -> None:
         self._on_moves(row, count, time_s)
 
-    def timer(self, time_s: float) -> None:
-        self._on_timer(time_s)
+    def timer(self, time_s: float) -> float:
+        return self._on_timer(time_s)
 
     def mark(self, state: Wishes) -> None:
         self._mark(state)
@@ -172,11 +180,10 @@ def replay(moves: Iterator[Planned], planned: bool) -> tuple[int, float]:
         watch.start()
         for tell in told:
             tell(time_s)
-        while planned and (printer.woken or printer.time_s + temperature_plan.WORK_S <= time_s - AHEAD_S):
-            late_s = time_s - AHEAD_S - printer.time_s
-            printer.time_s += max(0.0, late_s if printer.woken else temperature_plan.WORK_S)
+        while planned and (printer.woken or printer.next_s <= time_s - AHEAD_S):
+            printer.time_s = max(printer.time_s, time_s - AHEAD_S if printer.woken else printer.next_s)
             printer.woken = False
-            section.timer(printer.time_s)
+            printer.next_s = section.timer(printer.time_s)
         watch.stop()
     return count, watch.spent_s
 

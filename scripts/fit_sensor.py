@@ -176,8 +176,6 @@ def main(argv: list[str] | None = None) -> int:
             )
         if options.plot:
             draw(result, points, options.plot)
-    except UnicodeDecodeError:
-        return refuse(f"{options.trace} is no text file")
     except OSError as error:
         return refuse(f"{error.filename}: {error.strerror}")
     except fit.FitError as error:

@@ -59,7 +59,11 @@ def report(fits: list[ThermistorFit]) -> str:
 
 
 def config_section(fits: list[ThermistorFit], temp_c: Array, ohm: Array) -> str:
-    """A [thermistor] section from the better of the two resistance models."""
+    """A [thermistor] section from the better of the two resistance models; a comment if it is no such sensor."""
+    if np.corrcoef(temp_c, ohm)[0, 1] > 0.0:
+        return (
+            "# no [thermistor]: its resistance rises with temperature, as platinum's: take [adc_temperature]"
+        )
     best = min((f for f in fits if f.model != "polynomial"), key=lambda f: f.fitness_c)
     k = best.coefficients
     if best.model == "beta":
@@ -137,7 +141,7 @@ def main(argv: list[str] | None = None) -> int:
         divider = Divider(options.pullup, options.supply, options.parallel) if options.pullup else None
         temp_c, known = read_table(options.table, divider)
         fits = fit_all(temp_c, known, methods, options.seed)
-    except (ThermistorFitError, FitError, OSError, UnicodeDecodeError) as error:
+    except (ThermistorFitError, FitError, OSError) as error:
         print(f"fit_thermistor: {error}", file=sys.stderr)
         return 2
     print(report(fits))

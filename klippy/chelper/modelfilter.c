@@ -25,6 +25,9 @@ struct run {
     double output;              // mean over the time walked
     double rebased_c;           // 1 sigma of what a step of the drive may have moved the reading, 0: there was none
     double driven, offset_c, offset_output;
+    double levered;             // of lever times weight
+    double lever;               // share of full drive beyond the usual, weighted mean
+    double usual;
 };
 
 // Neighbours under one output, taken together at their weighted middle: the slope between them is a line.
@@ -58,8 +61,9 @@ model_layout(const struct model_params *p)
     at.measured = has_sensor ? at.sensor : at.temp;
     at.disturbance = next++;
     at.gain = next++;
+    at.slant = p->slant_c > 0.0 ? next++ : -1;
     at.size = next;
-    at.nodes = has_element | has_second << 1 | has_sensor << 2;
+    at.nodes = has_element | has_second << 1 | has_sensor << 2 | (at.slant >= 0) << 3;
     return at;
 }
 
@@ -74,9 +78,10 @@ model_begin(const struct model_params *p, struct model_state *s, double temp_c, 
 {
     struct model_places at = model_layout(p);
     double rise_c = fabs(temp_c - p->ambient_c), gain = 1.0, gain_variance = square(p->gain_start);
-    if (is_number(s->time_s) && s->size) { // the last place, also of another model's
+    if (is_number(s->time_s) && s->size) { // the last place but for a slant, also of another model's
+        int last = s->size - 1 - (s->nodes_known >> 3);
         gain = s->gain;
-        gain_variance = s->covariance[s->size - 1][s->size - 1];
+        gain_variance = s->covariance[last][last];
     }
     memset(s->covariance, 0, sizeof(s->covariance));
     if (at.element >= 0)
@@ -88,12 +93,15 @@ model_begin(const struct model_params *p, struct model_state *s, double temp_c, 
         s->covariance[at.sensor][at.sensor] = square(p->sigma_c);
     s->covariance[at.disturbance][at.disturbance] = square(p->disturbance_start_w);
     s->covariance[at.gain][at.gain] = gain_variance;
+    if (at.slant >= 0)
+        s->covariance[at.slant][at.slant] = square(p->slant_c);
     s->size = at.size;
     s->nodes_known = at.nodes;
     s->nodes = model_at_rest(p, temp_c);
     s->time_s = s->heard_s = time_s;
     s->gain = gain;
-    s->disturbance_w = s->innovation_c = s->driven = s->offset_c = s->offset_output = s->lean = 0.0;
+    s->disturbance_w = s->innovation_c = s->driven = s->offset_c = s->offset_output = s->lean = s->slant_c = 0.0;
+    s->usual = s->output / p->output_high;
 }
 
 // Doubt about this place no more than `sigma`.
@@ -177,6 +185,8 @@ spread(const struct model_params *p, const struct model_places *at, double rows[
             rows[i][i] += walk;
         rows[at->disturbance][at->disturbance] += p->disturbance_w * p->disturbance_w * h;
         rows[at->gain][at->gain] += p->gain_walk * p->gain_walk * h;
+        if (at->slant >= 0)
+            rows[at->slant][at->slant] += SLANT_WALK_C * SLANT_WALK_C * h;
     }
 }
 
@@ -208,8 +218,14 @@ pass(const struct model_params *p, const struct model_state *s, struct run *run,
             run->offset_c = 0.0;
         double since = span_s ? lesser(1.0, greater(0.0, (sample->time_s - run->time_s) / span_s)) : 1.0;
         double expected_c = before_c + since * (run->nodes.sensor_c - before_c);
+        double drive_share = sample->output / p->output_high;
+        if (sample->is_rebased)
+            run->usual = drive_share;
+        double lever = drive_share - run->usual;
+        expected_c += s->slant_c * lever;
         double off_c = stepped_off(run, sample, sigma_c, sample->temp_c - run->offset_c - expected_c);
         run->weight += share;
+        run->levered += share * lever;
         run->pulled += share * off_c;
         run->heard_s = sample->time_s;
         run->driven = sample->output;
@@ -238,7 +254,7 @@ walk_through(const struct model_params *p, const struct model_state *s, const st
              const struct model_line *flow, const struct model_line *fan)
 {
     struct run run = {.nodes = s->nodes, .time_s = s->time_s, .heard_s = s->heard_s, .driven = s->driven,
-                      .offset_c = s->offset_c, .offset_output = s->offset_output};
+                      .offset_c = s->offset_c, .offset_output = s->offset_output, .usual = s->usual};
     struct group g = {.end_s = NAN, .output = NAN};
     for (const struct model_sample *sample = samples; sample < samples + count; sample++) {
         if (sample->output != g.output || sample->is_rebased) {
@@ -261,7 +277,26 @@ walk_through(const struct model_params *p, const struct model_state *s, const st
     double elapsed_s = run.time_s - s->time_s;
     run.output = elapsed_s > 0.0 ? run.passed / elapsed_s : s->output;
     run.innovation_c = run.weight ? run.pulled / run.weight : 0.0;
+    run.lever = run.weight ? run.levered / run.weight : 0.0;
     return run;
+}
+
+// What the covariance of place `i` with the expected reading is: with the node measured, and with the slant by its lever.
+static double
+with_reading(const struct model_state *s, const struct model_places *at, const struct run *run, int i)
+{
+    double node = s->covariance[i][at->measured];
+    return at->slant >= 0 ? node + run->lever * s->covariance[i][at->slant] : node;
+}
+
+// Variance of the innovation.
+static double
+innovation_variance(const struct model_state *s, const struct model_places *at, const struct run *run)
+{
+    double expected = with_reading(s, at, run, at->measured);
+    if (at->slant >= 0)
+        expected += run->lever * with_reading(s, at, run, at->slant);
+    return expected + 1.0 / run->weight;
 }
 
 // Doubt more where the innovation says that the model was wrong.
@@ -269,7 +304,7 @@ static void
 widen(const struct model_params *p, const struct model_places *at, struct model_state *s, const struct run *run)
 {
     int m = at->measured, d = at->disturbance;
-    double variance = s->covariance[m][m] + 1.0 / run->weight;
+    double variance = innovation_variance(s, at, run);
     int jumped = fabs(run->innovation_c) > JUMP_C + JUMP_SIGMA * sqrt(variance);
     double loose_c = greater(run->rebased_c, jumped ? JUMPED_C : 0.0);
     if (loose_c) {
@@ -305,10 +340,9 @@ static void
 update(const struct model_params *p, const struct model_places *at, struct model_state *s, const struct run *run)
 {
     double by_c = run->innovation_c, column[MODEL_PLACES] = {0}, gains[MODEL_PLACES] = {0};
-    int m = at->measured;
-    double variance = s->covariance[m][m] + 1.0 / run->weight;
+    double variance = innovation_variance(s, at, run);
     for (int i = 0; i < at->size; i++) {
-        column[i] = s->covariance[i][m];
+        column[i] = with_reading(s, at, run, i);
         gains[i] = column[i] / variance;
     }
     for (int i = 0; i < at->size; i++)
@@ -316,12 +350,34 @@ update(const struct model_params *p, const struct model_places *at, struct model
             s->covariance[i][j] -= gains[i] * column[j];
     s->gain = lesser(GAIN_MOST, greater(GAIN_LEAST, s->gain + gains[at->gain] * by_c));
     s->disturbance_w = bounded(s->disturbance_w + gains[at->disturbance] * by_c, p->disturbance_max_w);
+    s->slant_c += at->slant >= 0 ? gains[at->slant] * by_c : 0.0;
     move(p, at, &s->nodes, gains, by_c);
     s->innovation_c = by_c;
     s->heard_s = run->heard_s;
     s->driven = run->driven;
     s->offset_c = run->offset_c;
     s->offset_output = run->offset_output;
+}
+
+// The usual drive follows the drive, and the temperature that would be read there with it.
+static void
+follow_usual(const struct model_params *p, const struct model_places *at, struct model_state *s, const struct run *run,
+             double dt_s)
+{
+    if (at->slant < 0)
+        return;
+    double by = (run->output / p->output_high - run->usual) * dt_s / (SLANT_USUAL_S + dt_s), by_c = by * s->slant_c;
+    s->usual = run->usual + by;
+    s->nodes.temp_c += by_c;
+    s->nodes.sensor_c += by_c;
+    s->nodes.bore_c += by_c;
+    int moved[2] = {at->temp, at->sensor}, count = 1 + (at->sensor >= 0);
+    for (int n = 0; n < count; n++)
+        for (int i = 0; i < at->size; i++)
+            s->covariance[moved[n]][i] += by * s->covariance[at->slant][i];
+    for (int n = 0; n < count; n++)
+        for (int i = 0; i < at->size; i++)
+            s->covariance[i][moved[n]] += by * s->covariance[i][at->slant];
 }
 
 // Begin at the newest temperature among these, if there is one.
@@ -331,6 +387,7 @@ begin_anew(const struct model_params *p, struct model_state *s, const struct mod
     for (const struct model_sample *newest = samples + count; newest-- > samples;) {
         if (is_number(newest->temp_c)) {
             model_begin(p, s, newest->temp_c, newest->end_s);
+            s->usual = newest->output / p->output_high;
             return;
         }
     }
@@ -346,7 +403,7 @@ observe_piece(const struct model_params *p, const struct model_places *at, struc
     struct run run = walk_through(p, s, samples, count, flow, fan);
     int slope_count = find_slopes(p, at, &run, model_line_step(fan, run.time_s), slopes);
     spread(p, at, s->covariance, slopes, slope_count, run.time_s - s->time_s);
-    double moved_c = fabs(run.nodes.temp_c - s->nodes.temp_c);
+    double moved_c = fabs(run.nodes.temp_c - s->nodes.temp_c), dt_s = run.time_s - s->time_s;
     s->covariance[at->disturbance][at->disturbance] += p->disturbance_w2_per_k * moved_c;
     s->time_s = run.time_s;
     s->nodes = run.nodes;
@@ -354,6 +411,7 @@ observe_piece(const struct model_params *p, const struct model_places *at, struc
         return;
     widen(p, at, s, &run);
     update(p, at, s, &run);
+    follow_usual(p, at, s, &run, dt_s);
 }
 
 void

@@ -16,7 +16,7 @@
 #define SURPRISED_W 3.0 // ... by about this much at once.
 // Innovations that lean one way: their sum, each in its own sigma and fading so fast a message, is 1.5 by chance.
 #define LEAN_KEEP 0.75
-#define LEAN_MOST 4.5  // three times that: the disturbance moves ...
+#define LEAN_MOST 4.0  // nearly three times that: the disturbance moves ...
 #define LEAN_SHARE 0.5 // ... by about this much of disturbance_start_w a message.
 // Farther off than this within a message no heat goes: the thermometer jumped, by about JUMPED_C.
 #define JUMP_C 3.0
@@ -30,10 +30,14 @@
 // 1 sigma of nodes, share of the gain's doubt after taking over from another law.
 #define TAKEN_C 1.0
 #define TAKEN_GAIN 0.2
+// The reading's slant with the drive walks by so much within a second, degC at full drive; what counts as usual drive,
+// where the reading is taken for the truth, follows within this time.
+#define SLANT_WALK_C 0.3
+#define SLANT_USUAL_S 0.2
 #define SECOND_MARGIN_C 20.0 // the second mass lies between air and the hottest node, give or take this
 
 enum {
-    MODEL_PLACES = 6, // of the covariance at most: element, controlled node, second mass, sensor, disturbance, gain
+    MODEL_PLACES = 7, // of the covariance at most, see struct model_places
     MODEL_SENT = 32,  // own outputs remembered; the oldest go
 };
 
@@ -60,6 +64,8 @@ struct model_state {
     double offset_c;            // taken off the readings ...
     double offset_output;       // ... since the output stepped to this
     double lean;                // fading sum of innovations, each over its sigma
+    double slant_c;             // what full drive by itself adds to the reading
+    double usual;               // share of full drive at which the reading is taken for the truth
     double covariance[MODEL_PLACES][MODEL_PLACES];  // of the nodes there are, see model_layout
     int32_t size;               // so many places are used
     int32_t nodes_known;        // which ones they are: those of another model say nothing
@@ -69,7 +75,7 @@ struct model_state {
 
 // Places in the covariance; -1: no such node.
 struct model_places {
-    int element, temp, second, sensor, disturbance, gain, size, measured;
+    int element, temp, second, sensor, disturbance, gain, slant, size, measured;
     int nodes;  // which there are, as bits
 };
 

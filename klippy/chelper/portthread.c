@@ -25,7 +25,7 @@ struct portthread {
     int wake_read, wake_write;
     pthread_t thread;
     atomic_int stopping, error;
-    int has_news; // for the host, who has not been told yet
+    int has_news; // maybe for the host, who has not been told yet
     uint8_t out[SERIALQUEUE_TRANSMIT_MIN]; // bytes the port has not taken yet
     int out_start, out_end;
 };
@@ -58,7 +58,8 @@ read_port(struct portthread *pt)
     uint8_t data[READ_SIZE];
     ssize_t n = read(pt->fd, data, sizeof(data));
     if (n > 0) {
-        pt->has_news |= serialqueue_receive(pt->sq, data, (int)n, monotonic_now()) > 0;
+        serialqueue_receive(pt->sq, data, (int)n, monotonic_now());
+        pt->has_news = 1;
     } else if (!n) {
         fail(pt, -1);
     } else if (errno != EAGAIN && errno != EINTR) {

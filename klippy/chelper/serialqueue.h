@@ -6,7 +6,8 @@
 //   serialqueue_send ──► command_queue ─┐
 //   serialqueue_send ──► command_queue ─┼─► draft block ─► unacked blocks ──► serialqueue_transmit ──► wire
 //   steppersync      ──► command_queue ─┘                      ▲ acks                                   │
-//   serialqueue_pull ◄── received messages ◄────────────── serialqueue_receive ◄────────────────────────┘
+//   serialqueue_pull ◄── received messages ◄──┐                                                         │
+//   serialqueue_pull_lot ◄── those of a lot ◄─┴────────── serialqueue_receive ◄─────────────────────────┘
 //
 // Every function may be called from any thread; one mutex guards the whole. Times are seconds of the one host clock
 // that the port uses (CLOCK_MONOTONIC, or virtual time). Clocks are 64-bit MCU ticks.
@@ -55,18 +56,21 @@ int serialqueue_send(struct serialqueue *sq, struct command_queue *cq, const uin
 // or -1 (and queues none of the rest) at an impossible length.
 int serialqueue_send_batch(struct serialqueue *sq, struct command_queue *cq, struct queue_message *list);
 int serialqueue_pull(struct serialqueue *sq, struct pull_message *out, int max); // returns how many were taken
+// Messages that begin with these bytes (their id, 1..4 of them) are kept apart from the others, for serialqueue_pull_lot,
+// until there are `most` of them or the oldest has waited so long; most 0: none waits. id_len 0: there are none.
+void serialqueue_set_lot(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int most);
+// Takes what was kept apart, in order, if it is due by now; returns how many.
+int serialqueue_pull_lot(struct serialqueue *sq, struct pull_message *out, int max, double now);
 // Host time `conv_time` is MCU clock `conv_clock`, and the MCU does `freq` ticks a second of host time.
 // freq 0 (the start): clocks unknown, everything is sent at once.
 void serialqueue_set_clock_est(struct serialqueue *sq, double freq, double conv_time, uint64_t conv_clock);
 void serialqueue_set_wire(struct serialqueue *sq, double bits_per_second, int receive_window); // 0 = no such limit
 void serialqueue_get_stats(struct serialqueue *sq, struct serialqueue_stats *out);
-// Messages that begin with these bytes (their id, 1..4 of them) may wait so long for the host, until `most` are there;
-// most 0: none may.
-void serialqueue_set_patience(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int most);
 // file_mode: bytes of finished blocks waiting; `finish` ends the block that is being filled
 uint64_t serialqueue_file_pending(struct serialqueue *sq, int finish);
 
 // --- port side
+// Returns how many messages wait that the host should look at now.
 int serialqueue_receive(struct serialqueue *sq, const uint8_t *data, int len, double now);
 // When the host must have looked at what waits for it: 0 at once, SERIALQUEUE_NEVER if nothing does.
 double serialqueue_host_due(struct serialqueue *sq);

@@ -64,7 +64,11 @@ struct tx_block {
 struct rx_node {
     struct rx_node *next;
     struct pull_message message;
-    int is_patient;
+};
+
+struct rx_list {
+    struct rx_node *first, *last;
+    int count;
 };
 
 struct file_buffer {
@@ -102,11 +106,10 @@ struct serialqueue {
     // receiving
     uint8_t rx[4 * MSGBLOCK_MAX];
     int rx_len;
-    struct rx_node *rx_first, *rx_last;
-    int rx_waiting, rx_patient; // all, and those that may wait
-    uint8_t patient_id[4];
-    int patient_len, patient_most;
-    double patience_s;
+    struct rx_list received, lot; // for serialqueue_pull, serialqueue_pull_lot
+    uint8_t lot_id[4];
+    int lot_id_len, lot_most;
+    double lot_patience_s;
     struct file_buffer file;
     struct serialqueue_stats stats;
 };

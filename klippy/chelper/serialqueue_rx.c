@@ -10,15 +10,15 @@ deliver(struct serialqueue *sq, const struct pull_message *message)
     struct rx_node *node = sq_checked_alloc(NULL, sizeof(*node));
     node->message = *message;
     node->next = NULL;
-    node->is_patient = sq->patient_most && message->len >= sq->patient_len
-                       && !memcmp(message->data, sq->patient_id, (size_t)sq->patient_len);
-    sq->rx_patient += node->is_patient;
-    if (sq->rx_first)
-        sq->rx_last->next = node;
+    int apart = sq->lot_id_len && message->len >= sq->lot_id_len
+                && !memcmp(message->data, sq->lot_id, (size_t)sq->lot_id_len);
+    struct rx_list *list = apart ? &sq->lot : &sq->received;
+    if (list->first)
+        list->last->next = node;
     else
-        sq->rx_first = node;
-    sq->rx_last = node;
-    sq->rx_waiting++;
+        list->first = node;
+    list->last = node;
+    list->count++;
 }
 
 static void
@@ -157,6 +157,15 @@ parse_rx(struct serialqueue *sq, double now)
     memmove(sq->rx, sq->rx + pos, (size_t)sq->rx_len);
 }
 
+// When the lot is the host's: 0 at once, SERIALQUEUE_NEVER while it is empty.
+static double
+lot_due(const struct serialqueue *sq)
+{
+    if (!sq->lot.count)
+        return SERIALQUEUE_NEVER;
+    return sq->lot.count >= sq->lot_most ? 0.0 : sq->lot.first->message.receive_time + sq->lot_patience_s;
+}
+
 int
 serialqueue_receive(struct serialqueue *sq, const uint8_t *data, int len, double now)
 {
@@ -171,21 +180,19 @@ serialqueue_receive(struct serialqueue *sq, const uint8_t *data, int len, double
         len -= part;
         parse_rx(sq, now);
     }
-    int waiting = sq->rx_waiting;
+    int waiting = sq->received.count + (lot_due(sq) <= now ? sq->lot.count : 0);
     pthread_mutex_unlock(&sq->lock);
     return waiting;
 }
 
 void
-serialqueue_set_patience(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int most)
+serialqueue_set_lot(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int most)
 {
     pthread_mutex_lock(&sq->lock);
-    int is_known = id_len > 0 && id_len <= (int)sizeof(sq->patient_id);
-    if (is_known)
-        memcpy(sq->patient_id, id, (size_t)id_len);
-    sq->patient_len = id_len;
-    sq->patient_most = is_known ? most : 0;
-    sq->patience_s = patience_s;
+    sq->lot_id_len = id_len > 0 && id_len <= (int)sizeof(sq->lot_id) ? id_len : 0;
+    memcpy(sq->lot_id, id, (size_t)sq->lot_id_len);
+    sq->lot_most = most;
+    sq->lot_patience_s = patience_s;
     pthread_mutex_unlock(&sq->lock);
 }
 
@@ -193,39 +200,58 @@ double
 serialqueue_host_due(struct serialqueue *sq)
 {
     pthread_mutex_lock(&sq->lock);
-    double due = SERIALQUEUE_NEVER;
-    if (sq->rx_waiting > sq->rx_patient || (sq->rx_waiting && sq->rx_waiting >= sq->patient_most))
-        due = 0.0;
-    else if (sq->rx_waiting)
-        due = sq->rx_first->message.receive_time + sq->patience_s;
+    double due = sq->received.count ? 0.0 : lot_due(sq);
     pthread_mutex_unlock(&sq->lock);
     return due;
+}
+
+static int
+pull(struct rx_list *list, struct pull_message *out, int max)
+{
+    int count = 0;
+    while (count < max && list->first) {
+        struct rx_node *node = list->first;
+        list->first = node->next;
+        out[count++] = node->message;
+        free(node);
+    }
+    list->count -= count;
+    return count;
 }
 
 int
 serialqueue_pull(struct serialqueue *sq, struct pull_message *out, int max)
 {
-    int count = 0;
     pthread_mutex_lock(&sq->lock);
-    while (count < max && sq->rx_first) {
-        struct rx_node *node = sq->rx_first;
-        sq->rx_first = node->next;
-        out[count++] = node->message;
-        sq->rx_patient -= node->is_patient;
-        free(node);
-    }
-    sq->rx_waiting -= count;
+    int count = pull(&sq->received, out, max);
     pthread_mutex_unlock(&sq->lock);
     return count;
+}
+
+int
+serialqueue_pull_lot(struct serialqueue *sq, struct pull_message *out, int max, double now)
+{
+    pthread_mutex_lock(&sq->lock);
+    int count = lot_due(sq) <= now ? pull(&sq->lot, out, max) : 0;
+    pthread_mutex_unlock(&sq->lock);
+    return count;
+}
+
+static void
+drop(struct rx_list *list)
+{
+    while (list->first) {
+        struct rx_node *node = list->first;
+        list->first = node->next;
+        free(node);
+    }
+    list->count = 0;
 }
 
 void
 sq_drop_received(struct serialqueue *sq)
 {
-    while (sq->rx_first) {
-        struct rx_node *node = sq->rx_first;
-        sq->rx_first = node->next;
-        free(node);
-    }
-    sq->rx_waiting = sq->rx_patient = sq->rx_len = 0;
+    drop(&sq->received);
+    drop(&sq->lot);
+    sq->rx_len = 0;
 }

@@ -75,14 +75,16 @@ void tempplan_free(struct tempplan *tp);
 void tempplan_set(struct tempplan *tp, const struct tempplan_params *params);
 /* Pieces in order of time, after all added before. Fills in their results; 0, or -1: no memory (nothing added). */
 int tempplan_add(struct tempplan *tp, struct tempplan_piece *pieces, int count);
-/* Plan again from from_s on, where the nozzle is asked to be at start_c. Returns corners, 0: nothing lies ahead. */
-int tempplan_make(struct tempplan *tp, double from_s, double start_c);
-/* Its corners from the one before since_s on, without those that lie within within_c of a line between others. `out` has
- * room for as many as make returned. Returns how many. */
-int tempplan_corners(const struct tempplan *tp, double since_s, double within_c, struct tempplan_point *out);
+/* Plan again from from_s on, where the nozzle is asked to be at start_c. The nozzle is led from then on by the plan's
+ * corners, without those that lie within within_c of a line between others; some of the last half second are kept (a
+ * controller looks back). Returns how many, 0: nothing lies ahead (or there is no memory), all is as before. */
+int tempplan_make(struct tempplan *tp, double from_s, double start_c, double within_c);
 /* From the first of these on the nozzle is led by them instead (back to the user's target, or by the user). 0, or -1: no
  * memory. */
 int tempplan_lead(struct tempplan *tp, const struct tempplan_point *points, int count);
+/* The corners by which the nozzle is led, good until the next plan; and its temperature by them, NaN: none. */
+const struct tempplan_point *tempplan_corners(const struct tempplan *tp);
+double tempplan_led(const struct tempplan *tp, double time_s);
 /* Nozzle temperature at which its holder is in balance then, where the nozzle is at nozzle_c. In order of time. */
 double tempplan_holder(struct tempplan *tp, double time_s, double nozzle_c);
 double tempplan_at(const struct tempplan *tp, double time_s, double otherwise_c);

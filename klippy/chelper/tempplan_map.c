@@ -29,7 +29,7 @@ static struct column *find(struct column *columns, uint64_t mask, int32_t x, int
 
 int map_init(struct deposit_map *map)
 {
-    *map = (struct deposit_map){ .mask = FIRST_COLUMNS - 1 };
+    *map = (struct deposit_map){ .mask = FIRST_COLUMNS - 1, .air_z_mm = NAN };
     map->columns = calloc(FIRST_COLUMNS, sizeof(*map->columns));
     return map->columns ? 0 : -1;
 }
@@ -72,30 +72,36 @@ struct column *map_column(struct deposit_map *map, int32_t x, int32_t y)
 
 /* -- a column's heat -- */
 
+/* Loops over the nodes of a pile: nearly every pile is full, and with a count known in advance they are unrolled. */
+#define PER_NODE _Pragma("GCC unroll 6")
+#define ALWAYS_INLINE inline __attribute__((always_inline))
+
 /* Of the balance of the nodes: mass, exchange with the next, and with the surroundings, all in mm and mm/s. */
 struct balance {
-    int count;
     double mass[PILE_NODES], link[PILE_NODES], out[PILE_NODES], gain[PILE_NODES];
 };
 
-static double around_c(const struct tempplan_params *p, double z_mm)
+static double around_c(struct deposit_map *map, const struct tempplan_params *p, double z_mm)
 {
-    return p->chamber_c + (p->bed_c - p->chamber_c) * exp(-fmax(0.0, z_mm) / p->bed_reach_mm);
+    if (z_mm != map->air_z_mm) {
+        map->air_z_mm = z_mm;
+        map->air_c = p->chamber_c + (p->bed_c - p->chamber_c) * exp(-greater(0.0, z_mm) / p->bed_reach_mm);
+    }
+    return map->air_c;
 }
 
 static double cover_of(const struct column *c)
 {
-    return c->below_mm2 <= 0.0 ? 1.0 : fmin(1.0, fmax(LEAST_COVER, c->area_mm2 / c->below_mm2));
+    return c->below_mm2 <= 0.0 ? 1.0 : lesser(1.0, greater(LEAST_COVER, c->area_mm2 / c->below_mm2));
 }
 
-static void set_balance(struct balance *b, const struct column *c, const struct tempplan_params *p, double fan)
+static ALWAYS_INLINE void set_balance(struct balance *b, int count, const struct column *c,
+                                      const struct tempplan_params *p, double air_c, double fan)
 {
-    double air_c = around_c(p, c->z_mm);
     double alpha = 1e6 * p->diffusivity_m2_s, cover = cover_of(c), height_mm = 0.0;
     double loss = 1e3 * (p->still_w_m2k + fan * p->fan_w_m2k) / p->rho_c;
-    int last = c->nodes - 1;
-    b->count = c->nodes;
-    for (int i = 0; i <= last; i++) {
+    int last = count - 1;
+    PER_NODE for (int i = 0; i <= last; i++) {
         height_mm += c->thick_mm[i];
         b->mass[i] = c->thick_mm[i] * (i ? 1.0 : cover);
         b->out[i] = loss * c->side_per_mm * b->mass[i];
@@ -107,7 +113,7 @@ static void set_balance(struct balance *b, const struct column *c, const struct 
         b->link[0] *= cover;
         b->out[1] += loss * (1.0 - cover);
     }
-    for (int i = 0; i <= last; i++)
+    PER_NODE for (int i = 0; i <= last; i++)
         b->gain[i] = b->out[i] * air_c;
     if (height_mm >= c->z_mm - SAME_LAYER * c->thick_mm[0]) {      /* the pile reaches the bed */
         b->out[last] += 2.0 * alpha / c->thick_mm[last];
@@ -115,52 +121,70 @@ static void set_balance(struct balance *b, const struct column *c, const struct 
     }
 }
 
-/* (mass + part (links + out)) T = right with the inverse pivots found, three diagonals. */
-static void solve(const struct balance *b, const double *inverse, const double *upper, double part_s, pair *temps)
+/* The matrix mass + part (links + out) of one step, three diagonals, taken apart: inverse pivots, and the links times
+ * these. Each node waits for the one before: as little as can be is worked out on that way. */
+struct matrix {
+    double lower[PILE_NODES], inverse[PILE_NODES], upper[PILE_NODES];
+};
+
+static ALWAYS_INLINE void solve(const struct matrix *m, int count, pair *temps)
 {
-    temps[0] *= inverse[0];
-    for (int i = 1; i < b->count; i++)
-        temps[i] = (temps[i] + part_s * b->link[i - 1] * temps[i - 1]) * inverse[i];
-    for (int i = b->count - 2; i >= 0; i--)
-        temps[i] += upper[i] * temps[i + 1];
+    temps[0] *= m->inverse[0];      /* cppcheck-suppress [uninitvar, ctuuninitvar]; what cools has a node */
+    PER_NODE for (int i = 1; i < count; i++)
+        temps[i] = temps[i] * m->inverse[i] + m->lower[i] * temps[i - 1];
+    PER_NODE for (int i = count - 2; i >= 0; i--)
+        temps[i] += m->upper[i] * temps[i + 1];
 }
 
 /* Two stages with the same matrix, second order, L-stable (deposit.py, _step). */
-static void step(const struct balance *b, pair *temps, double step_s)
+static ALWAYS_INLINE void step(const struct balance *b, int count, pair *temps, double step_s)
 {
     static const double gamma = 0.29289321881345254;    /* 1 - 1/sqrt(2) */
-    double inverse[PILE_NODES], upper[PILE_NODES], part_s = gamma * step_s, above = 0.0;
+    struct matrix m;
+    double part_s = gamma * step_s, above = 0.0;
     pair first[PILE_NODES];
-    for (int i = 0; i < b->count; i++) {
-        double below = i + 1 < b->count ? part_s * b->link[i] : 0.0;
-        inverse[i] = 1.0 / (b->mass[i] + above + below + part_s * b->out[i] - (i ? above * upper[i - 1] : 0.0));
-        upper[i] = below * inverse[i];
+    PER_NODE for (int i = 0; i < count; i++) {
+        double below = i + 1 < count ? part_s * b->link[i] : 0.0;
+        m.inverse[i] = 1.0 / (b->mass[i] + above + below + part_s * b->out[i] -
+                              (i ? above * above * m.inverse[i - 1] : 0.0));
+        m.lower[i] = above * m.inverse[i];
+        m.upper[i] = below * m.inverse[i];
         above = below;
         first[i] = b->mass[i] * temps[i] + part_s * b->gain[i];
     }
-    solve(b, inverse, upper, part_s, first);
-    for (int i = 0; i < b->count; i++) {
+    solve(&m, count, first);
+    PER_NODE for (int i = 0; i < count; i++) {
         pair between_c = temps[i] + (1.0 - gamma) / gamma * (first[i] - temps[i]);
         temps[i] = b->mass[i] * between_c + part_s * b->gain[i];
     }
-    solve(b, inverse, upper, part_s, temps);
+    solve(&m, count, temps);
 }
 
-static void cool(struct column *c, const struct tempplan_params *p, double time_s, double fan)
+static ALWAYS_INLINE void cool_for(struct column *c, int count, const struct tempplan_params *p, double left_s,
+                                   double air_c, double fan)
+{
+    struct balance b;
+    set_balance(&b, count, c, p, air_c, fan);
+    double step_s = FIRST_STEP * c->thick_mm[0] * c->thick_mm[0] / (1e6 * p->diffusivity_m2_s);
+    while (left_s > 0.0) {
+        double now_s = left_s < 1.5 * step_s ? left_s : step_s;
+        step(&b, count, c->temp_c, now_s);
+        left_s -= now_s;
+        step_s *= GROWTH;
+    }
+}
+
+static void cool(struct deposit_map *map, struct column *c, const struct tempplan_params *p, double time_s, double fan)
 {
     double left_s = time_s - c->time_s;
     if (left_s <= 0.0 || !c->nodes)
         return;
     c->time_s = time_s;
-    struct balance b;
-    set_balance(&b, c, p, fan);
-    double step_s = FIRST_STEP * c->thick_mm[0] * c->thick_mm[0] / (1e6 * p->diffusivity_m2_s);
-    while (left_s > 0.0) {
-        double now_s = left_s < 1.5 * step_s ? left_s : step_s;
-        step(&b, c->temp_c, now_s);
-        left_s -= now_s;
-        step_s *= GROWTH;
-    }
+    double air_c = around_c(map, p, c->z_mm);
+    if (c->nodes == PILE_NODES)
+        cool_for(c, PILE_NODES, p, left_s, air_c, fan);
+    else
+        cool_for(c, c->nodes, p, left_s, air_c, fan);
 }
 
 /* -- laying -- */
@@ -174,7 +198,7 @@ static pair both(double temp_c)
 static void begin_layer(struct column *c, const struct tempplan_params *p, const struct dab *dab)
 {
     if (c->nodes)
-        c->side_per_mm = 2.0 * (1.0 - fmin(1.0, c->area_mm2 / (p->cell_mm * p->cell_mm))) / dab->width_mm;
+        c->side_per_mm = 2.0 * (1.0 - lesser(1.0, c->area_mm2 / (p->cell_mm * p->cell_mm))) / dab->width_mm;
     c->below_mm2 = c->area_mm2;
     c->area_mm2 = 0.0;
     c->z_mm = dab->z_mm;
@@ -215,15 +239,16 @@ static void adopt(const struct deposit_map *map, struct column *c, const struct 
     }
 }
 
-static double air_or_bed_c(const struct tempplan_params *p, const struct dab *dab)
+static double air_or_bed_c(struct deposit_map *map, const struct tempplan_params *p, const struct dab *dab)
 {
-    return dab->z_mm <= NEXT_LAYER * dab->thick_mm ? p->bed_c : around_c(p, dab->z_mm);
+    return dab->z_mm <= NEXT_LAYER * dab->thick_mm ? p->bed_c : around_c(map, p, dab->z_mm);
 }
 
-static pair met_c(const struct column *c, const struct tempplan_params *p, const struct dab *dab, int same_layer)
+static pair met_c(struct deposit_map *map, const struct column *c, const struct tempplan_params *p,
+                  const struct dab *dab, int same_layer)
 {
     if (!c->nodes)
-        return both(air_or_bed_c(p, dab));
+        return both(air_or_bed_c(map, p, dab));
     pair top_c = c->temp_c[0];
     if (!same_layer)
         return top_c;
@@ -243,9 +268,9 @@ int column_lay(struct deposit_map *map, struct column *c, const struct tempplan_
         adopt(map, c, dab);
     c->odometer_mm = odometer_mm;
     if (!same_pass) {
-        cool(c, p, dab->time_s, dab->fan);
+        cool(map, c, p, dab->time_s, dab->fan);
         c->time_s = dab->time_s;
-        c->met_c = met_c(c, p, dab, same_layer);
+        c->met_c = met_c(map, c, p, dab, same_layer);
     }
     if (!same_layer) {
         before->time_s = c->laid_s;
@@ -254,7 +279,7 @@ int column_lay(struct deposit_map *map, struct column *c, const struct tempplan_
         c->clock = dab->clock;
         begin_layer(c, p, dab);
     }
-    double area_mm2 = fmax(LEAST_MM2, dab->width_mm * dab->length_mm);
+    double area_mm2 = greater(LEAST_MM2, dab->width_mm * dab->length_mm);
     c->area_mm2 += area_mm2;
     double share = area_mm2 / c->area_mm2;
     c->temp_c[0][1] += share * (dab->fixed_c - c->temp_c[0][1]);

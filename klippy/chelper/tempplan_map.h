@@ -5,6 +5,17 @@
 
 #include "tempplan.h"
 
+/* fmin and fmax for numbers that are none of them NaN: without a call. */
+static inline double lesser(double a, double b)
+{
+    return a < b ? a : b;
+}
+
+static inline double greater(double a, double b)
+{
+    return a > b ? a : b;
+}
+
 enum { PILE_NODES = 6 };
 
 /* Extrusion so far: as long as it took, and as long as it would have taken at full speed. */
@@ -31,6 +42,7 @@ struct deposit_map {
     struct column *columns;
     uint64_t used, mask;
     double odometer_mm;
+    double air_z_mm, air_c;         /* what is around at the height asked for last; NaN: ask again */
 };
 
 /* A short piece of road over one column. */

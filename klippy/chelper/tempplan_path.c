@@ -6,10 +6,15 @@
 #include <string.h>
 
 #include "lookahead.h"
+#include "modelline.h"
 
 static const double HEIGHT_LEAST_MM = 0.05, HEIGHT_MOST_MM = 1.0;
 static const double HEIGHT_FIRST_MM = 0.2;  /* before a second layer tells */
 static const double SAME_Z_MM = 1e-3, TINY_S = 1e-6;
+/* So much new motion is worth another plan if it is so many moves, or twice as much time. */
+static const double REPLAN_S = 0.5;
+static const int REPLAN_MOVES = 16;
+static const double GAP_S = 0.2;            /* after so much rest another stretch begins */
 /* A shorter move is one piece: the filament's compliance (20 ms) blurs its phases. */
 static const double PHASE_LEAST_S = 0.015;
 
@@ -96,11 +101,18 @@ int tempplan_path_note(struct tempplan_path *path, const struct path_move *moves
     return 0;
 }
 
+static int is_due(const struct tempplan_path *path, double planned_s)
+{
+    double news_s = path->end_s - planned_s;
+    return news_s >= REPLAN_S && (path->count >= REPLAN_MOVES || news_s >= 2.0 * REPLAN_S);
+}
+
 int tempplan_path_note_planned(struct tempplan_path *path, const struct lookahead *la, int count, double print_time,
-                               double fan)
+                               double fan, double planned_s)
 {
     if (reserve(path, count))
         return -1;
+    int starts = !path->count && print_time > planned_s + GAP_S;
     for (int i = 0; i < count; i++) {
         const struct lookahead_move *q = lookahead_move_at(la, la->first + i);
         int lays = q->is_kinematic_move != 0.0 && q->axes_d[3] > 0.0 && (q->axes_d[0] != 0.0 || q->axes_d[1] != 0.0);
@@ -114,7 +126,7 @@ int tempplan_path_note_planned(struct tempplan_path *path, const struct lookahea
         append(path, &m);
         print_time += duration_s(&m);
     }
-    return 0;
+    return starts || is_due(path, planned_s);
 }
 
 void tempplan_path_drop(struct tempplan_path *path, double until_s)
@@ -245,6 +257,31 @@ int tempplan_path_run(struct tempplan_path *path, const struct path_wish *wish, 
     }
     *pieces = path->pieces;
     return path->piece_count;
+}
+
+int tempplan_path_take(struct tempplan_path *path, const struct path_wish *wish, struct tempplan *tp)
+{
+    struct tempplan_piece *pieces;
+    int count = tempplan_path_run(path, wish, &pieces);
+    if (count < 0 || (count && tempplan_add(tp, pieces, count)))
+        return -1;
+    return path->count;
+}
+
+int tempplan_path_turn(struct tempplan_path *path, const struct path_wish *wish, struct tempplan *tp, double from_s,
+                       double within_c, double booked_s, struct path_turn *turn, struct model_line *line, int room)
+{
+    int waiting = tempplan_path_take(path, wish, tp);
+    if (waiting)
+        return waiting;
+    turn->end_s = path->end_s;
+    turn->count = tempplan_make(tp, from_s, tempplan_led(tp, from_s), within_c);
+    if (turn->count <= room) {
+        line->count = turn->count;
+        model_line_fill(line, &tempplan_corners(tp)->time_s);
+    }
+    tempplan_finish(tp, booked_s, NULL, 0);
+    return 0;
 }
 
 void tempplan_path_facts(const struct tempplan_path *path, struct path_facts *facts)

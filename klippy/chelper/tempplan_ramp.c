@@ -10,6 +10,7 @@ static const double NODE_S = 0.05;          /* as finely as the nozzle and its c
 static const int MOST_NODES = 8192;
 static const double SAME_SLOPE_K_S = 1e-6;
 static const double LEAST_RATE_K_S = 1e-6;
+static const double KEPT_S = 0.5;           /* a controller looks back at what it was asked for by less than that */
 
 /* -- nozzle -- */
 
@@ -19,9 +20,9 @@ double tempplan_melt_share(const struct tempplan_params *p, double flow_mm3_s)
     return capacity_w_k <= 1e-9 ? 1.0 : -expm1(-p->ua_w_k / capacity_w_k);
 }
 
-static double melt_heat_w_k(const struct tempplan_params *p, double flow_mm3_s)
+static double melt_heat_w_k(const struct tempplan *tp, const struct tempplan_piece *q)
 {
-    return flow_mm3_s > 0.0 ? 1e-3 * p->heat_mj_m3k * flow_mm3_s * tempplan_melt_share(p, flow_mm3_s) : 0.0;
+    return q->flow_mm3_s > 0.0 ? 1e-3 * tp->p.heat_mj_m3k * q->flow_mm3_s * tp->shares[q - tp->pieces] : 0.0;
 }
 
 double tempplan_lag_s(const struct tempplan_params *p, double flow_mm3_s)
@@ -42,26 +43,16 @@ static double core_wall_c(const struct tempplan *tp, double flow_mm3_s)
     return p->inlet_c + (p->core_c - p->inlet_c) / fmax(share, 1e-6);
 }
 
-static double wall_at(const struct tempplan *tp, double melt_c, double flow_mm3_s, double share)
+double tempplan_free_wall_c(const struct tempplan *tp, double melt_c, double flow_mm3_s, double share)
 {
     const struct tempplan_params *p = &tp->p;
-    double wall_c = p->inlet_c + (melt_c - p->inlet_c) / fmax(share, 1e-6);
-    return isnan(p->core_c) ? wall_c : fmax(wall_c, core_wall_c(tp, flow_mm3_s));
+    double wall_c = p->inlet_c + (melt_c - p->inlet_c) / greater(share, 1e-6);
+    return isnan(p->core_c) ? wall_c : greater(wall_c, core_wall_c(tp, flow_mm3_s));
 }
 
-static double within(const struct tempplan *tp, double wall_c)
+double tempplan_wall_for(const struct tempplan *tp, double melt_c, double flow_mm3_s, double share)
 {
-    return fmin(tp->p.ceiling_c, fmax(tp->p.floor_c, wall_c));
-}
-
-double tempplan_free_wall_c(const struct tempplan *tp, double melt_c, double flow_mm3_s)
-{
-    return wall_at(tp, melt_c, flow_mm3_s, tempplan_melt_share(&tp->p, flow_mm3_s));
-}
-
-double tempplan_wall_for(const struct tempplan *tp, double melt_c, double flow_mm3_s)
-{
-    return within(tp, tempplan_free_wall_c(tp, melt_c, flow_mm3_s));
+    return lesser(tp->p.ceiling_c, greater(tp->p.floor_c, tempplan_free_wall_c(tp, melt_c, flow_mm3_s, share)));
 }
 
 static double rate_k_s(const struct tempplan *tp, double start_c, double end_c, double melt_w_k, double holder_c)
@@ -71,10 +62,10 @@ static double rate_k_s(const struct tempplan *tp, double start_c, double end_c, 
     if (floor_c > tp->degrees - 2)
         floor_c = tp->degrees - 2;
     double capacity_j_k = tp->capacity_j_k[floor_c + 1];
-    double melt_w = melt_w_k * fmax(0.0, end_c - p->inlet_c), holder_w = p->holder_w_k * (end_c - holder_c);
+    double melt_w = melt_w_k * greater(0.0, end_c - p->inlet_c), holder_w = p->holder_w_k * (end_c - holder_c);
     if (end_c > start_c)
-        return fmax(LEAST_RATE_K_S, (p->power_w - holder_w - tp->loss_w[floor_c + 1] - melt_w) / capacity_j_k);
-    return fmax(LEAST_RATE_K_S, (holder_w + tp->loss_w[floor_c] + melt_w) / capacity_j_k);
+        return greater(LEAST_RATE_K_S, (p->power_w - holder_w - tp->loss_w[floor_c + 1] - melt_w) / capacity_j_k);
+    return greater(LEAST_RATE_K_S, (holder_w + tp->loss_w[floor_c] + melt_w) / capacity_j_k);
 }
 
 /* -- plan: thermal/plan.py in the same order of sums -- */
@@ -115,16 +106,15 @@ static int fill(struct tempplan *tp, struct filling *f, double until_s, const st
 {
     double low_c = 0.0, high_c = 0.0, weight_per_s = 0.0, melt_w_k = 0.0;
     if (q && q->flow_mm3_s > 0.0) {
-        melt_w_k = tp->melts_w_k[q - tp->pieces];
-        double capacity_w_k = 1e-3 * tp->p.heat_mj_m3k * q->flow_mm3_s;
-        double share = capacity_w_k <= 1e-9 ? 1.0 : melt_w_k / capacity_w_k;
+        double share = tp->shares[q - tp->pieces];
+        melt_w_k = melt_heat_w_k(tp, q);
         double dx = q->end_pos[0] - q->start_pos[0], dy = q->end_pos[1] - q->start_pos[1];
-        weight_per_s = share * share * sqrt(dx * dx + dy * dy) / fmax(q->end_s - q->start_s, 1e-9);
-        low_c = within(tp, wall_at(tp, tp->p.low_c, q->flow_mm3_s, share));
-        high_c = within(tp, wall_at(tp, tp->p.high_c, q->flow_mm3_s, share));
+        weight_per_s = share * share * sqrt(dx * dx + dy * dy) / greater(q->end_s - q->start_s, 1e-9);
+        low_c = tempplan_wall_for(tp, tp->p.low_c, q->flow_mm3_s, share);
+        high_c = tempplan_wall_for(tp, tp->p.high_c, q->flow_mm3_s, share);
     }
     while (f->at_s < until_s) {
-        double end_s = f->from_s + f->longest_s, part_s = fmin(until_s, end_s) - f->at_s;
+        double end_s = f->from_s + f->longest_s, part_s = lesser(until_s, end_s) - f->at_s;
         double weight = weight_per_s * part_s;
         f->weight += weight;
         if (weight > 0.0) {
@@ -278,10 +268,10 @@ static int ramp(struct tempplan *tp, double now_s, double *now_c, double until_s
 {
     while (now_s < until_s) {
         double left_c = target_c - *now_c, before_s = now_s, before_c = *now_c;
-        double step_c = fmin(PIECE_C, fmax(-PIECE_C, left_c));
+        double step_c = lesser(PIECE_C, greater(-PIECE_C, left_c));
         double rate = rate_k_s(tp, *now_c, *now_c + step_c, melt_w_k, *holder_c);
         if (by_s > now_s)
-            rate = fmin(rate, fabs(left_c) / (by_s - now_s));
+            rate = lesser(rate, fabs(left_c) / (by_s - now_s));
         double needed_s = rate > 0.0 ? fabs(step_c) / rate : 0.0;
         if (fabs(left_c) <= 1e-9) {
             now_s = until_s;
@@ -316,15 +306,15 @@ static int follow(struct tempplan *tp, int first, double from_s, double start_c)
             flow++;
         const struct tempplan_piece *q = &tp->pieces[flow];
         int inside = q->start_s <= now_s;
-        double border_s = fmin(inside ? q->end_s : q->start_s, end_s);
+        double border_s = lesser(inside ? q->end_s : q->start_s, end_s);
         if (turn < tp->path.count) {
-            border_s = fmin(border_s, nodes[turn].time_s);
+            border_s = lesser(border_s, nodes[turn].time_s);
             if (ahead) {
                 target_c = nodes[turn].temp_c;
                 by_s = nodes[turn].time_s;
             }
         }
-        double melt_w_k = inside ? tp->melts_w_k[flow] : 0.0;
+        double melt_w_k = inside ? melt_heat_w_k(tp, q) : 0.0;
         if (ramp(tp, now_s, &now_c, border_s, target_c, by_s, melt_w_k, &holder_c))
             return -1;
         now_s = border_s;
@@ -332,15 +322,14 @@ static int follow(struct tempplan *tp, int first, double from_s, double start_c)
     return 0;
 }
 
-int tempplan_make(struct tempplan *tp, double from_s, double start_c)
+/* Corners of it, 0: nothing lies ahead. */
+static int make(struct tempplan *tp, double from_s, double start_c)
 {
     int first = 0;
     while (first < tp->count && tp->pieces[first].end_s <= from_s)
         first++;
     if (first == tp->count)
         return 0;
-    for (int i = first; i < tp->count; i++)
-        tp->melts_w_k[i] = melt_heat_w_k(&tp->p, tp->pieces[i].flow_mm3_s);
     bring_holder(tp, from_s, start_c);
     if (find_path(tp, first, from_s, start_c))
         return 0;
@@ -355,13 +344,13 @@ int tempplan_make(struct tempplan *tp, double from_s, double start_c)
     return tp->point_count;
 }
 
-/* Number of the first point later than time_s. */
-static int point_after(const struct tempplan *tp, double time_s)
+/* Number of the first of these points later than time_s. */
+static int point_after(const struct tempplan_point *points, int count, double time_s)
 {
-    int low = 0, high = tp->point_count;
+    int low = 0, high = count;
     while (low < high) {
         int middle = (low + high) / 2;
-        if (tp->points[middle].time_s <= time_s)
+        if (points[middle].time_s <= time_s)
             low = middle + 1;
         else
             high = middle;
@@ -370,9 +359,9 @@ static int point_after(const struct tempplan *tp, double time_s)
 }
 
 /* A line from the newest corner given out may go on as long as it can pass all points since at within_c. */
-int tempplan_corners(const struct tempplan *tp, double since_s, double within_c, struct tempplan_point *out)
+static int thin_out(const struct tempplan *tp, double since_s, double within_c, struct tempplan_point *out)
 {
-    int i = point_after(tp, since_s), count = 0;
+    int i = point_after(tp->points, tp->point_count, since_s), count = 0;
     i -= i > 0;
     if (i == tp->point_count)
         return 0;
@@ -382,8 +371,8 @@ int tempplan_corners(const struct tempplan *tp, double since_s, double within_c,
         const struct tempplan_point *a = &out[count - 1], *b = &tp->points[i];
         double past_s = b->time_s - a->time_s, slope = (b->temp_c - a->temp_c) / past_s;
         if (within_c > 0.0 && past_s > 0.0 && slope >= low && slope <= high) {
-            low = fmax(low, slope - within_c / past_s);
-            high = fmin(high, slope + within_c / past_s);
+            low = greater(low, slope - within_c / past_s);
+            high = lesser(high, slope + within_c / past_s);
             continue;
         }
         if (a->time_s != tp->points[i - 1].time_s || a->temp_c != tp->points[i - 1].temp_c) {
@@ -399,14 +388,43 @@ int tempplan_corners(const struct tempplan *tp, double since_s, double within_c,
     return count;
 }
 
+static int reserve_corners(struct tempplan *tp, int count)
+{
+    if (count <= tp->corner_room)
+        return 0;
+    struct tempplan_point *grown = realloc(tp->corners, 2 * count * sizeof(*grown));
+    if (!grown)
+        return -1;
+    tp->corners = grown;
+    tp->corner_room = 2 * count;
+    return 0;
+}
+
+int tempplan_make(struct tempplan *tp, double from_s, double start_c, double within_c)
+{
+    int count = make(tp, from_s, start_c);
+    if (!count || reserve_corners(tp, count))
+        return 0;
+    return tp->corner_count = thin_out(tp, from_s - KEPT_S, within_c, tp->corners);
+}
+
 int tempplan_lead(struct tempplan *tp, const struct tempplan_point *points, int count)
 {
+    if (reserve_corners(tp, count))
+        return -1;
     while (tp->point_count && tp->points[tp->point_count - 1].time_s >= points[0].time_s)
         tp->point_count--;
     for (int i = 0; i < count; i++)
         if (add_point(tp, points[i].time_s, points[i].temp_c))
             return -1;
+    memcpy(tp->corners, points, count * sizeof(*points));
+    tp->corner_count = count;
     return 0;
+}
+
+const struct tempplan_point *tempplan_corners(const struct tempplan *tp)
+{
+    return tp->corners;
 }
 
 double tempplan_holder(struct tempplan *tp, double time_s, double nozzle_c)
@@ -415,15 +433,23 @@ double tempplan_holder(struct tempplan *tp, double time_s, double nozzle_c)
     return tp->holder_c;
 }
 
+static double on_the_way_c(const struct tempplan_point *points, int count, double time_s)
+{
+    int after = point_after(points, count, time_s);
+    if (!after)
+        return points[0].temp_c;
+    if (after == count)
+        return points[after - 1].temp_c;
+    const struct tempplan_point *a = &points[after - 1], *b = &points[after];
+    return a->temp_c + (b->temp_c - a->temp_c) * (time_s - a->time_s) / (b->time_s - a->time_s);
+}
+
 double tempplan_at(const struct tempplan *tp, double time_s, double otherwise_c)
 {
-    if (!tp->point_count)
-        return otherwise_c;
-    int low = point_after(tp, time_s);
-    if (!low)
-        return tp->points[0].temp_c;
-    if (low == tp->point_count)
-        return tp->points[low - 1].temp_c;
-    const struct tempplan_point *a = &tp->points[low - 1], *b = &tp->points[low];
-    return a->temp_c + (b->temp_c - a->temp_c) * (time_s - a->time_s) / (b->time_s - a->time_s);
+    return tp->point_count ? on_the_way_c(tp->points, tp->point_count, time_s) : otherwise_c;
+}
+
+double tempplan_led(const struct tempplan *tp, double time_s)
+{
+    return tp->corner_count ? on_the_way_c(tp->corners, tp->corner_count, time_s) : NAN;
 }

@@ -20,6 +20,7 @@ from . import query_adc
 SAMPLE_TIME_S = 0.001
 SAMPLE_COUNT = 8
 REPORT_TIME_S = 0.300
+END = 0.002  # share of the ADC's scale at either end that means no sensor: 2.3 Mohm and 10 ohm at a pull-up of 4.7 kohm
 RANGE_CHECK_COUNT = 4  # consecutive reports out of range before the MCU shuts down
 
 
@@ -47,7 +48,12 @@ class ReadingRange:
         scale = mcu_adc.get_full_scale()
         if math.floor(self.low * scale) <= round(value * scale) <= math.ceil(self.high * scale):
             return ""
-        return f"{name}: {curve.calc_temp(value):.1f} C, allowed are {self.low_c:g} to {self.high_c:g} C."
+        told = (
+            f"{curve.calc_temp(value):.1f} C"
+            if END < value < 1.0 - END
+            else "no temperature, a broken or shorted sensor"
+        )
+        return f"{name}: {told}; allowed are {self.low_c:g} to {self.high_c:g} C."
 
 
 class PrinterADCtoTemperature:

@@ -80,7 +80,7 @@ class InductionHeater:
         self._running = False
         self._smoothed_c = 0.0
         self._smoothed_s = -math.inf
-        unit.setup_callback(self._on_blocks)
+        unit.setup_callback(self._on_blocks, self._on_stray)
 
     def register(self) -> None:
         printer = self.printer
@@ -124,6 +124,9 @@ class InductionHeater:
     def _now_s(self) -> float:
         return self.unit.print_time_now(self._reactor.monotonic())
 
+    def _on_stray(self) -> None:
+        self.loop.on_stray(self._now_s())
+
     def _on_blocks(self, blocks: Blocks) -> None:
         if not self._running:
             return
@@ -141,7 +144,7 @@ class InductionHeater:
         if (
             self._running and eventtime - self._quiet_s < QUIET_S
         ):  # while blocks come there is nothing to watch
-            self._reactor.update_timer(self._timer, eventtime + self.parameters.timing.refresh_s)
+            self._reactor.update_timer(self._timer, eventtime + self.loop.watch_s(now_s))
 
     def _look_ahead(self, now_s: float) -> None:
         """Planned flow and fan, for laws that know what to do with them."""
@@ -150,8 +153,8 @@ class InductionHeater:
 
     def _on_timer(self, eventtime: float) -> float:
         """Watch, and a command if the newest one ages; control itself runs on the arrival of blocks."""
-        period_s = self.parameters.timing.refresh_s
         now_s = self.unit.print_time_now(eventtime)
+        period_s = self.loop.watch_s(now_s)
         if self._driver is not None:
             self._send(self._driver.on_timer(now_s), now_s)
             return eventtime + min(period_s, 0.020)
@@ -166,13 +169,21 @@ class InductionHeater:
     def _send(self, commands: list[PhaseCommand], now_s: float) -> None:
         if commands:
             self.unit.queue_plan(commands)
-        watched = self._driver is not None or bool(self.loop.listeners)  # a calibration, a dump
-        self.unit.set_calm(not watched and self.loop.is_calm(now_s))
+        self._tell_calm(now_s)
         if self.loop.fault and self._running:
             self._running = False
             text = f"Induction heater '{self.section_name}': {self.loop.fault}"
             logging.error("%s", text)
             self.printer.invoke_shutdown(text)
+
+    def _tell_calm(self, now_s: float) -> None:
+        watched = self._driver is not None or bool(self.loop.listeners)  # a calibration, a dump
+        self.unit.set_calm(None if watched else self.loop.calm(now_s))
+
+    def listen(self, listener: loop.BlockListener) -> None:
+        """Tell `listener` of every block, as soon as may be. It leaves by itself: loop.listeners."""
+        self.loop.listeners.append(listener)
+        self._tell_calm(self._now_s())
 
     def _is_quiet(self, eventtime: float) -> bool:
         """Does nothing but the air take heat from the nozzle?"""

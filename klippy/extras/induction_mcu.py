@@ -1,9 +1,10 @@
 """The induction unit's border: SI and print time on this side, ticks and clocks on the wire. Decides nothing.
 
     queue_plan([PhaseCommand])     ──> queue_induction_plan clock= steps=    replaces what was pending from then on
-    set_calm(calm)                 ──> induction_batch records=
+    set_calm(Calm)                 ──> induction_calm records= phase= expected= limit=
     queue_phase(PhaseCommand)      ──> queue_induction_phase clock= phase=
-    on_blocks(Blocks)              <── induction_block sequence= clock= data=
+    on_blocks(Blocks)              <── induction_block sequence= clock= data=     a lot of them at a time
+    on_stray()                     <── induction_stray                            not as expected: no more calm
 
 The MCU turns the bridge off by itself when it hears no phase command for `max_duration`, and trips on its own
 table of raw limits, which is sent here once at configuration.
@@ -20,17 +21,21 @@ from typing import Any
 
 from thermal import convert
 from thermal.blocks import Blocks
+from thermal.calm import LOT_S, Calm
 from thermal.limits import LimitRow
 from thermal.records import PHASE_MAX_TICKS, PhaseCommand
 
 PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
 # Steps that may wait on the MCU at one time: a plan, and what stays of the one before.
 MOVE_QUEUE_SLOTS = 24
-# While nothing happens two messages of blocks wake the host once: waking costs it more than the messages.
-CALM_MESSAGES, CALM_WAIT_S = 2, 0.015
+# While nothing happens many messages of blocks wake the host once: waking costs it more than the messages.
+LOT_SLACK_S = 0.015  # should one of them be lost
+BLOCK_FORMAT = "induction_block oid=%c sequence=%hu clock=%u data=%*s"
+LIMIT_MAX = 1 << 24  # of a block's sum, as in src/attention.h
 PLAN_STEP = struct.Struct("<HH")
 
 OnBlocks = Callable[[Blocks], None]
+OnStray = Callable[[], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,21 +63,23 @@ class InductionUnit:
         self._sense_pin = sense_pin
         self._limits = list(limits)
         self._oid = mcu.create_oid()
-        self._on_blocks: OnBlocks | None = None
+        self._on_blocks: OnBlocks = lambda blocks: None
+        self._on_stray: OnStray = lambda: None
         self._queue_phase: Any = None
         self._queue_plan: Any = None
-        self._period_ticks, self._period_s = 0, math.inf
+        self._period_ticks, self._period_s, self._second_ticks = 0, math.inf, 1
         self._report: Any = None
-        self._batch: Any = None
-        self._calm = False
+        self._tell_calm: Any = None
+        self._calm: Calm | None = None
         self._stream: convert.Stream | None = None
         self._last_clock = 0
         mcu.register_config_callback(self._build_config)
-        mcu.register_response(self._handle_block, "induction_block", self._oid)
+        mcu.register_response(self._handle_stray, "induction_stray", self._oid)
 
-    def setup_callback(self, on_blocks: OnBlocks) -> None:
-        """`on_blocks(blocks)` in the reactor's thread, for every message with news."""
-        self._on_blocks = on_blocks
+    def setup_callback(self, on_blocks: OnBlocks, on_stray: OnStray) -> None:
+        """`on_blocks(blocks)` in the reactor's thread, for every lot of messages with news; on_stray() before one that
+        begins with blocks not as expected."""
+        self._on_blocks, self._on_stray = on_blocks, on_stray
 
     def _build_config(self) -> None:
         mcu, settings, oid = self.mcu, self.settings, self._oid
@@ -106,23 +113,33 @@ class InductionUnit:
         self._queue_phase = mcu.lookup_command("queue_induction_phase oid=%c clock=%u phase=%hu", cq=queue)
         self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
         self._period_ticks, self._period_s = period_ticks, period_ticks / clock_hz
-        self._batch = mcu.lookup_command("induction_batch oid=%c records=%c", cq=queue)
+        self._second_ticks = round(clock_hz)
+        self._tell_calm = mcu.lookup_command(
+            "induction_calm oid=%c records=%c phase=%hu expected=%u limit=%u", cq=queue
+        )
+        mcu.register_lot(self._take_lot, BLOCK_FORMAT)
         self._report = mcu.lookup_command("induction_report oid=%c enable=%c", cq=queue)
 
     # Samples up
 
-    def _handle_block(self, params: dict[str, Any]) -> None:
-        if self._stream is None or self._on_blocks is None:
+    def _take_lot(self, messages: Any, count: int) -> None:
+        stream, mcu = self._stream, self.mcu
+        if stream is None:
             return
-        clock = self.mcu.clock32_to_clock64(params["clock"])
-        start_s = self.mcu.clock_to_print_time(clock)
-        try:
-            blocks = self._stream.take(params["sequence"], clock, params["data"], start_s)
-        except convert.ConvertError as e:
-            logging.warning("induction unit on mcu '%s': %s; message ignored", self.mcu.get_name(), e)
-            return
+        clock = mcu.print_time_to_clock(mcu.estimated_print_time(messages[count - 1].receive_time))
+        before = clock - self._second_ticks
+        time_s = mcu.clock_to_print_time(clock)
+        tick_s = (time_s - mcu.clock_to_print_time(before)) / self._second_ticks
+        blocks = stream.take(messages, count, clock, time_s, tick_s)
+        if complaint := stream.complaint():
+            logging.warning("induction unit on mcu '%s': %s; message ignored", mcu.get_name(), complaint)
         if blocks.count:
             self._on_blocks(blocks)
+
+    def _handle_stray(self, params: dict[str, Any]) -> None:
+        """The calm is over, also if the MCU was just told to go on with it; what waits here need wait no longer."""
+        self.set_calm(None)
+        self._on_stray()
 
     # Phases down
 
@@ -147,12 +164,23 @@ class InductionUnit:
         self._last_clock = clock + periods * self._period_ticks
         self._queue_plan.send([self._oid, clock, steps], minclock=0, reqclock=clock)
 
-    def set_calm(self, calm: bool) -> None:
-        """Blocks may come in bulk, or (not calm) each as soon as may be."""
-        if calm != self._calm:
-            self._calm = calm
-            self._batch.send([self._oid, self.settings.calm_records if calm else self.settings.records])
-            self.mcu.set_patience("induction_block", CALM_WAIT_S, CALM_MESSAGES if calm else 0)
+    def set_calm(self, calm: Calm | None) -> None:
+        """Blocks may come in bulk and are expected to be so; None: each shall come as soon as may be."""
+        if calm == self._calm:
+            return
+        settings, was_calm, self._calm = self.settings, self._calm is not None, calm
+        if calm is None:
+            self._tell_calm.send([self._oid, settings.records, 0, 0, 0])
+            self.mcu.register_lot(self._take_lot, BLOCK_FORMAT)
+            return
+        samples = settings.block_samples
+        expected, limit = round(calm.expected_raw * samples), math.ceil(calm.limit_raw * samples)
+        limit = 0 if expected < 0 or limit > LIMIT_MAX else limit
+        self._tell_calm.send([self._oid, settings.calm_records, calm.phase_ticks, max(0, expected), limit])
+        if not was_calm:
+            message_s = settings.calm_records * samples / settings.frequency_hz
+            most = max(1, round(LOT_S / message_s))
+            self.mcu.register_lot(self._take_lot, BLOCK_FORMAT, most * message_s + LOT_SLACK_S, most)
 
     def set_report(self, enable: bool) -> None:
         """Start or stop sampling and reports."""

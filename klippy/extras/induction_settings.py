@@ -29,7 +29,6 @@ from . import heater_laws
 from .induction_mcu import UnitSettings
 
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
-WATCH_FRACTION = 1.0 / 3.0  # of max_duration: how often commands are repeated at least
 GUARD_LOW_C = -60.0  # below any workshop by more than the law's error
 ADC_MAX_12_BIT = 4095
 UNCALIBRATED = "uncalibrated"
@@ -43,7 +42,7 @@ DEFAULT_DERIVATIVE_S = 0.010
 DEFAULT_LEAD_S = 0.015
 DEFAULT_BLOCK_SAMPLES = 192  # 1.6 ms at 120 kHz
 RECORDS_MOST = 7  # of 6 bytes fit one message
-CALM_MESSAGE_S = 0.0105  # while nothing happens: a message each 9.6 ms
+CALM_MESSAGE_S = 0.0115  # while nothing happens: a message each 11.2 ms
 DEFAULT_RECORDS = 3  # a message each 4.8 ms: 7.5 kB/s of a 25 kB/s line
 DEFAULT_CONTROL_S = 0.008  # a phase step costs 20 samples of settling: 2 % of the signal
 
@@ -104,7 +103,7 @@ def _timing(config: Any, unit: UnitSettings) -> loop.Timing:
         period_s * unit.block_samples,
         period_s * unit.settle_samples,
         config.getfloat("command_lead", DEFAULT_LEAD_S, minval=0.001, maxval=0.200),
-        unit.max_duration_s * WATCH_FRACTION,
+        unit.max_duration_s,
         control_s=config.getfloat("control_interval", DEFAULT_CONTROL_S, minval=0.0, maxval=0.025),
     )
 
@@ -243,6 +242,7 @@ def read_parameters(config: Any, unit: UnitSettings) -> loop.LoopParameters:
         config.getfloat("units_per_lsb", 1.0, above=0.0),
         config.getfloat("noise_lsb", 1.0, minval=0.0),
         ADC_MAX_12_BIT,
+        block_samples=unit.block_samples,
     )
     temp_low_c = config.getfloat("min_temp", -10.0, minval=-20.0)
     temp_high_c = config.getfloat("max_temp", above=max(temp_low_c, 0.0), maxval=700.0)

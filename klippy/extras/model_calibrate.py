@@ -1,8 +1,8 @@
 """MODEL_CALIBRATE HEATER= [TARGET=] [POWER=] [AMBIENT=] [FAN=1] [FLOW=] [WAIT=]: the model of any heater, in minutes.
 
 The run is thermal/drill.py, the fit thermal/fit_load.py in a process of its own. Ordinary heaters get `control: model`
-with its numbers, an induction nozzle its heat capacity and losses. The heater is off before and after, however that
-ends; a fit that does not predict the segment it was not shown changes nothing.
+with its numbers, an induction nozzle its heat capacity and losses, and with FLOW what the filament takes. The heater is
+off before and after, however that ends; a fit that does not predict the segment it was not shown changes nothing.
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@
 While the look-ahead hands out moves they are only copied; all else is done in a timer.
 
 The plan lies on top of the user's own target: M104/M109, a fault or `TEMPERATURE_PLAN ENABLE=0` win at once. It is made
-again whenever `REPLAN_S` of new motion has come, from `COMMIT_S` ahead of now on; what lies before that is not touched.
+again whenever enough new motion has come (tempplan_path.c), from `COMMIT_S` ahead of now on; what lies before that is
+not touched.
 """
 
 from __future__ import annotations
@@ -28,10 +29,9 @@ from thermal.materials import MATERIALS, Material
 from thermal.nozzle_melt import MeltExchange, NozzleLimits, idle_way
 from thermal.pace import Pace, Pacer, Place
 
-REPLAN_S = 0.5  # so much new motion is worth another plan ...
-REPLAN_MOVES = 16  # ... if it is so many moves, or twice as much time
 COMMIT_S = 0.20  # the plan nearer than this stays: commands for it may be on their way
-WORK_S = 0.5  # how often it is looked, at least
+WORK_S = 1.0  # how often it is looked, at least
+SOON_S = 0.05  # and at most, but for new motion
 BOOK_BEHIND_S = 0.5  # pieces are booked when they are surely laid
 RETURN_S = 0.5  # so long after the last piece the nozzle goes back to the user's target
 FOLLOW_MM = 60000.0  # a fair part of a print: the weld is held where the user's own target has it on average
@@ -76,6 +76,7 @@ class TemperaturePlanner:
         self._reactor = printer.get_reactor()
         self._gcode = printer.lookup_object("gcode")
         self._toolhead: Any = None
+        self._print_stats: Any = None
         self._timer: Any = None
         self._rows: Any = None  # csv writer
         self._state = wishes.Wishes()
@@ -89,7 +90,12 @@ class TemperaturePlanner:
         self._pacer = Pacer(1.0, 0.0)
         self._paced_s = -math.inf  # end of what was planned at the newest pace
         self._moved_c = 0.0  # by so much the user moved the target within the print
+        self._fan_device: Any = None
         self._fan = 0.0
+        self._extruder: Any = None  # that the look-ahead moves, and is it ours?
+        self._is_ours = True
+        self._asks: tuple[float | None, ...] = self._state.asks(settings.table)  # of the newest mark
+        self._is_due = False  # so much new motion has come that it is worth another plan
 
     def _on_connect(self) -> None:
         """All sections are read: find the heater."""
@@ -161,6 +167,9 @@ class TemperaturePlanner:
 
     def _on_ready(self) -> None:
         self._toolhead = self.printer.lookup_object("toolhead")
+        self._print_stats = self.printer.lookup_object("print_stats", None)
+        fan = self.printer.lookup_object("fan", None)
+        self._fan_device = fan.fan if fan is not None else None
         if self.heater.batch:
             return
         if self.settings.record is not None:
@@ -182,13 +191,17 @@ class TemperaturePlanner:
 
     def _mark(self, state: wishes.Wishes) -> None:
         """`state` holds from the end of what is queued now."""
-        if state == self._state:
-            return
         self._state = state
-        if self.enabled and self._timer is not None:
+        asks = state.asks(self.settings.table)
+        if self.enabled and self._timer is not None and asks != self._asks:
+            self._asks = asks
             self._toolhead.register_lookahead_callback(
-                lambda time_s: self._marks.append(replace(state, since_s=time_s))
+                lambda time_s: self._hold_from(replace(state, since_s=time_s))
             )
+
+    def _hold_from(self, state: wishes.Wishes) -> None:
+        self._marks.append(state)
+        self._path.forget(state.since_s - SAME_TIME_S)
 
     def _on_comment(self, line: str) -> None:
         found = wishes.read_comment(line)
@@ -213,13 +226,15 @@ class TemperaturePlanner:
         if not self.enabled or self.heater.lent:
             return
         serving = self._toolhead.get_extruder()
-        if serving.get_name() and serving.get_heater() is not self.heater:
+        if serving is not self._extruder:
+            self._extruder = serving
+            self._is_ours = not serving.get_name() or serving.get_heater() is self.heater
+        if not self._is_ours:
             return  # another tool prints
-        fan = self.printer.lookup_object("fan", None)
-        self._fan = fan.get_status(self._reactor.monotonic())["speed"] if fan is not None else 0.0
-        self._path.note_planned(row, count, print_time, self._fan)
-        path, starts = self._path.facts(), print_time > self._end_s + COMMIT_S
-        if self._is_worth_it(path) or (starts and path.waiting <= count):
+        if self._fan_device is not None:
+            self._fan = self._fan_device.last_fan_value
+        if self._path.note_planned(row, count, print_time, self._fan, self._end_s):
+            self._is_due = True
             self._reactor.update_timer(self._timer, self._reactor.NOW)
 
     def _ask(self, time_s: float, layer: int, z_mm: float) -> Asked:
@@ -266,26 +281,30 @@ class TemperaturePlanner:
     # The plan
 
     def _on_timer(self, eventtime: float) -> float:
-        self._watch_print(eventtime)
+        self._watch_print()
         self._watch_target()
         now_s = self.heater.now_s()
-        path = self._path.facts()
-        if path.waiting and self._base_c <= 0.0:
-            self._path.drop(now_s)  # laid without a target; what still lies ahead may get one
-        elif path.waiting:
-            if self._is_worth_it(path) or now_s + 2.0 * COMMIT_S > self._end_s:
-                self._replan(now_s)
-        elif self._reference is not None and now_s > self._end_s + RETURN_S:
-            self._go_back(now_s)
-        self._book(now_s - BOOK_BEHIND_S)
+        next_s = self._work(now_s)
         if not self.enabled and self._reference is None:
-            return self._reactor.NEVER
-        return eventtime + WORK_S
+            return float(self._reactor.NEVER)
+        return eventtime + max(SOON_S, min(WORK_S, next_s - now_s))
 
-    def _is_worth_it(self, path: Any) -> bool:
-        """Has so much motion come that it is planned at once?"""
-        news_s = float(path.end_s - self._end_s)
-        return news_s >= REPLAN_S and (path.waiting >= REPLAN_MOVES or news_s >= 2.0 * REPLAN_S)
+    def _work(self, now_s: float) -> float:
+        """Plan, or go back, or neither. When to look again at the latest."""
+        next_s = math.inf
+        if self._is_due or self._path.facts().waiting:
+            next_s = self._end_s - 2.0 * COMMIT_S
+            if self._base_c <= 0.0:
+                self._path.drop(now_s)  # laid without a target; what still lies ahead may get one
+            elif self._is_due or now_s > next_s:
+                self._replan(now_s)
+                return math.inf
+        elif self._reference is not None:
+            next_s = self._end_s + RETURN_S
+            if now_s > next_s:
+                self._go_back(now_s)
+        self._book(now_s - BOOK_BEHIND_S)
+        return next_s
 
     def _watch_target(self) -> None:
         """Who set the heater's target last? Not the plan: then it is the user's, and counts from now on."""
@@ -313,6 +332,7 @@ class TemperaturePlanner:
         moved_c, self._base_c = target_c - self._base_c, target_c
         if not moved_c:
             return True  # slicers repeat themselves
+        self._path.forget()
         self._moved_c += moved_c
         self._use_craft()
         from_s = now_s + COMMIT_S
@@ -333,21 +353,20 @@ class TemperaturePlanner:
             self._path.drop()
         self._reference = None
         self._base_c = base_c
+        self._path.forget()
 
     def _replan(self, now_s: float) -> None:
-        self._path.feed(self._ask, self.plan.add_rows)
-        self._end_s = self._path.facts().end_s
-        if not self.enabled:
-            return
+        from_s, booked_s = now_s + COMMIT_S, now_s - BOOK_BEHIND_S
+        if self._reference is None:
+            self.plan.lead([(now_s, self.heater.loop.state.target_c)])
+        if self._rows is not None:
+            self._book(booked_s)
+        while (done := self.plan.turn(self._path, from_s, WITHIN_C, booked_s)) is None:
+            self._path.inquire(self._ask)
+        self._end_s, reference = done
+        self._is_due = self._going_home = False
+        self._set(reference, now_s)
         self._pace_without_layers()
-        self._going_home = False
-        from_s = now_s + COMMIT_S
-        start_c = self.heater.loop.state.target_c
-        if self._reference is not None:
-            start_c = self._reference.at(from_s)
-        else:
-            self.plan.lead([(now_s, start_c)])
-        self._set(self.plan.ahead(from_s, start_c, WITHIN_C), now_s)
 
     def _set(self, reference: Reference | None, now_s: float) -> None:
         if reference is not None:
@@ -376,14 +395,14 @@ class TemperaturePlanner:
 
     # The print
 
-    def _watch_print(self, eventtime: float) -> None:
-        stats = self.printer.lookup_object("print_stats", None)
-        state = stats.get_status(eventtime)["state"] if stats is not None else ""
-        printing = state in ("printing", "paused")
+    def _watch_print(self) -> None:
+        stats = self._print_stats
+        printing = stats is not None and stats.state in ("printing", "paused")
         if printing and not self._printing:
             self._begin()
             self._state = wishes.Wishes()
             self._marks = deque([self._state])
+            self._asks = self._state.asks(self.settings.table)
         elif self._printing and not printing:
             self._book(math.inf)
             if self.enabled and self.plan.summary().pieces:

@@ -177,11 +177,12 @@ class Planning:
         facts = pieces.facts()
         if self._planned_s == -math.inf and facts.waiting:
             self._planned_s = facts.next_s
-        pieces.feed(ask, plan.add_rows)
+        pieces.feed(ask, plan.take)
         facts = pieces.facts()
         self._end_s = facts.end_s
         if facts.laid > before:
-            self._owners.append((timed, int(facts.layer), int(facts.laid - before)))
+            layer = wishes.layer or int(facts.layer)  # of a vase only the slicer tells where one ends
+            self._owners.append((timed, layer, int(facts.laid - before)))
 
     def _make_if_due(self) -> None:
         if self._end_s - self._planned_s >= AHEAD_S + WINDOW_S:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import html
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,8 @@ import numpy as np
 from tempplan import Summary
 from thermal.materials import Material
 
-from .plan_offline import OfflinePlan
+from .plan_offline import OfflinePlan, PlannedMove
+from .report_data import LAYER_STEP_MM
 
 PAGE = Path(__file__).with_name("report_page") / "plan.html"
 HUNDREDTH_MM = 100.0
@@ -65,6 +67,16 @@ def _packed(values: np.ndarray, kind: str) -> str:
     return base64.b64encode(values.astype(kind).tobytes()).decode("ascii")
 
 
+def _layer_starts(moves: Sequence[PlannedMove]) -> list[int]:
+    """First move of each layer; a path that rises all the time (a vase) is cut into steps that could be layers."""
+    starts = [0]
+    for number, move in enumerate(moves):
+        first = moves[starts[-1]]
+        if move.layer != first.layer and abs(move.end_mm[2] - first.end_mm[2]) >= LAYER_STEP_MM:
+            starts.append(number)
+    return starts
+
+
 def write(path: Path, name: str, plan: OfflinePlan, material: Material, plain: Summary | None = None) -> None:
     """Raises OSError."""
     moves = plan.moves[:: 1 + len(plan.moves) // MOST_MOVES]
@@ -72,13 +84,12 @@ def write(path: Path, name: str, plan: OfflinePlan, material: Material, plain: S
     low = ways.reshape(-1, 2).min(axis=0)
     ways = (ways - np.tile(low, 2)) * HUNDREDTH_MM
     temps = np.array([(m.wall_c, m.substrate_c, m.interface_c, m.interface_fixed_c) for m in moves])
-    layers = np.array([m.layer for m in moves])
-    starts = np.flatnonzero(np.diff(layers, prepend=layers[0] - 1))
+    starts = _layer_starts(moves)
     data = {
         "ways": _packed(ways.round(), "<u2"),
         "temps": _packed((temps * 2.0).round().clip(0, 65535), "<u2"),  # half degrees
-        "starts": [int(v) for v in starts],
-        "heights": [round(moves[int(i)].end_mm[2], 3) for i in starts],
+        "starts": starts,
+        "heights": [round(moves[i].end_mm[2], 3) for i in starts],
         "bonding": material.bonding_c,
         "corners": _packed(plan.corners[:: 1 + len(plan.corners) // 4000].astype("<f4"), "<f4"),
     }

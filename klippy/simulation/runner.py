@@ -108,6 +108,10 @@ class Simulation:
         result = self.printer.run()
         if result == "error_exit":
             self._end(SHUT_DOWN, "internal error of the host; --log FILE gives the details")
+        elif "restart" in result and self.printer.get_state_message()[1] == "ready":
+            self._end(
+                PRINTED, "ended by the file's own RESTART or SAVE_CONFIG: a simulated print is one session"
+            )
         self.facts.stages_s["start"] = started - self._wall_start
         self.facts.stages_s["world"] = self.time.world_wall_s
         self.facts.stages_s["host"] = time.monotonic() - started - self.time.world_wall_s

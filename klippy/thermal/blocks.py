@@ -13,7 +13,7 @@ import chelper
 
 from .records import SampleBlock, TempEstimate
 
-BLOCKS_MOST = 16  # as in chelper/blockwire.h
+BLOCKS_MOST = 256  # as in chelper/blockwire.h
 
 # Why a block gives no temperature, in the order of chelper/blockchain.h's enum block_fault.
 REASONS = (

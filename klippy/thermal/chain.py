@@ -24,7 +24,6 @@ from .track import TrackParameters, track_params
 
 STEP_SHARE = 0.1  # of p = (phase/45000)^2: a step of the drive that may move the reading
 USUAL_S = 0.1  # memory of the usual p
-DOUBT_C = 40.0  # 1 sigma of the law's error per unit of p away from it; C1 +0.1 % makes it 17 to 29 degC
 
 SAMPLES_USUAL = 64  # of a step; of one that comes late there are more ...
 SAMPLES_MOST = 512  # ... and beyond this, 0.8 s, they are forgotten
@@ -68,7 +67,7 @@ class Chain:
         p.span_samples, p.span_blocks = features.SPAN_SAMPLES, features.NOISE_BLOCKS
         p.span_per_noise = features.SPAN_PER_NOISE
         p.phase_max_ticks = front.phase_max_ticks
-        p.step_share, p.usual_s, p.doubt_c = STEP_SHARE, USUAL_S, DOUBT_C
+        p.step_share, p.usual_s = STEP_SHARE, USUAL_S
 
     @property
     def watch(self) -> Any:

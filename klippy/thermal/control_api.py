@@ -66,6 +66,13 @@ class Reference:
         lib.model_line_fill(made._line, ffi.cast("double *", pairs))
         return made
 
+    @classmethod
+    def of_line(cls, line: Any) -> Reference:
+        """From C's own struct model_line, filled as of_pairs would, and kept."""
+        made = cls.__new__(cls)
+        made._line = line
+        return made
+
     @property
     def times_s(self) -> tuple[float, ...]:
         return tuple(self._line.at[0 : self._line.count])

@@ -25,6 +25,7 @@ class FeatureParameters:
     noise_lsb: float = 1.0  # standard deviation of one sample
     adc_max_raw: int = 4095
     phase_max_ticks: int = PHASE_MAX_TICKS
+    block_samples: int = 192  # of a whole block
 
 
 # Highest minus lowest of 192 samples of Gaussian noise, expected, over its sigma. Whole codes do not change it: over

@@ -67,9 +67,11 @@ class ReducedRun:
 
 def read_columns(path: Path) -> dict[str, Array]:
     """Named numeric columns of a CSV file.  Raises FitError naming file and line of what is wrong."""
-    with path.open(newline="", encoding="utf-8") as stream:
-        lines = (line for line in stream if not line.startswith("#"))
-        return _columns(path, lines)
+    try:
+        text = path.read_text(encoding="utf-8-sig")  # a spreadsheet's "CSV UTF-8" begins with a mark
+    except UnicodeDecodeError:
+        raise FitError(f"{path} is no text file") from None
+    return _columns(path, (line for line in text.splitlines() if not line.startswith("#")))
 
 
 def _columns(path: Path, lines: Iterable[str]) -> dict[str, Array]:
@@ -77,6 +79,10 @@ def _columns(path: Path, lines: Iterable[str]) -> dict[str, Array]:
     header = [name.strip() for name in next(reader, [])]
     if not header:
         raise FitError(f"{path}: the file is empty")
+    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
+        raise FitError(
+            f"{path}: columns have to be separated by commas, and decimals by points: '{header[0]}'"
+        )
     rows: list[list[float]] = []
     for number, row in enumerate(reader, 2):
         if not row:

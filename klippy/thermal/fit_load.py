@@ -164,7 +164,7 @@ def ordinary_model(
 def nozzle(x: Sequence[float], power_w: float, ambient_c: float) -> ModelParameters:
     heat, factor, second = np.exp(x).tolist()
     loss = scaled(factor, ambient_c, second)
-    return nozzle_model(HeatCapacity(heat), loss, power_w, Timing(0.0016, 0.0002, 0.015, 0.033))
+    return nozzle_model(HeatCapacity(heat), loss, power_w, Timing(0.0016, 0.0002, 0.015, 0.1))
 
 
 def _start(rows: Sequence[Row], power_w: float, ambient_c: float, names: Sequence[str]) -> list[float]:

@@ -25,7 +25,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from . import actuator, control_api, estimator, features, model, plausible, supervise, track
+from . import actuator, calm, control_api, estimator, features, model, plausible, supervise, track
 from .blocks import Blocks
 from .chain import Chain
 from .nozzle_melt import MeltExchange
@@ -38,9 +38,6 @@ BALANCE_S = 0.1
 PROMPT_S = 0.005  # to the MCU, when it matters more that a command comes soon than that it comes in time
 QUIET_C = 1.0  # nearer than this to the target a step of the model may wait for the next command's turn
 SAMPLES_MOST = 15  # 25 ms
-CALM_C = 0.3  # nearer than this to a target that stays, with no extrusion planned ...
-CALM_S = 0.5  # ... for so long: nothing happens
-CALM_STEP_S = 0.016  # steps are then at least this far apart: half the work, five within max_duration
 RESAY_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
 
 
@@ -231,8 +228,6 @@ class InductionLoop:
         if news is not None:
             before, state.estimate = state.estimate, news
             state.latency_s = now_s - news.time_s
-            if self._goes_on(news, now_s):
-                return []
             self._note_settled(news)
             self._note_balance(news)
             self._decide(news, before.phase_ticks, now_s)
@@ -240,12 +235,6 @@ class InductionLoop:
             # blocks without a temperature still tell the model what heat went in
             self._decide(state.estimate, 0, now_s)
         return self._step(now_s)
-
-    def _goes_on(self, news: TempEstimate, now_s: float) -> bool:
-        """At rest, and these blocks do not change that: they wait for the next step, which looks at everything."""
-        if not self._rests(now_s) or self.reference is not None or any(self.flow.values):
-            return False
-        return abs(news.temp_c - self.state.target_c) < CALM_C and not self.chain.watch.is_tripped
 
     def _tell(self, blocks: Blocks, now_s: float) -> None:
         for i, block in enumerate(blocks):
@@ -279,21 +268,46 @@ class InductionLoop:
 
     def is_calm(self, now_s: float) -> bool:
         """Nothing has happened for a while: off, or held by a law with a model. Reports may come in bulk."""
-        return now_s - self.state.restless_s >= CALM_S
+        return now_s - self.state.restless_s >= calm.CALM_S
+
+    def calm(self, now_s: float) -> calm.Calm | None:
+        """What the MCU may expect while nothing happens; None while something does."""
+        if not self.is_calm(now_s):
+            return None
+        state, parameters = self.state, self._parameters
+        if state.target_c <= 0.0:
+            return calm.NOTHING_EXPECTED
+        front, sensing, phase = parameters.front, parameters.estimator, state.line.head.phase_ticks
+        error = sensing.law.error(state.target_c, phase, sensing.supply)
+        noise_lsb = self.chain.noise_lsb() or front.noise_lsb
+        limit_raw = calm.limit_raw(
+            1.0 / abs(state.estimate.dtemp_derror * front.units_per_lsb),
+            math.sqrt((noise_lsb**2 + 1.0 / 12.0) / front.block_samples),
+        )
+        return calm.Calm(phase, front.adc_zero_raw + error / front.units_per_lsb, limit_raw)
+
+    def watch_s(self, now_s: float) -> float:
+        """Silence for longer than this is worth a look."""
+        refresh_s = self._parameters.timing.refresh_s
+        return refresh_s + calm.LOT_S if self.is_calm(now_s) else refresh_s
+
+    def on_stray(self, now_s: float) -> None:
+        """The MCU says that blocks stray from what was expected: for a while nothing is taken for granted."""
+        self.state.restless_s = max(self.state.restless_s, now_s - calm.CALM_S + calm.STRAY_S)
 
     def _note_restless(self, now_s: float) -> None:
         state, reference = self.state, self.reference
         if state.target_c <= 0.0:
             return
-        near = abs(state.estimate.temp_c - state.target_c) < CALM_C
-        moving = (reference is not None and now_s < reference.times_s[-1]) or any(self.flow.values)
-        if not near or moving or state.horizon or not self._parameters.control.models:
+        moving = (reference is not None and now_s < reference.end_s) or any(self.flow.values)
+        if moving or not self._is_held():
             state.restless_s = now_s
 
-    def _rests(self, now_s: float) -> bool:
-        """Is it too early for another step, with nothing happening?"""
-        next_s = self.state.line.newest.time_s + CALM_STEP_S
-        return now_s + self._parameters.timing.lead_s < next_s and self.is_calm(now_s)
+    def _is_held(self) -> bool:
+        """At the target by a steady drive, and the law means to leave it so."""
+        state = self.state
+        near = abs(state.estimate.temp_c - state.target_c) < calm.CALM_C
+        return near and state.actuator.driving and not state.horizon and self._parameters.control.models
 
     def is_settled(self) -> bool:
         """At the target, and has been for a little while."""
@@ -381,7 +395,7 @@ class InductionLoop:
         quiet = off or abs(news.temp_c - state.target_c) < QUIET_C
         if not quiet or state.horizon or self.chain.waiting > SAMPLES_MOST:
             return False
-        if off or self._rests(now_s):
+        if off:
             return True
         if self.reference is not None:
             return False
@@ -401,7 +415,7 @@ class InductionLoop:
             limit=limit_w,
             applied=samples.output if samples else state.line.last_before(since_s).power_w,
             apply_s=apply_s,
-            hold_s=timing.stride_s,
+            hold_s=calm.LOT_S if self.is_calm(now_s) else timing.stride_s,
             samples=samples,
             pending=state.line.pending(since_s - TIME_SLACK_S, apply_s - TIME_SLACK_S),
             reference=self.reference,
@@ -421,7 +435,7 @@ class InductionLoop:
             state.target_c = 0.0
             return self._off(now_s)
         self._note_restless(now_s)
-        return [] if self._rests(now_s) else self._command(now_s)
+        return self._command(now_s)
 
     def _off(self, now_s: float) -> list[PhaseCommand]:
         state = self.state
@@ -453,6 +467,8 @@ class InductionLoop:
         if len(commands) == 1 and horizon:
             commands += actuator.ahead(parameters.actuator, commands[0], horizon)
         state.line.note(commands, now_s)
+        if len(commands) == 1 and self._is_held():
+            return commands + calm.feedings(commands[0], timing.max_duration_s)
         return commands
 
     def _slot(self, now_s: float, apart_s: float) -> float | None:

@@ -1,7 +1,8 @@
 """Kalman filter around model_plant: temperatures, disturbance power and the gain of the drive, from measurements.
 
 State of the covariance, in this order, missing nodes left out: element, controlled node, second mass, sensor,
-disturbance d (W), drive gain g. Bore and flow follow the controlled node without uncertainty of their own.
+disturbance d (W), drive gain g, slant k (degC at full drive). Bore and flow follow the controlled node without
+uncertainty of their own.
 
     mean        the model runs through the outputs that were in force, sample by sample
     covariance  P <- F P F' + Q once a call, F = 1 + A dt + ..., A the slopes of the model at the present state
@@ -9,6 +10,14 @@ disturbance d (W), drive gain g. Bore and flow follow the controlled node withou
 
 d walks at random, g nearly stands: heat that follows the power (another mass, another coupling) is learned as g
 during a climb, heat that does not (melt, draught, other losses) as d.
+
+A sensing law that has drifted is off by another amount at each drive: more drive, a colder reading, at once, while the
+heat comes later. To a loop that is a zero in the right half plane, and a fast one hunts. So
+
+    reading = T + k (u - u0)        u the drive as a share of full, u0 the usual drive of the last 0.2 s
+
+where k is learned as the reading moves with the drive; T is what would be read at u0, and moves by k du0 with it.
+Which of the readings is right nobody can tell; only that the temperature does not step with the drive.
 
 A step of the drive cannot step the temperature. Where the reading steps with it (a sensing law that has drifted
 is off by another amount at each power), that offset is taken out as long as the drive stays up: else full power,

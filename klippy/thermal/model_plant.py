@@ -78,6 +78,7 @@ class ModelParameters:
     disturbance_max_w: float = math.inf
     gain_start: float = 0.3  # relative, of the drive's gain
     gain_walk: float = 0.005  # relative, within a second
+    slant_c: float = 0.0  # of what full drive by itself moves the reading, degC; 0: nothing
     second_start: float = 0.2  # of the second mass's excess over air, relative
     temp_walk_c: float = 0.02  # of each node, within a second
     gap_s: float = 5.0  # nothing heard for so long: begin anew
@@ -117,7 +118,7 @@ class ModelParameters:
             *("element_w_k", "sensor_s", "fan_w_k", "melt_ua_w_k", "melt_j_mm3_k", "bore_s", "flow_s"),
             *("horizon_s", "fade_s", "knee_c", "delay_s", "ahead", "disturbance_w", "disturbance_start_w"),
             "disturbance_w2_per_k",
-            *("gain_start", "gain_walk", "second_start", "temp_walk_c"),
+            *("gain_start", "gain_walk", "slant_c", "second_start", "temp_walk_c"),
         ):
             value = getattr(self, name)
             require(0.0 <= value < math.inf, f"model: {name} must not be negative, it is {value:g}")

@@ -18,7 +18,8 @@ from .records import PhaseCommand
 
 TIME_SLACK_S = 1e-7  # rounding of print times against clocks, far below a bridge period
 
-KEEP_S = 0.25  # a block comes this late at most before the loop counts as blind
+REFRESH_SHARE = 1.0 / 3.0
+KEEP_S = 0.4  # a block comes this late at most before the loop counts as blind
 
 NOT_COMMANDED = PhaseCommand(-math.inf, 0, 0.0)
 
@@ -30,9 +31,14 @@ class Timing:
     block_s: float  # whole block
     settle_s: float  # discarded after a phase step
     lead_s: float  # a command is sent at least this much before it holds
-    refresh_s: float  # longest time between commands while the bridge is on
+    max_duration_s: float  # the bridge turns itself off when no command holds for so long
     stale_s: float = 0.15  # no temperature for this long: stop heating blindly
     control_s: float = 0.0  # commands are at least this much apart: a step costs settling samples
+
+    @property
+    def refresh_s(self) -> float:
+        """Longest time between commands while the bridge is on."""
+        return self.max_duration_s * REFRESH_SHARE
 
     @property
     def stride_s(self) -> float:

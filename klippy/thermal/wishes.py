@@ -68,7 +68,7 @@ def read_comment(line: str) -> Comment | None:
         height = float(found[1])
     except ValueError:
         return None
-    return Comment("height", value=height) if 0.0 < height < 10.0 else None
+    return Comment("height", value=round(height, 4)) if 0.0 < height < 10.0 else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,6 +124,13 @@ class Wishes:
 
     def _ended(self, what: str) -> Wishes:
         return self.explicitly(math.nan) if self.until == what else self
+
+    def asks(self, table: WishTable) -> tuple[float | None, ...]:
+        """All of it that matters to the path with this table. Equal: it is asked for the same."""
+        of_object = table.objects.get(self.object_name.upper()) if table.objects else None
+        layer = self.layer if table.layers else 0
+        of_feature = table.features.get(self.feature)
+        return self.explicit_c, self.duration_s, of_object, of_feature, layer, self.height_mm, self.pace
 
     def wish_c(self, table: WishTable, time_s: float, layer: int, z_mm: float) -> float:
         """Melt temperature asked for at a piece of path, NaN if nothing is."""

@@ -57,4 +57,9 @@ int guard_block(struct guard *g, const struct guard_input *block);
 void guard_fed(struct guard *g, uint32_t clock, uint16_t phase);
 uint32_t guard_deadline(const struct guard *g);
 int guard_check_deadline(struct guard *g, uint32_t clock);
+
+struct attention_expected { uint32_t sum; uint16_t phase; };
+struct attention { struct attention_expected now, next; uint32_t limit; int32_t mean8; };
+void attention_expect(struct attention *a, uint16_t phase, uint32_t sum, uint32_t limit);
+uint8_t attention_block(struct attention *a, uint16_t phase, uint32_t sum);
 """

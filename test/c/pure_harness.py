@@ -28,7 +28,7 @@ SANITIZERS = {
     "address": ("-fsanitize=address,undefined", "-fno-sanitize-recover=all"),
 }
 
-INDUCTION_SOURCES = ("filters.c", "oversample.c", "phase.c", "guard.c")
+INDUCTION_SOURCES = ("filters.c", "oversample.c", "phase.c", "guard.c", "attention.c")
 PLANT_SOURCES = (
     "simulator/plant.c",
     "simulator/plant_tank.c",

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from typing import Any
+
+import chelper
 
 
 @dataclass(frozen=True)
@@ -18,6 +21,29 @@ class Row:
     discarded: int = 0
     lost: int = 0
     offset: int = 0
+
+
+def vlq(value: int) -> bytes:
+    """A number as the link sends it: groups of seven bits, the first with its sign in two of them."""
+    value = (value + (1 << 31)) % (1 << 32) - (1 << 31)
+    groups = next(n for n in range(1, 6) if n == 5 or -(1 << 7 * n - 2) <= value < 3 << 7 * n - 2)
+    return bytes(value >> 7 * i & 0x7F | (0x80 if i else 0) for i in reversed(range(groups)))
+
+
+def content(sequence: int, clock: int, data: bytes, oid: int = 3) -> bytes:
+    """One induction_block message behind the link's framing."""
+    head = vlq(45) + vlq(oid) + vlq(sequence & 0xFFFF) + vlq(clock)
+    return head + bytes([len(data)]) + data
+
+
+def take(stream: Any, clock_hz: float, *messages: tuple[int, int, bytes]) -> Any:
+    """The blocks of a lot of messages (sequence, 64-bit clock, data); print time 0 is clock 0."""
+    pulled = chelper.get_ffi()[0].new("struct pull_message[]", len(messages))
+    for entry, (sequence, clock, data) in zip(pulled, messages, strict=True):
+        packed = content(sequence, clock, data)
+        entry.len, entry.data = len(packed), packed
+    clock = messages[-1][1] + 1_000_000
+    return stream.take(pulled, len(messages), clock, clock / clock_hz, 1.0 / clock_hz)
 
 
 def pack(rows: list[Row], block_len: int) -> bytes:

@@ -137,7 +137,7 @@ def test_a_silent_host_is_carried_through_by_the_plan_it_sent() -> None:
     assert trace["phase"][-1] < 20000  # holding power, not full
 
 
-def test_a_drifted_thermometer_does_not_make_the_loop_run_away() -> None:
+def test_a_drifted_thermometer_neither_runs_away_nor_hunts() -> None:
     """C1 +0.1 %: the law is off by 16 degC at little drive and by 44 at full; full power must not call for more."""
     rig = nozzle()
     rig.plant.set_param("c1_factor", 1.001)
@@ -146,7 +146,7 @@ def test_a_drifted_thermometer_does_not_make_the_loop_run_away() -> None:
     rig.run(2.0)
     trace = rig.trace.arrays()
     late = trace["skin_c"][trace["t_s"] > start_s]
-    assert np.ptp(late) < 2.0
+    assert np.ptp(late) < 0.2  # measured: 0.07; 1.5 where the reading is believed at any drive
     assert abs(late.mean() - 236.0) < 3.0  # off by what the thermometer is, not more
     assert trace["skin_c"].max() < 245.0
 
@@ -160,7 +160,7 @@ def test_an_adc_without_noise_does_not_make_the_loop_hunt(told_lsb: float) -> No
     rig.set_target(250.0)
     rig.run(3.0)
     skin = np.asarray(rig.trace.skin_c[-round(1.0 / 32 / PERIOD_S) :])
-    assert np.ptp(skin) < 1.0  # measured: 0.4 to 0.7
+    assert np.ptp(skin) < 1.2  # measured: 0.4 to 1.0 in a second, over seeds
     assert np.abs(skin - 250.0).max() < 0.9
 
 

@@ -166,8 +166,9 @@ INDUCTION_STATUS HEATER=nozzle
     dump.write_text("\n".join(dump.read_text().splitlines()[:50]) + "\n1,2")  # ended half way
     assert plot(dump) == 0
     assert len(rows) > 250  # 0.5 s of blocks of 1.6 ms, a few cut by phase steps
-    # the nozzle was calm: up to two messages of six blocks are on their way when the dump begins and ends the calm
-    assert all(float(row["latency"]) < 0.010 for row in rows[12:])
-    assert all(float(row["latency"]) < 0.013 for row in rows)
+    # the nozzle was calm: a lot of six messages of seven blocks may wait when the dump begins and ends the calm, and
+    # what the MCU has by then is a message of seven more
+    assert all(float(row["latency"]) < 0.010 for row in rows[49:])
+    assert all(float(row["latency"]) < 0.080 for row in rows)
     # what reads 200 after the zero is 190 of true skin
     assert run.column("true_c")[-1] == pytest.approx(190.0, abs=2.0)

@@ -81,8 +81,11 @@ def test_an_unknown_command_is_mentioned_and_passed_over(simulate: Simulate) -> 
 @pytest.mark.parametrize(
     ("setting", "words"),
     [
-        ("heater_bed.min_temp=40", r"heater_bed: 2\d\.\d C, allowed are 40 to 120 C"),
-        ("simulator load bed.fault=1", r"heater_bed: -\d+\.\d C, allowed are 0 to 120 C"),
+        ("heater_bed.min_temp=40", r"heater_bed: 2\d\.\d C; allowed are 40 to 120 C"),
+        (
+            "simulator load bed.fault=1",
+            "heater_bed: no temperature, a broken or shorted sensor; allowed are 0 to 120 C",
+        ),
     ],
 )
 def test_a_sensor_out_of_its_range_is_named(simulate: Simulate, setting: str, words: str) -> None:
@@ -96,6 +99,16 @@ def test_a_board_without_a_temperature_of_its_own_says_so(simulate: Simulate, tm
     path.write_text(f"[include {CONFIG}]\n[temperature_sensor board]\nsensor_type: temperature_mcu\n")
     run = simulate("G4 P500\n", config=path)
     assert run.status == 2 and "Sensor 'board': the firmware of mcu 'mcu' does not offer" in run.stderr
+
+
+def test_a_file_that_saves_its_findings_ends_with_the_restart_of_it(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    path = tmp_path / "printer.cfg"
+    path.write_text(CONFIG.read_text())
+    run = simulate("HEATER_PROFILE HEATER=heater_bed SAVE=mine\nSAVE_CONFIG\nM117 never\n", config=path)
+    assert run.status == 0 and "ended by the file's own RESTART or SAVE_CONFIG" in run.summary["reason"]
+    assert "[heater_profile heater_bed mine]" in path.read_text()
 
 
 def test_an_emergency_stop_in_the_file_is_a_shutdown(simulate: Simulate) -> None:

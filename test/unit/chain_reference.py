@@ -250,5 +250,4 @@ class Chain:
             self.usual += away
             return Sample(block.centre_s, end_s, own.temp_c, own.sigma_c, heat_w, True)
         self.usual += away * block.duration_s / (block.duration_s + 0.1)
-        sigma_c = math.sqrt(own.sigma_c**2 + (40 * away) ** 2)
-        return Sample(block.centre_s, end_s, own.temp_c, sigma_c, heat_w, False)
+        return Sample(block.centre_s, end_s, own.temp_c, own.sigma_c, heat_w, False)

@@ -52,6 +52,8 @@ class FakeMcu:
         self.init: list[str] = []
         self.sent: list[list[int]] = []
         self.response: Callable[[dict[str, Any]], None] | None = None
+        self.lot: Callable[[Any, int], None] = lambda messages, count: None
+        self.lot_most = 0
         self._callbacks: list[Callable[[], None]] = []
 
     def estimated_print_time(self, eventtime: float) -> float:
@@ -70,13 +72,15 @@ class FakeMcu:
     def register_response(self, callback: Callable[[dict[str, Any]], None], name: str, oid: int) -> None:
         self.response = callback
 
+    def register_lot(
+        self, callback: Callable[[Any, int], None], msgformat: str, seconds: float = 0.0, most: int = 0
+    ) -> None:
+        self.lot, self.lot_most = callback, most
+
     def add_config_cmd(self, cmd: str, is_init: bool = False) -> None:
         (self.init if is_init else self.config).append(cmd)
 
     def request_move_queue_slot(self) -> None:
-        pass
-
-    def set_patience(self, name: str, seconds: float, most: int) -> None:
         pass
 
     def get_constant_float(self, name: str) -> float:

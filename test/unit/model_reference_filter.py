@@ -136,7 +136,7 @@ TOGETHER_MOST = 7  # samples of one innovation
 SURPRISE = 14.0  # innovation squared over its variance beyond which the disturbance is taken to have changed
 SURPRISED_W = 3.0  # by about this much at once
 # Innovations that lean one way: their sum, each in its own sigma and fading so fast a message, is 1.5 by chance.
-LEAN_KEEP, LEAN_MOST = 0.75, 4.5  # three times that: the disturbance moves ...
+LEAN_KEEP, LEAN_MOST = 0.75, 4.0  # nearly three times that: the disturbance moves ...
 LEAN_SHARE = 0.5  # ... by about this much of disturbance_start_w a message
 JUMP_C, JUMP_SIGMA = 3.0, 6.0  # farther off than this within a message no heat goes: the thermometer jumped
 JUMPED_C = 10.0  # 1 sigma of such a jump
@@ -150,6 +150,7 @@ TAKEN_C, TAKEN_GAIN = (
     1.0,
     0.2,
 )  # 1 sigma of nodes, share of the gain's doubt after taking over from another law
+SLANT_WALK_C, SLANT_USUAL_S = 0.3, 0.2  # how the reading's slant walks in a second; memory of the usual drive
 SECOND_MARGIN_C = 20.0  # the second mass lies between air and the hottest node, give or take this
 
 
@@ -174,6 +175,8 @@ class ModelState(NamedTuple):
     offset_c: float = 0.0  # taken off the readings ...
     offset_output: float = 0.0  # ... since the output stepped to this
     lean: float = 0.0  # fading sum of innovations, each over its sigma
+    slant_c: float = 0.0  # what full drive by itself adds to the reading
+    usual: float = 0.0  # share of full drive at which the reading is taken for the truth
     sent: tuple[Planned, ...] = ()  # own outputs, where the caller does not tell what is pending
 
     @property
@@ -190,11 +193,12 @@ class Layout(NamedTuple):
     sensor: int
     disturbance: int
     gain: int
+    slant: int
     size: int
     measured: int
 
 
-def _layout(has_element: bool, has_second: bool, has_sensor: bool) -> Layout:
+def _layout(has_element: bool, has_second: bool, has_sensor: bool, has_slant: bool) -> Layout:
     temp = int(has_element)
     second = temp + 1 if has_second else -1
     sensor = temp + 1 + has_second if has_sensor else -1
@@ -207,14 +211,15 @@ def _layout(has_element: bool, has_second: bool, has_sensor: bool) -> Layout:
         sensor,
         disturbance,
         disturbance + 1,
-        disturbance + 2,
+        disturbance + 2 if has_slant else -1,
+        disturbance + 2 + has_slant,
         measured,
     )
 
 
 def layout(p: ModelParameters) -> Layout:
     """Which node stands where."""
-    return _layout(p.element_j_k > 0.0, p.second_j_k > 0.0, p.sensor_s > 0.0)
+    return _layout(p.element_j_k > 0.0, p.second_j_k > 0.0, p.sensor_s > 0.0, p.slant_c > 0.0)
 
 
 def begin(p: ModelParameters, temp_c: float, time_s: float, before: ModelState | None = None) -> ModelState:
@@ -235,10 +240,13 @@ def begin(p: ModelParameters, temp_c: float, time_s: float, before: ModelState |
     if before is not None and before.known:
         gain, gain_variance = before.gain, before.covariance[places.gain][places.gain]
     variances[places.gain] = gain_variance
+    if places.slant >= 0:
+        variances[places.slant] = p.slant_c**2
     rows = [tuple(v if i == j else 0.0 for j in range(places.size)) for i, v in enumerate(variances)]
     output = before.output if before is not None else 0.0
     sent = before.sent if before is not None else ()
-    return ModelState(time_s, nodes, 0.0, gain, tuple(rows), 0.0, time_s, output, sent=sent)
+    usual = output / p.output_high
+    return ModelState(time_s, nodes, 0.0, gain, tuple(rows), 0.0, time_s, output, usual=usual, sent=sent)
 
 
 def taken_over(p: ModelParameters, state: ModelState, disturbance_w: float) -> ModelState:
@@ -316,6 +324,8 @@ def _spread(
             rows[i][i] += walk
         rows[places.disturbance][places.disturbance] += p.disturbance_w * p.disturbance_w * h
         rows[places.gain][places.gain] += p.gain_walk * p.gain_walk * h
+        if places.slant >= 0:
+            rows[places.slant][places.slant] += SLANT_WALK_C**2 * h
     return rows
 
 
@@ -332,6 +342,8 @@ class _Run(NamedTuple):
     driven: float
     offset_c: float
     offset_output: float
+    lever: float  # share of full drive beyond the usual, weighted mean
+    usual: float
 
 
 def _grouped(p: ModelParameters, samples: Sequence[Sample]) -> list[Sample]:
@@ -373,6 +385,7 @@ def _walk(
     weight = pulled = passed = 0.0
     rebased_c, driven = 0.0, state.driven
     offset_c, offset_output = state.offset_c, state.offset_output
+    levered, usual = 0.0, state.usual
     for sample in _grouped(p, samples):
         surroundings = schedule_at(flow, now_s), schedule_at(fan, now_s)
         drive = sample.output, state.gain, state.disturbance_w
@@ -385,6 +398,9 @@ def _walk(
                 offset_c = 0.0
             since = min(1.0, max(0.0, (sample.time_s - now_s) / span_s)) if span_s else 1.0
             expected_c = before.sensor_c + since * (nodes.sensor_c - before.sensor_c)
+            usual = sample.output / p.output_high if sample.rebased else usual
+            lever = sample.output / p.output_high - usual
+            expected_c += state.slant_c * lever
             off_c = sample.temp_c - offset_c - expected_c
             if sample.rebased:
                 rebased_c = REBASED_SIGMA * sigma_c
@@ -392,6 +408,7 @@ def _walk(
                     offset_c, offset_output = offset_c + off_c, sample.output
                     off_c = 0.0
             weight += share
+            levered += share * lever
             pulled += share * off_c
             heard_s, driven = sample.time_s, sample.output
         passed += sample.output * span_s
@@ -399,7 +416,40 @@ def _walk(
     elapsed_s = now_s - state.time_s
     output = passed / elapsed_s if elapsed_s > 0.0 else state.output
     mean_c = pulled / weight if weight else 0.0
-    return _Run(nodes, now_s, weight, mean_c, heard_s, output, rebased_c, driven, offset_c, offset_output)
+    lever = levered / weight if weight else 0.0
+    return _Run(
+        nodes,
+        now_s,
+        weight,
+        mean_c,
+        heard_s,
+        output,
+        rebased_c,
+        driven,
+        offset_c,
+        offset_output,
+        lever,
+        usual,
+    )
+
+
+def _looking(places: Layout, run: _Run) -> list[float]:
+    """What the expected reading is made of: the node measured, and the slant by its lever."""
+    h = [0.0] * places.size
+    h[places.measured] = 1.0
+    if places.slant >= 0:
+        h[places.slant] = run.lever
+    return h
+
+
+def _column(rows: list[list[float]], h: list[float]) -> list[float]:
+    return [sum(value * share for value, share in zip(row, h, strict=True) if share) for row in rows]
+
+
+def _spread_of(places: Layout, rows: list[list[float]], run: _Run) -> float:
+    """Variance of the innovation."""
+    h = _looking(places, run)
+    return _column([_column(rows, h)], h)[0] + 1.0 / run.weight
 
 
 def _moved(p: ModelParameters, places: Layout, nodes: Nodes, gains: list[float], by_c: float) -> Nodes:
@@ -417,13 +467,13 @@ def _moved(p: ModelParameters, places: Layout, nodes: Nodes, gains: list[float],
 def _widened(p: ModelParameters, places: Layout, rows: list[list[float]], run: _Run, lean: float) -> float:
     """Doubt more where the innovation says that the model was wrong: `rows` in place. Returns the new lean."""
     m = places.measured
-    jumped = abs(run.innovation_c) > JUMP_C + JUMP_SIGMA * math.sqrt(rows[m][m] + 1.0 / run.weight)
+    jumped = abs(run.innovation_c) > JUMP_C + JUMP_SIGMA * math.sqrt(_spread_of(places, rows, run))
     loose_c = max(run.rebased_c, JUMPED_C if jumped else 0.0)
     if loose_c:
         for i in range(places.size):
             rows[m][i] = rows[i][m] = 0.0 if i != m else rows[m][m] + loose_c * loose_c
         return 0.0
-    spread = rows[m][m] + 1.0 / run.weight
+    spread = _spread_of(places, rows, run)
     lean = LEAN_KEEP * lean + run.innovation_c / math.sqrt(spread)
     if abs(lean) > LEAN_MOST:
         rows[places.disturbance][places.disturbance] += (LEAN_SHARE * p.disturbance_start_w) ** 2
@@ -446,7 +496,8 @@ def observe(
         measured = [s for s in samples if s.temp_c == s.temp_c]
         if not measured:
             return state
-        return begin(p, measured[-1].temp_c, measured[-1].end_s, state)
+        begun = begin(p, measured[-1].temp_c, measured[-1].end_s, state)
+        return begun._replace(usual=measured[-1].output / p.output_high)
     for first in range(0, len(samples), TOGETHER_MOST):
         state = _observe_piece(p, state, samples[first : first + TOGETHER_MOST], flow, fan)
     return state
@@ -466,27 +517,28 @@ def _observe_piece(
         covariance = tuple(map(tuple, rows))
         return state._replace(time_s=run.time_s, nodes=run.nodes, covariance=covariance)
     lean = _widened(p, places, rows, run, state.lean)
-    m = places.measured
-    spread = rows[m][m] + 1.0 / run.weight
-    column = [row[m] for row in rows]
+    spread = _spread_of(places, rows, run)
+    column = _column(rows, _looking(places, run))
     gains = [value / spread for value in column]
-    covariance = tuple(
-        [
-            tuple([v - k * c for v, c in zip(row, column, strict=True)])
-            for row, k in zip(rows, gains, strict=True)
-        ]
-    )
+    rows = [[v - k * c for v, c in zip(row, column, strict=True)] for row, k in zip(rows, gains, strict=True)]
     by_c = run.innovation_c
     gain = min(GAIN_MOST, max(GAIN_LEAST, state.gain + gains[places.gain] * by_c))
     most_w = p.disturbance_max_w
     disturbance_w = min(most_w, max(-most_w, state.disturbance_w + gains[places.disturbance] * by_c))
     nodes = _moved(p, places, run.nodes, gains, by_c)
+    slant_c, usual = 0.0, state.usual
+    if places.slant >= 0:
+        slant_c = state.slant_c + gains[places.slant] * by_c
+        dt_s = run.time_s - state.time_s
+        by = (run.output / p.output_high - run.usual) * dt_s / (SLANT_USUAL_S + dt_s)
+        usual = run.usual + by
+        nodes, rows = _at_usual(places, nodes, rows, by, slant_c)
     return ModelState(
         run.time_s,
         nodes,
         disturbance_w,
         gain,
-        covariance,
+        tuple(map(tuple, rows)),
         by_c,
         run.heard_s,
         state.output,
@@ -494,5 +546,23 @@ def _observe_piece(
         run.offset_c,
         run.offset_output,
         lean,
+        slant_c,
+        usual,
         state.sent,
     )
+
+
+def _at_usual(
+    places: Layout, nodes: Nodes, rows: list[list[float]], by: float, slant_c: float
+) -> tuple[Nodes, list[list[float]]]:
+    """The same with another usual drive: T is what would be read there, T + by k."""
+    moved = {places.temp, places.sensor} - {-1}
+    left = [
+        [v + (by * k if i in moved else 0.0) for v, k in zip(row, rows[places.slant], strict=True)]
+        for i, row in enumerate(rows)
+    ]
+    right = [[v + (by * row[places.slant] if j in moved else 0.0) for j, v in enumerate(row)] for row in left]
+    step_c = by * slant_c
+    return nodes._replace(
+        temp_c=nodes.temp_c + step_c, sensor_c=nodes.sensor_c + step_c, bore_c=nodes.bore_c + step_c
+    ), right

@@ -30,17 +30,18 @@ def hotend(mass: float = 1.0, loss: float = 1.0, lag: float = 1.0, element: floa
     )
 
 
-def recording(true: ModelParameters, seed: int = 1) -> list[drill.Row]:
+def recording(true: ModelParameters, seed: int = 1, flow: float = 0.0) -> list[drill.Row]:
     """A run of MODEL_CALIBRATE on this heater, with noise."""
     rng = np.random.default_rng(seed)
-    plan = drill.DrillPlan(200.0, 1.0, 2.0, 0.0, hold_s=40.0, cool_s=40.0, coast_s=30.0, fan_s=30.0)
+    plan = drill.DrillPlan(200.0, 1.0, 2.0, 0.0, hold_s=40.0, cool_s=40.0, coast_s=30.0, fan_s=30.0,
+                           flow_s=30.0 if flow else 0.0, flow_mm3_s=flow)  # fmt: skip
     fine = stepped(true, 0.02)  # nature does not step
     run, nodes, output = drill.Drill(plan, AMBIENT_C), at_rest(true, AMBIENT_C), 0.0
     for i in range(20000):
         output = run.decide(i * READ_S, nodes.sensor_c + rng.normal(0.0, NOISE_C))
         if run.over:
             break
-        nodes = advance(fine, nodes, (output, 1.0, 0.0), (0.0, run.fan), READ_S)
+        nodes = advance(fine, nodes, (output, 1.0, 0.0), (run.flow_mm3_s, run.fan), READ_S)
     assert run.stage == "done", run.fault
     return run.rows
 
@@ -88,6 +89,18 @@ def test_a_number_the_run_cannot_tell_is_said_to_be_unknown() -> None:
     fit = fit_load.fit_rows(rows, POWER_W, AMBIENT_C, is_nozzle=False)
     assert math.isinf(fit.sigma["model_melt_w_per_k"])
     assert "the run does not tell" in "\n".join(fit_load.report(fit))
+
+
+def test_an_exchange_told_at_one_flow_is_in_doubt_by_what_it_rests_on() -> None:
+    """Filament 5 % heavier and 3 degC warmer than taken as given: nothing at UA/cf of 5 is told by that, much at 1."""
+    true = replace(hotend(), melt_ua_w_k=0.053, melt_j_mm3_k=1.05 * 2.1e-3, melt_in_c=AMBIENT_C + 3.0)
+    slow, fast = (
+        fit_load.fit_rows(recording(true, flow=flow), POWER_W, AMBIENT_C, is_nozzle=False)
+        for flow in (5.0, 25.0)
+    )
+    assert math.isinf(slow.sigma["model_melt_w_per_k"])
+    assert abs(fast.values["model_melt_w_per_k"] - 0.053) < 3.0 * fast.sigma["model_melt_w_per_k"]
+    assert 0.05 * 0.053 < fast.sigma["model_melt_w_per_k"] < 0.3 * 0.053
 
 
 def test_a_model_that_misses_the_segment_it_was_not_shown_is_refused() -> None:

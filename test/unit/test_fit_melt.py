@@ -230,6 +230,13 @@ def test_a_fit_that_does_not_predict_the_step_it_was_not_shown_is_refused() -> N
         fit_melt.fit_held(steps(Nozzle(), bend_w=0.12), ROOM_C)
 
 
+def test_losses_a_little_other_than_found_before_are_told_by_the_steps_without_flow() -> None:
+    """A fan that turns slowly beside the nozzle all the time, 2 % of the losses: 90 mW of the 1.3 W of a slow step."""
+    draught = [replace(h, heat_w=h.heat_w + 0.02 * h.loss_w) for h in steps(Nozzle())]
+    found = fit_melt.fit_held(draught, ROOM_C).exchange
+    assert found.ua_w_k / found.heat_mj_m3k == pytest.approx(0.0276 / 2.1, rel=0.01)
+
+
 def test_the_doubt_covers_what_chance_does() -> None:
     """Five mW on each heat, many times: errors of UA/c and inlet scatter as their 1 sigma says."""
     rng = np.random.default_rng(7)

@@ -119,6 +119,33 @@ def test_a_polynomial_that_turns_round_is_not_offered(
     assert "# no [polynomial_thermistor]: the polynomial turns round" in text
 
 
+def bead(more: str = "") -> str:
+    rows = [(t, 1e5 * np.exp(3950 * (1 / (t + 273.15) - 1 / 298.15))) for t in range(20, 280, 20)]
+    return "temp_c,ohm\n" + "".join(f"{t},{ohm:.1f}\n" for t, ohm in rows) + more
+
+
+def test_a_table_saved_by_a_spreadsheet_is_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A mark at its beginning, lines that end in CR LF."""
+    path, plain = tmp_path / "excel.csv", tmp_path / "plain.csv"
+    plain.write_text(bead())
+    path.write_bytes(("\ufeff" + bead().replace("\n", "\r\n")).encode())
+    texts = []
+    for table in (plain, path):
+        assert script.main([str(table), "--method", "lsq"]) == 0
+        texts.append(capsys.readouterr().out)
+    assert texts[0] == texts[1] and "beta=3950." in texts[0]
+
+
+def test_platinum_is_not_offered_as_a_thermistor(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "pt1000.csv"
+    path.write_text(
+        "temp_c,ohm\n" + "".join(f"{t},{1000 * (1 + 0.00385 * t):.1f}\n" for t in range(20, 280, 20))
+    )
+    assert script.main([str(path), "--method", "lsq"]) == 0
+    text = capsys.readouterr().out
+    assert "# no [thermistor]: its resistance rises" in text and "\n[thermistor" not in text
+
+
 @pytest.mark.parametrize(
     ("text", "args", "expected"),
     [
@@ -126,6 +153,8 @@ def test_a_polynomial_that_turns_round_is_not_offered(
         ("temp_c,ohm\n20,1000\n30,900\n", [], "too few"),
         ("temp_c,ohm\n20,1000\n30,-5\n40,5\n50,4\n", [], "positive"),
         ("temp_c,ohm\n20,1000\n21,900\n22,800\n22.5,700\n", [], "spans only"),
+        ("temp_c;ohm\n20;1000,5\n30;900\n", [], "separated by commas"),
+        ("temp_c\tohm\n20\t1000\n", [], "separated by commas"),
         ("temp_c,ohm\n20,1000\n", ["--pullup", "-3"], "must be positive"),
     ],
 )

@@ -54,11 +54,16 @@ def taken(path: PathPieces, ask=lambda time_s, layer, z_mm: PLAIN) -> list[Piece
     """All pieces that it has."""
     pieces: list[Piece] = []
 
-    def take(rows, count: int) -> None:  # type: ignore[no-untyped-def]
-        for row in chelper.get_ffi()[0].unpack(rows, count):
+    ffi, lib = chelper.get_ffi()
+    rows = ffi.new("struct tempplan_piece **")
+
+    def take(waiting, wish) -> int:  # type: ignore[no-untyped-def]
+        count = lib.tempplan_path_run(waiting, wish, rows)
+        for row in ffi.unpack(rows[0], count) if count else ():
             place = tuple(row.start_pos), tuple(row.end_pos)
             rest = row.flow_mm3_s, row.height_mm, row.fan, row.wish_c, row.base_c, row.pace
             pieces.append(Piece(row.start_s, row.end_s, *place, *rest))
+        return int(path.facts().waiting)
 
     path.feed(ask, take)
     return pieces
@@ -224,7 +229,7 @@ def test_moves_noted_from_the_look_aheads_row_are_those_of_its_objects(tmp_path:
         queue.add_move(timed.move, LIMITS)
     count = queue.plan()
     from_row, from_objects = PathPieces(AREA), PathPieces(AREA)
-    from_row.note_planned(queue.row, count, 1.0, 0.5)
+    assert from_row.note_planned(queue.row, count, 1.0, 0.5, 0.0)  # a new stretch begins
     planned, time_s = queue.take(count), 1.0
     for move in planned:
         move.print_time = time_s
@@ -330,6 +335,31 @@ def test_wrong_input_is_told_in_a_line(
     done = tool(tmp_path, *options, config=config, gcode=gcode)
     assert done.returncode == 2
     assert words in done.stderr and "Traceback" not in done.stderr
+
+
+def shown_heights(page: Path) -> list[float]:
+    found = re.search(r'"heights": (\[[^\]]*\])', page.read_text())
+    assert found is not None
+    return list(json.loads(found[1]))
+
+
+@pytest.mark.parametrize("marked", [True, False])
+def test_a_vase_is_shown_in_layers_although_its_path_rises_all_the_time(tmp_path: Path, marked: bool) -> None:
+    """Six turns of 48 moves, 0.2 mm each: by the slicer's marks a layer a turn, without them steps of 0.04 mm."""
+    lines = ["M83", "M104 S240", "G1 Z0.2 F3000"]
+    for number in range(6 * 48):
+        if marked and number % 48 == 0:
+            lines.append(";LAYER_CHANGE")
+        angle = 2.0 * math.pi * number / 48
+        lines.append(
+            f"G1 X{50 + 20 * math.cos(angle):.3f} Y{50 + 20 * math.sin(angle):.3f} Z{0.2 + number / 240:.4f} E0.1"
+        )
+    done = tool(tmp_path, "--report", str(tmp_path / "page.html"), gcode="\n".join(lines))
+    assert done.returncode == 0, done.stderr
+    heights = shown_heights(tmp_path / "page.html")
+    steps = [b - a for a, b in itertools.pairwise(heights)]
+    assert len(heights) == (6 if marked else 29)  # 288 moves of 1/240 mm, ten to a step
+    assert steps == pytest.approx([0.2 if marked else 0.0417] * len(steps), abs=0.01)
 
 
 def test_a_file_may_be_planned_in_place(tmp_path: Path) -> None:

@@ -8,9 +8,10 @@ from typing import Any
 
 import pytest
 
+import chelper
 from configtext import ConfigError
 from extras import heater_bed, heater_generic, heaters, induction_heater, temperature_sensor, verify_heater
-from loop.block_codec import Row, pack
+from loop.block_codec import Row, content, pack
 from thermal import laws
 from unit.heater_fakes import CommandError, FakeCommand, FakePrinter
 
@@ -283,7 +284,8 @@ def test_verify_shuts_the_printer_down_in_plain_words() -> None:
 def blocks(temp: float, phase: int, count: int = 2) -> bytes:
     error = laws.ExpLaw().error(temp, phase)
     value = int((256.0 + error) * 192) >> 4
-    return pack([Row(192, value, phase, 200, 900)] * count, 192)
+    code = int(256.0 + error)
+    return pack([Row(192, value, phase, code - 2, code + 3)] * count, 192)  # 0.9 LSB of noise
 
 
 def nozzle() -> tuple[FakePrinter, Any]:
@@ -297,8 +299,10 @@ def nozzle() -> tuple[FakePrinter, Any]:
 
 def deliver(printer: FakePrinter, sequence: int, temp: float, phase: int) -> None:
     clock = int((printer.reactor.now_s - 0.020) * 72e6)
-    assert printer.mcu.response is not None
-    printer.mcu.response({"sequence": sequence, "clock": clock, "data": blocks(temp, phase)})
+    packed = content(sequence, clock, blocks(temp, phase))
+    pulled = chelper.get_ffi()[0].new("struct pull_message[]", 1)
+    pulled[0].len, pulled[0].data, pulled[0].receive_time = len(packed), packed, printer.reactor.now_s
+    printer.mcu.lot(pulled, 1)
 
 
 def test_extruder_uses_the_induction_heater_under_its_own_name() -> None:
@@ -348,13 +352,47 @@ def test_blocks_become_temperature_and_phase_commands_ahead_of_time() -> None:
     clocks = [clock for _, clock, _ in plans]
     assert len(clocks) == 2  # the second takes the place of the first, which was for later
     assert struct.unpack("<HH", plans[-1][2][:4]) == (0, 45000)
-    batches = [message for message in printer.mcu.sent if len(message) == 2]
-    assert batches == [[3, 6], [3, 3]]  # records a message: off, then in a hurry
+    batches = [message for message in printer.mcu.sent if len(message) == 5]
+    assert batches == [[3, 7, 0, 0, 0], [3, 3, 0, 0, 0]]  # records a message: off, then in a hurry
     assert clocks[-1] > 100.0 * 72e6 + 0.004 * 72e6
     detail = printer.lookup_object("induction_heater nozzle").get_status(100.0)
     assert detail["estimate"] == pytest.approx(200.0, abs=0.1)
     assert detail["blocks_lost"] == 0
     assert detail["phase"] == 45000
+
+
+def calm_nozzle() -> tuple[FakePrinter, Any]:
+    """Held at 250 for a second."""
+    printer, heater = nozzle()
+    heater.set_temp(250.0)
+    for n in range(100):
+        printer.reactor.now_s += 0.010
+        phase = heater.loop.state.commanded.phase_ticks
+        deliver(printer, 2 * n, 250.0, phase or 2012)
+    return printer, heater
+
+
+def test_a_calm_is_told_with_what_blocks_will_read_and_ends_when_they_do_not() -> None:
+    printer, _ = calm_nozzle()
+    oid, records, phase, expected, limit = next(m for m in reversed(printer.mcu.sent) if len(m) == 5)
+    assert (oid, records, printer.mcu.lot_most) == (3, 7, 6)
+    plan = next(m for m in reversed(printer.mcu.sent) if len(m) == 3)
+    steps = list(struct.iter_unpack("<HH", plan[2]))
+    assert steps == [(0, phase), (9600, phase), (9600, phase)]  # the same again after 80 and 160 ms
+    assert expected == pytest.approx((256.0 + laws.ExpLaw().error(250.0, phase)) * 192, abs=1.0)
+    assert 0.05 * 192 < limit < 0.3 * 192  # 0.12 degC are 0.1 codes
+    sent = len(printer.mcu.sent)
+    assert printer.mcu.response is not None
+    printer.mcu.response({"oid": 3})  # induction_stray
+    assert printer.mcu.sent[sent:] == [[3, 3, 0, 0, 0]] and not printer.mcu.lot_most
+    deliver(printer, 200, 249.9, phase)
+    assert all(len(m) != 5 for m in printer.mcu.sent[sent + 1 :])  # for a while
+
+
+def test_a_new_target_ends_a_calm_at_once() -> None:
+    printer, heater = calm_nozzle()
+    heater.set_temp(255.0)
+    assert printer.mcu.sent[-1] == [3, 3, 0, 0, 0] and not printer.mcu.lot_most
 
 
 def test_cold_extrusion_is_told_by_the_extruder_s_limit() -> None:

@@ -74,6 +74,7 @@ def parameters(rng: random.Random, element: bool, second: bool, sensor: bool) ->
             "disturbance_w2_per_k": maybe(0.012),
             "disturbance_max_w": rng.choice([math.inf, 5.0]),
             "gain_start": maybe(0.3),
+            "slant_c": maybe(8.0),
             "gap_s": rng.choice([0.3, 5.0]),
         }
         fields["output_high"] = heat * rng.uniform(5.0, 150.0) / fields["output_w"]
@@ -302,14 +303,18 @@ def test_a_reference_from_c_is_the_same() -> None:
         assert made.at(time_s) == told.at(time_s) == plant.reference_at(told, time_s)
 
 
-def test_a_state_of_another_kind_of_model_begins_anew() -> None:
+@pytest.mark.parametrize("slants", [(0.0, 0.0), (0.0, 8.0), (8.0, 0.0)])
+def test_a_state_of_another_kind_of_model_begins_anew(slants: tuple[float, float]) -> None:
     """A profile may bring a heater its element or take it; what was known of the covariance means nothing then."""
-    without, having = (parameters(random.Random(6), element, False, True) for element in (False, True))
+    without, having = (
+        replace(parameters(random.Random(6), element, False, True), slant_c=slant)
+        for element, slant in zip((False, True), slants, strict=True)
+    )
     state, _ = warm(without)
     seen = Sample(state.time_s + 0.01, state.time_s + 0.01, 123.0, 0.1, 0.0)
     after = model_filter.observe(having, state, [seen])
     assert after.nodes.temp_c == 123.0
-    assert len(after.covariance) == 5
+    assert len(after.covariance) == 5 + (having.slant_c > 0.0)
     assert after.gain == state.gain
     same(after.covariance[4][4], state.covariance[3][3])
 

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from loop.block_codec import Row, pack
+import chelper
+from loop.block_codec import Row, content, pack, take
 from thermal import convert
 from thermal.records import SampleBlock
 
@@ -18,7 +19,7 @@ def record(count: int = 1024, value: int = 8192, phase: int = 2012, **more: int)
 
 
 def convert_one(stream: convert.Stream, sequence: int, data: bytes, clock: int = 7200) -> list[SampleBlock]:
-    return list(stream.take(sequence, clock, data, clock / 72e6))
+    return list(take(stream, 72e6, (sequence, clock, data)))
 
 
 @given(st.lists(st.integers(0, 4095), min_size=64, max_size=1024))
@@ -74,7 +75,7 @@ def test_losses_told_by_the_mcu_are_added_up() -> None:
             lost=st.integers(0, 65535),
         ),
         min_size=1,
-        max_size=9,
+        max_size=3,  # of 16 bytes at most
     )
 )
 def test_every_field_comes_back_as_it_was_packed(rows: list[Row]) -> None:
@@ -95,14 +96,39 @@ def test_every_field_comes_back_as_it_was_packed(rows: list[Row]) -> None:
 
 @given(st.binary(max_size=48))
 def test_any_bytes_are_blocks_or_refused(data: bytes) -> None:
-    try:
-        blocks = convert_one(convert.Stream(PARAMETERS), 0, data)
-    except convert.ConvertError:
-        return
-    assert blocks and all(b.count > 0 for b in blocks)
+    stream = convert.Stream(PARAMETERS)
+    blocks = convert_one(stream, 0, data)
+    assert bool(blocks) != bool(stream.complaint()) and all(b.count > 0 for b in blocks)
 
 
 @pytest.mark.parametrize("data", [b"", b"\0" * 6, record()[:-1], record(count=0)])
-def test_a_malformed_message_is_refused(data: bytes) -> None:
-    with pytest.raises(convert.ConvertError):
-        convert_one(convert.Stream(PARAMETERS), 0, data)
+def test_a_malformed_message_is_refused_and_those_around_it_are_not(data: bytes) -> None:
+    stream = convert.Stream(PARAMETERS)
+    good = record()
+    blocks = take(stream, 72e6, (0, 7200, good), (1, 700_000, data), (2, 1_400_000, good))
+    assert [b.sequence for b in blocks] == [0, 2]
+    assert stream.counters.senseless_messages == stream.counters.missing_blocks == 1
+    assert stream.complaint() and not stream.complaint()
+
+
+def test_a_message_cut_anywhere_gives_no_block() -> None:
+    stream = convert.Stream(PARAMETERS)
+    whole = content(0, 7200, record())
+    pulled = chelper.get_ffi()[0].new("struct pull_message[]", 1)
+    for cut in range(len(whole)):
+        pulled[0].len, pulled[0].data = cut, whole[:cut]
+        assert not stream.take(pulled, 1, 7200, 1e-4, 1.0 / 72e6)
+        assert stream.complaint()
+
+
+def test_a_lot_of_messages_comes_as_one_and_its_times_are_those_of_the_clock_given_with_it() -> None:
+    stream = convert.Stream(PARAMETERS)
+    pulled = chelper.get_ffi()[0].new("struct pull_message[]", 3)
+    start = 5 << 32  # the messages' 32 bits wrap among them
+    for i in range(3):
+        packed = content(2 * i, (start + 2048 * 600 * (i - 1)) % 2**32, record() + record())
+        pulled[i].len, pulled[i].data = len(packed), packed
+    blocks = stream.take(pulled, 3, start - 1_000_000, 77.0, 1.001 / 72e6)
+    assert [b.sequence for b in blocks] == list(range(6))
+    assert [b.clock for b in blocks] == [start + 1024 * 600 * (i - 2) for i in range(6)]
+    assert blocks[2].time_s == pytest.approx(77.0 + 1_000_000 * 1.001 / 72e6, abs=1e-12)

@@ -100,3 +100,15 @@ def test_tables_of_the_config() -> None:
     ):
         with pytest.raises(ValueError, match=text.strip().split("\n")[0].split(":")[0] or "form"):
             reader(text)
+
+
+def test_a_mark_matters_only_if_the_table_asks_for_something_there() -> None:
+    inside = Wishes().comment(read_comment(";TYPE:Solid infill")).inside("box")  # type: ignore[arg-type]
+    next_layer = inside.comment(read_comment(";LAYER_CHANGE"))  # type: ignore[arg-type]
+    nothing, layers = WishTable(), WishTable(layers=(Range(3, 5, 210.0),))
+    assert Wishes().asks(nothing) == inside.asks(nothing) == next_layer.asks(nothing)
+    assert inside.asks(layers) != next_layer.asks(layers)
+    for table in (WishTable({"solid infill": 230.0}), WishTable(objects={"BOX": 220.0})):
+        assert Wishes().asks(table) != inside.asks(table) == next_layer.asks(table)
+    for other in (inside.explicitly(230.0), inside.comment(read_comment(";HEIGHT:0.3"))):  # type: ignore[arg-type]
+        assert inside.asks(nothing) != other.asks(nothing)

@@ -143,30 +143,42 @@ def test_board_is_identified_and_answers(board_path: str) -> None:
 
 
 @pytest.mark.parametrize("board_path", ["pty"], indirect=True)
-def test_patient_messages_wake_the_host_together(board_path: str) -> None:
+def test_messages_of_a_lot_wake_the_host_together(board_path: str) -> None:
     def body(reactor: Reactor, serial: serialhdl.SerialReader) -> None:
         serial.connect(board_path, 250000)
-        heard: list[bytes] = []
-        serial.register_response(lambda params: heard.append(params["data"]), "pong")
+        lots: list[list[int]] = []
 
         def wait_for(count: int, seconds: float) -> int:
             end = reactor.monotonic() + seconds
-            while len(heard) < count and reactor.monotonic() < end:
+            while len(lots) < count and reactor.monotonic() < end:
                 reactor.pause(reactor.monotonic() + 0.01)
-            return len(heard)
+            return len(lots)
 
-        serial.set_patience("pong", 60.0, 2)
+        def expect(seconds: float, most: int) -> None:
+            serial.register_lot(
+                lambda messages, count: lots.append([messages[i].data[2] for i in range(count)]),
+                "pong data=%*s",
+                seconds,
+                most,
+            )
+
+        expect(60.0, 2)
         serial.send("ping data=01")
         assert wait_for(1, 0.3) == 0
         serial.send("ping data=02")
-        assert wait_for(2, 10.0) == 2
-        serial.set_patience("pong", 0.05, 2)
+        assert wait_for(1, 10.0) == 1
+        expect(0.05, 2)
         serial.send("ping data=03")
-        assert wait_for(3, 10.0) == 3  # nobody comes to keep it company
-        serial.set_patience("pong", 60.0, 0)
+        assert wait_for(2, 10.0) == 2  # nobody comes to keep it company
+        expect(60.0, 2)
         serial.send("ping data=04")
-        assert wait_for(4, 10.0) == 4
-        assert heard == [b"\x01", b"\x02", b"\x03", b"\x04"]
+        assert wait_for(3, 0.3) == 2
+        expect(0.0, 0)  # patience is over
+        serial.send("ping data=05")
+        wait_for(4, 1.0)
+        assert lots[:2] == [[1, 2], [3]] and [number for lot in lots[2:] for number in lot] == [4, 5]
+        with pytest.raises(msgproto.error, match="format mismatch"):
+            serial.register_lot(lambda messages, count: None, "pong oid=%c")
 
     in_reactor(body)
 

@@ -506,29 +506,41 @@ def test_batches_of_step_commands_are_fast_enough_for_files() -> None:
 # --- messages that may wait for the host ---
 
 
-def test_only_the_named_messages_wait_and_only_so_many_and_so_long() -> None:
+def test_only_a_lot_waits_and_only_for_so_many_and_so_long() -> None:
     ffi, lib = chelper.get_ffi()
     sq = ffi.gc(lib.serialqueue_alloc(0), lib.serialqueue_free)
     pulled = ffi.new("struct pull_message[]", 8)
     never = 1e30
+    soon = pytest.approx(7.015, abs=0.003)  # less its time on the wire
 
-    def receive(content: bytes, now: float) -> float:
+    def receive(content: bytes, now: float) -> tuple[int, float]:
         block = msgproto.encode_block(1, content)
-        lib.serialqueue_receive(sq, block, len(block), now)
-        return float(lib.serialqueue_host_due(sq))
+        return lib.serialqueue_receive(sq, block, len(block), now), float(lib.serialqueue_host_due(sq))
 
-    lib.serialqueue_set_patience(sq, b"\x81\x05", 2, 0.015, 3)
+    def lot(now: float) -> list[bytes]:
+        count = lib.serialqueue_pull_lot(sq, pulled, 8, now)
+        return [ffi.buffer(pulled[i].data, pulled[i].len)[2:] for i in range(count)]
+
+    lib.serialqueue_set_lot(sq, b"\x81\x05", 2, 0.015, 3)
     assert lib.serialqueue_host_due(sq) == never
-    assert receive(b"\x81\x05one", 7.0) == pytest.approx(7.015, abs=0.003)  # less its time on the wire
-    assert receive(b"\x81\x05two", 7.005) == pytest.approx(7.015, abs=0.003)
-    assert receive(b"\x81\x05three", 7.010) == 0.0  # as many as may wait
-    assert lib.serialqueue_pull(sq, pulled, 8) == 3
+    assert receive(b"\x81\x05one", 7.0) == (0, soon)
+    assert receive(b"\x81\x05two", 7.005) == (0, soon)
+    assert lot(7.005) == []
+    assert receive(b"\x81\x05three", 7.010) == (3, 0.0)  # as many as may wait
+    assert lot(7.010) == [b"one", b"two", b"three"]
     assert lib.serialqueue_host_due(sq) == never
-    assert receive(b"\x81\x06", 8.0) == 0.0  # another message
-    assert receive(b"\x81\x05", 8.0) == 0.0
-    assert [pulled[i].len for i in range(lib.serialqueue_pull(sq, pulled, 8))] == [2, 2]
-    lib.serialqueue_set_patience(sq, b"\x81\x05", 2, 0.015, 0)
-    assert receive(b"\x81\x05", 9.0) == 0.0
-    lib.serialqueue_set_patience(sq, b"\x81\x05", 2, 0.015, 3)
+    receive(b"\x81\x05late", 7.5)
+    assert lot(7.51) == [] and lot(7.52) == [b"late"]
+    # another message is the host's at once, and leaves what waits where it is
+    assert receive(b"\x81\x05still", 8.0)[0] == 0
+    assert receive(b"\x81\x06", 8.0) == (1, 0.0)
+    assert lib.serialqueue_pull(sq, pulled, 8) == 1
+    assert lot(8.0) == []
+    lib.serialqueue_set_lot(sq, b"\x81\x05", 2, 0.015, 0)  # patience is over
+    assert lib.serialqueue_host_due(sq) == 0.0
+    assert lot(8.0) == [b"still"]
+    assert receive(b"\x81\x05now", 9.0) == (1, 0.0)
     lib.serialqueue_reset(sq, 0)  # another connection: another firmware's ids
-    assert receive(b"\x81\x05", 10.0) == 0.0
+    assert lib.serialqueue_host_due(sq) == never
+    assert receive(b"\x81\x05", 10.0) == (1, 0.0)
+    assert lib.serialqueue_pull(sq, pulled, 8) == 1

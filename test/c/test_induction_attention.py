@@ -1,0 +1,68 @@
+"""src/attention.c: what strays is told, what does not is not, and no sum overflows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from induction_cdef import CDEF
+from pure_harness import INDUCTION_SOURCES, load
+
+ffi, lib = load("induction", INDUCTION_SOURCES, CDEF)  # with the sanitizer for undefined behaviour
+
+LIMIT_MAX = 1 << 24
+SUM_MAX = 4095 * 4**7  # of the longest block
+
+
+@dataclass
+class Wanted:
+    """The description in attention.h, in real numbers."""
+
+    expected: dict[int, int]
+    limit: int
+    mean: float = 0.0
+
+    def strays(self, phase: int, total: int) -> bool:
+        off = total - self.expected[phase]
+        self.mean += (off - self.mean) / 8.0
+        return abs(off) > 8 * self.limit or abs(self.mean) > self.limit
+
+
+@given(
+    expected=st.integers(0, SUM_MAX),
+    limit=st.integers(1, LIMIT_MAX),
+    levels=st.lists(st.tuples(st.floats(-1.6, 1.6), st.integers(1, 30)), min_size=1, max_size=6),
+)
+def test_it_strays_when_the_mean_does(expected: int, limit: int, levels: list[tuple[float, int]]) -> None:
+    a = ffi.new("struct attention *")
+    wanted = Wanted({9000: expected}, limit)
+    lib.attention_expect(a, 9000, expected, limit)
+    for share in (share for share, blocks in levels for _ in range(blocks)):
+        total = min(SUM_MAX, max(0, expected + round(share * limit)))
+        told = lib.attention_block(a, 9000, total)
+        strays = wanted.strays(9000, total)
+        # an eighth is rounded down at each block: the integers' mean is up to one of a sum's counts off
+        if abs(abs(wanted.mean) - limit) > 1.0:
+            assert told == strays
+        if told or strays:
+            return
+
+
+@pytest.mark.parametrize("total", [0, SUM_MAX])
+@pytest.mark.parametrize("expected", [0, SUM_MAX, 2**32 - 1])
+def test_the_farthest_there_is_strays_at_once_or_is_expected(total: int, expected: int) -> None:
+    a = ffi.new("struct attention *")
+    lib.attention_expect(a, 1, expected, 2**32 - 1)  # cut to LIMIT_MAX
+    near = min((total - expected) % 2**32, (expected - total) % 2**32) <= 8 * LIMIT_MAX
+    assert lib.attention_block(a, 1, total) == (not near)
+
+
+def test_nothing_expected_nothing_strays() -> None:
+    a = ffi.new("struct attention *")
+    assert not lib.attention_block(a, 0, 12345)
+    lib.attention_expect(a, 9000, 100_000, 10)
+    assert not lib.attention_block(a, 9001, 0)
+    assert lib.attention_block(a, 9000, 0)
+    assert not lib.attention_block(a, 9000, 0)  # told once
