@@ -18,7 +18,7 @@ from tempplan import Craft, Piece, TemperaturePlan
 from thermal import deposit, nozzle_melt, weld
 from thermal.control_api import Reference
 from thermal.materials import MATERIALS
-from thermal.plan import Planner, PlanPoint, Want, wall_wanted
+from thermal.plan import NODE_S, Planner, PlanPoint, Want, wall_wanted
 from thermal.records import FlowSegment
 
 ABS = MATERIALS["ABS"]
@@ -61,7 +61,8 @@ def pieces_of(rows):
 def test_the_ramps_are_those_of_the_reference(rows, start_c, power_w, interface_c):
     """Same temperatures at every moment. 0.3 degC: losses are tables of whole degrees, and a rounding error away lies
     the next entry. With little power to spare that is a few percent of a ramp of 10 degC; other faults make degrees.
-    Of 150 random paths one half differs by 1e-13, one in a hundred by more than 0.04, none by more than 0.09."""
+    Of 150 random paths one half differs by 1e-13, one in a hundred by more than 0.04, none by more than 0.09. Rarer
+    still a rounding error is what a climb begins one node later by, so each moment may be a node's."""
     limits = nozzle_melt.NozzleLimits(power_w=power_w)
     planner = Planner(limits, (ABS.low_c, ABS.high_c), 0.3)
     start_c = min(start_c, planner.ceiling_c)
@@ -83,7 +84,11 @@ def test_the_ramps_are_those_of_the_reference(rows, start_c, power_w, interface_
     expected = planner.plan(segments, wants, start_c)
     times = np.linspace(pieces[0].start_s, pieces[-1].end_s, 500)
     assert got[0][0] == times[0] and got[-1][0] == pytest.approx(times[-1], abs=1e-9)
-    assert at(times, got) == pytest.approx(at(times, expected), abs=0.3)
+    near = np.array(
+        [at(times + shift_s, expected) for shift_s in (-NODE_S, -0.5 * NODE_S, 0.0, 0.5 * NODE_S, NODE_S)]
+    )
+    assert np.all(at(times, got) <= near.max(axis=0) + 0.3)
+    assert np.all(at(times, got) >= near.min(axis=0) - 0.3)
 
 
 def at(times, corners):
