@@ -20,9 +20,10 @@ import pins
 if TYPE_CHECKING:
     from mcu import MCU
 
-REPORTS_PER_TIMEOUT = 0.3
-SINGLE_TIMEOUT_S = 0.250
-MULTI_TIMEOUT_S = 0.050  # one board running on while another has stopped: at 100 mm/s 5 mm at worst
+# How long a board goes on unheard, and how often it reports meanwhile. By itself it may lose five reports in a row; one
+# of several that runs on while another has stopped goes 5 mm at 100 mm/s, and may lose two.
+SINGLE_TIMEOUT_S, SINGLE_REPORT_S = 0.250, 0.040
+MULTI_TIMEOUT_S, MULTI_REPORT_S = 0.050, 0.015
 SHUTDOWN_POLL_S = 0.5
 SILENCE_S = 0.5  # without a report: twice the longest time-out, so the board has stopped by itself
 
@@ -95,12 +96,12 @@ class MCU_trsync:
             cq=cq,
         )
 
-    def start(self, print_time: float, report_offset: float, timeout_s: float) -> None:
+    def start(self, print_time: float, report_offset: float, timeout_s: float, report_s: float) -> None:
         """Arm from print_time on. report_offset (0..1 of a report interval) spreads the reports of several boards."""
         mcu = self._mcu
         clock = self.alive_clock = mcu.print_time_to_clock(print_time)
         self._timeout_ticks = mcu.seconds_to_clock(timeout_s)
-        report_ticks = mcu.seconds_to_clock(timeout_s * REPORTS_PER_TIMEOUT)
+        report_ticks = mcu.seconds_to_clock(report_s)
         first_report = clock + int(report_ticks * (1.0 + report_offset))
         mcu.register_response(self._on_state, "trsync_state", self._oid)
         self._start.send([self._oid, first_report, report_ticks, self.REASON_COMMS_TIMEOUT], reqclock=clock)
@@ -172,9 +173,10 @@ class TriggerDispatch:
         """Arm all boards; returns a completion that is given the reason of the trigger."""
         self._completion = self._reactor.completion()
         self._end_clock = 0
-        timeout_s = MULTI_TIMEOUT_S if len(self._trsyncs) > 1 else SINGLE_TIMEOUT_S
+        several = len(self._trsyncs) > 1
+        times_s = (MULTI_TIMEOUT_S, MULTI_REPORT_S) if several else (SINGLE_TIMEOUT_S, SINGLE_REPORT_S)
         for number, trsync in enumerate(self._trsyncs):
-            trsync.start(print_time, number / len(self._trsyncs), timeout_s)
+            trsync.start(print_time, number / len(self._trsyncs), *times_s)
         if self._mcu.is_fileoutput():
             self._completion.complete(MCU_trsync.REASON_ENDSTOP_HIT)
         else:

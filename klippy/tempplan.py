@@ -85,6 +85,7 @@ class Summary:
     melt_rms_c: float  # planned less wanted melt
     cold_share: float  # of the path: the wanted weld would have needed a hotter melt than the material bears
     hot_share: float
+    slowed_s: float  # that hot layers took longer than the file's own speed
     band_c: tuple[
         float, float
     ]  # interface that the window can make of the hottest and of the coldest 5 % of the path
@@ -289,6 +290,11 @@ class TemperaturePlan:
         """What the weld is wanted at now; NaN: it has no say."""
         return float(self._lib.tempplan_interface(self._plan))
 
+    @property
+    def pace_interface_c(self) -> float:
+        """What a layer must not be too hot for, or it is slowed down: near the bed more than the weld is wanted at."""
+        return float(self._lib.tempplan_pace_interface(self._plan))
+
     def ages(self) -> Ages:
         """How long ago the layer below was laid, summed since the beginning."""
         report = self._lib.tempplan_report(self._plan)
@@ -317,5 +323,6 @@ class TemperaturePlan:
             math.sqrt(report.off_squares * per),
             report.cold_mm * per,
             report.hot_mm * per,
+            report.slowed_s,
             (report.least_c, report.most_c),
         )

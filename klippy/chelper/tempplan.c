@@ -148,6 +148,7 @@ static void settle(struct tempplan *tp, struct tempplan_piece *q, double share)
     q->aim_c = aim_c(tp, q, share);
     tp->clock.laying_s += duration_s;
     tp->clock.full_speed_s += duration_s * q->pace;
+    tp->report.slowed_s += duration_s * (1.0 - q->pace);
 }
 
 static int reserve(struct tempplan *tp, int more)
@@ -287,6 +288,14 @@ double tempplan_interface(const struct tempplan *tp)
     if (tp->report.least_c > tp->report.most_c)           /* the window is too narrow for both ends: the middle */
         kept_c = 0.5 * (tp->report.least_c + tp->report.most_c);
     return greater(least_c, usual_c + (kept_c - usual_c) * added_mm / (added_mm + GUESS_MM));
+}
+
+double tempplan_pace_interface(const struct tempplan *tp)
+{
+    double held_c = tempplan_interface(tp);
+    if (isnan(held_c) || tp->usual_mm <= 0.0)
+        return held_c;
+    return held_c + (1.0 - tp->z_weight) * greater(0.0, tp->report.most_c - held_c);
 }
 
 void tempplan_cut(struct tempplan *tp, double time_s)

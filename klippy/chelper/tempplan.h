@@ -63,6 +63,7 @@ struct tempplan_report {
     /* Path laid on a layer below, and sums over it (times mm): how long ago that was laid; of this, extrusion;
      * the same extrusion at full speed; open flanks per volume, 1/mm. Counted when added, not when laid. */
     double above_mm, age_s, laying_s, full_speed_s, side_per_mm;
+    double slowed_s;                /* that all extrusion so far takes longer than at full speed */
     uint64_t pieces;
 };
 
@@ -95,6 +96,9 @@ int tempplan_finish(struct tempplan *tp, double until_s, double *done, int capac
 void tempplan_shift(struct tempplan *tp, double from_s, double delta_c);
 /* The interface wanted where nothing is asked for by name; NaN: bonding has no say. */
 double tempplan_interface(const struct tempplan *tp);
+/* The one for which hot layers are slowed down. A found interface is meant for what comes away from the bed. Near the
+ * bed, whose warmth no waiting takes away, a layer has time for what the hottest melt makes of the coldest path. */
+double tempplan_pace_interface(const struct tempplan *tp);
 /* Forget what lies ahead of time_s (a stop); what has been laid stays. */
 void tempplan_cut(struct tempplan *tp, double time_s);
 const struct tempplan_report *tempplan_report(const struct tempplan *tp);

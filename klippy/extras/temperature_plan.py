@@ -16,48 +16,30 @@ import csv
 import logging
 import math
 from collections import deque
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 from pathpieces import Asked, PathPieces
-from tempplan import Craft, Laid, Summary, TemperaturePlan
+from tempplan import Laid, Summary, TemperaturePlan
 from thermal import wishes
 from thermal.control_api import Reference
-from thermal.deposit import Surroundings
 from thermal.materials import MATERIALS, Material
 from thermal.nozzle_melt import MeltExchange, NozzleLimits, idle_way
 from thermal.pace import Pace, Pacer, Place
+
+from .temperature_plan_settings import Settings, read_settings
+
+__all__ = ["Settings", "TemperaturePlanner", "load_config", "read_settings", "report_line"]
 
 COMMIT_S = 0.20  # the plan nearer than this stays: commands for it may be on their way
 WORK_S = 1.0  # how often it is looked, at least
 SOON_S = 0.05  # and at most, but for new motion
 BOOK_BEHIND_S = 0.5  # pieces are booked when they are surely laid
 RETURN_S = 0.5  # so long after the last piece the nozzle goes back to the user's target
-FOLLOW_MM = 60000.0  # a fair part of a print: the weld is held where the user's own target has it on average
 ROWS_AT_ONCE = 4096
 WITHIN_C = 0.02  # a straight line for corners that are so near it: far below what the thermometer sees
 SAME_TIME_S = 1e-6  # a mark and the move behind it
 HEADROOM_C = 5.0  # the nozzle passes its reference by a degree or two, and at max_temp the printer shuts down
-SLOWEST = 0.2  # of the file's speed; slicers go down to a tenth for their least time of a layer
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """The section's options."""
-
-    heater: str
-    material: Material
-    surroundings: Surroundings
-    craft: Craft
-    table: wishes.WishTable
-    exchange_w_k: float | None  # instead of the heater's own
-    melt_mm3: float
-    power_share: float
-    slowest: float  # least part of the file's speed
-    longest_pause_s: float  # before a layer
-    enabled: bool
-    record: str | None  # file for a row of each laid piece
 
 
 class TemperaturePlanner:
@@ -88,6 +70,7 @@ class TemperaturePlanner:
         self._printing = False
         self._path = PathPieces(0.0)
         self._pacer = Pacer(1.0, 0.0)
+        self._has_told = False  # of this print, that it is slowed down
         self._paced_s = -math.inf  # end of what was planned at the newest pace
         self._moved_c = 0.0  # by so much the user moved the target within the print
         self._fan_device: Any = None
@@ -106,11 +89,23 @@ class TemperaturePlanner:
                 f"[temperature_plan]: heater '{settings.heater}' is no [induction_heater], no other is quick enough."
                 " For other printers scripts/plan_temperature.py --emit writes M104 commands into the file"
             )
+        self._check_table()
         try:
             self._begin()
         except ValueError as e:
             raise self.printer.config_error(f"[temperature_plan]: {e}") from None
         self.heater.planner = self
+
+    def _check_table(self) -> None:
+        """Can the heater make what is asked for by name? The melt is never hotter than the nozzle."""
+        low_c, high_c = self.heater.min_extrude_c, self.heater.max_temp - HEADROOM_C
+        for option, place, temp_c in self.settings.table.entries():
+            if not low_c <= temp_c <= high_c:
+                raise self.printer.config_error(
+                    f"Option '{option}' in section 'temperature_plan': '{place}: {temp_c:g}' is no melt that heater"
+                    f" '{self.settings.heater}' can lay: {low_c:g} C (min_extrude_temp) to {high_c:g} C ({HEADROOM_C:g}"
+                    f" below max_temp) are ({self.settings.written_at[option]})."
+                )
 
     def _limits(self) -> NozzleLimits:
         heater, parameters = self.heater, self.heater.parameters
@@ -145,6 +140,7 @@ class TemperaturePlanner:
         self._path = PathPieces(math.pi / 4.0 * self.craft.filament_mm**2)
         self._pacer = Pacer(self.settings.slowest, self.settings.longest_pause_s)
         self._paced_s, self._moved_c = -math.inf, 0.0
+        self._has_told = False
         self._set_factor(1.0)
 
     def register(self) -> None:
@@ -261,9 +257,16 @@ class TemperaturePlanner:
         facts = self._path.facts()
         place = Place(facts.z_mm, facts.height_mm, self._fan)
         ages, around = self.plan.ages(), self.settings.surroundings
-        pace = self._pacer.layer(ages, self.plan.interface_c, self.material, around, place)
+        pace = self._pacer.layer(ages, self.plan.pace_interface_c, self.material, around, place)
         self._set_factor(pace.factor)
         self._paced_s = self._end_s
+        if pace.factor < 1.0 and not self._has_told:
+            self._has_told = True
+            self._gcode.respond_info(
+                f"A hot layer is laid at {100 * pace.factor:.0f} % of the file's speed, so that its weld stays near"
+                f" {self.plan.pace_interface_c:.0f} C. A higher interface_temp, more fan or minimum_speed_factor: 1"
+                " keep the speed"
+            )
 
     def _pace_without_layers(self) -> None:
         """The file tells no layers: another pace whenever about one has been laid."""
@@ -499,75 +502,13 @@ def report_line(books: Summary, material: Material) -> str:
         return f"Temperature plan ({material.name}): nothing laid yet"
     (low, _, high), (low_fixed, _, high_fixed) = books.interface_5_50_95_c
     planned, fixed = books.bonded_share
+    slowed = ""
+    if books.slowed_s >= 1.0:
+        slowed = f"; hot layers were slowed down, {books.slowed_s:.0f} s longer"
     return (
         f"Temperature plan ({material.name}, welds above {material.bonding_c:.0f} C): {books.length_mm / 1000:.1f} m"
         f" laid, {100 * planned:.1f} % welded, {100 * fixed:.1f} % without the plan;"
-        f" interface {low:.0f}..{high:.0f} C (5..95 %), {low_fixed:.0f}..{high_fixed:.0f} C without"
-    )
-
-
-def _read(config: Any, option: str, reader: Callable[[str], Any]) -> Any:
-    try:
-        return reader(config.get(option, ""))
-    except ValueError as e:
-        raise config.error(f"Option '{option}' in section '{config.get_name()}': {e}") from None
-
-
-def _material(config: Any) -> Material:
-    names = {name: name for name in MATERIALS} | {name.lower(): name for name in MATERIALS}
-    base = MATERIALS[config.getchoice("material", names, "PLA")]
-    low_c = config.getfloat("melt_min", base.low_c, minval=100.0, maxval=500.0)
-    high_c = config.getfloat("melt_max", base.high_c, above=low_c, maxval=500.0)
-    return replace(
-        base,
-        low_c=low_c,
-        high_c=high_c,
-        bonding_c=config.getfloat("bonding_temp", base.bonding_c, minval=0.0, maxval=400.0),
-        flow_c=config.getfloat("flow_temp", base.flow_c, minval=0.0, maxval=450.0),
-    )
-
-
-def read_settings(config: Any) -> Settings:
-    """The section's options. Raises the config's error."""
-    name = config.get("heater", "extruder")
-    material = _material(config)
-    margin_c = config.getfloat("bonding_margin", 15.0, minval=0.0, maxval=150.0)
-    wanted_c = config.getfloat("interface_temp", None, above=0.0, maxval=500.0)
-    least_c = material.bonding_c + margin_c
-    filament_mm = 1.75
-    if config.has_section(name):
-        filament_mm = config.getsection(name).getfloat("filament_diameter", 1.75, above=0.0)
-    return Settings(
-        name,
-        material,
-        Surroundings(
-            bed_c=config.getfloat("bed_temp", 60.0),
-            chamber_c=config.getfloat("chamber_temp", 25.0),
-            still_w_m2k=config.getfloat("still_air", 30.0, above=0.0),
-            fan_w_m2k=config.getfloat("fan_air", 60.0, minval=0.0),
-        ),
-        Craft(
-            interface_c=(wanted_c or least_c) if config.getboolean("bonding", True) else None,
-            follow_mm=FOLLOW_MM if wanted_c is None else 0.0,
-            core=config.getboolean("flow", False),
-            zone_mm=config.getfloat("melt_zone_length", 20.0, above=0.0),
-            filament_mm=filament_mm,
-            preview=config.getboolean("preview", True),
-            smooth_s=config.getfloat("smooth_time", 0.3, minval=0.0, maxval=5.0),
-        ),
-        wishes.WishTable(
-            {wishes.feature_name(k): v for k, v in _read(config, "features", wishes.read_names).items()},
-            {k.upper(): v for k, v in _read(config, "objects", wishes.read_names).items()},
-            _read(config, "layers", wishes.read_ranges),
-            _read(config, "heights", wishes.read_ranges),
-        ),
-        config.getfloat("melt_exchange", None, above=0.0),
-        config.getfloat("melt_volume", 0.0, minval=0.0),
-        config.getfloat("power_share", 0.8, above=0.0, maxval=1.0),
-        config.getfloat("minimum_speed_factor", SLOWEST, above=0.0, maxval=1.0),
-        config.getfloat("max_layer_pause", 0.0, minval=0.0, maxval=120.0),
-        config.getboolean("enable", True),
-        config.get("record", None),
+        f" interface {low:.0f}..{high:.0f} C (5..95 %), {low_fixed:.0f}..{high_fixed:.0f} C without{slowed}"
     )
 
 

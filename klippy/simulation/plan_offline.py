@@ -129,6 +129,7 @@ class Planning:
             return
         facts, before = self._pieces.facts(), pacer.pace
         place = Place(facts.z_mm, facts.height_mm, self._fan)
+        # Without a known interface this run only measures what the window reaches: no allowance for the bed.
         pace = pacer.layer(plan.ages(), plan.interface_c, self._settings.material, self._around(), place)
         self._paced_s = self._end_s
         path.set_pace(pace.factor)

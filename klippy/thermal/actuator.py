@@ -61,7 +61,7 @@ class ActuatorParameters:
     law: DriveLaw
     pulse_s: float  # settling plus one whole block
     sense_interval_s: float = 0.1  # longest time without a pulse while a target is set
-    idle_interval_s: float = 0.5  # the same with the heater off: 1.5 W * 8.9 ms / 0.5 s = 27 mW
+    idle_interval_s: float = 0.5  # the same with the heater off, if heard: 1.5 W * 8.9 ms / 0.5 s = 27 mW
     phase_low_ticks: int = SENSING_PHASE_TICKS
     pulses_max: int = 2  # in one piece: as many as fill the time until the next command
 

@@ -35,6 +35,7 @@ from .timeline import NOT_COMMANDED, TIME_SLACK_S, Timeline, Timing
 __all__ = ["NOT_COMMANDED", "Approach", "Control", "InductionLoop", "LoopParameters", "LoopState", "Timing"]
 
 BALANCE_S = 0.1
+HEARD_S = 0.15  # from a pulse to what it says: its blocks, a lot of messages in a calm
 PROMPT_S = 0.005  # to the MCU, when it matters more that a command comes soon than that it comes in time
 QUIET_C = 1.0  # nearer than this to the target a step of the model may wait for the next command's turn
 SAMPLES_MOST = 15  # 25 ms
@@ -462,7 +463,7 @@ class InductionLoop:
         taken = state.line.at(at_s)
         if taken is not None and apart_s > 0.0 and not self._improves(taken, power_w, horizon):
             return []
-        idle = state.target_c <= 0.0
+        idle = state.target_c <= 0.0 and self._is_heard(now_s)
         commands = actuator.actuate(parameters.actuator, state.actuator, power_w, at_s, idle)
         if len(commands) == 1 and horizon:
             commands += actuator.ahead(parameters.actuator, commands[0], horizon)
@@ -470,6 +471,10 @@ class InductionLoop:
         if len(commands) == 1 and self._is_held():
             return commands + calm.feedings(commands[0], timing.max_duration_s)
         return commands
+
+    def _is_heard(self, now_s: float) -> bool:
+        """The pulses of an idle bridge are heard. On a line that loses some the next one is not waited for so long."""
+        return now_s - self.state.estimate.time_s <= self._parameters.actuator.idle_interval_s + HEARD_S
 
     def _slot(self, now_s: float, apart_s: float) -> float | None:
         """Where a command sent now may begin; None: it is too soon after the last.

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 # One name, and what the slicers call it (lower case, blanks for - and _).
@@ -88,6 +88,15 @@ class WishTable:
     objects: Mapping[str, float] = field(default_factory=dict)  # names in upper case
     layers: tuple[Range, ...] = ()  # counted from 1
     heights_mm: tuple[Range, ...] = ()
+
+    def entries(self) -> Iterator[tuple[str, str, float]]:
+        """(option, place as it is written there, degC) of all that is asked for."""
+        for option, names in (("features", self.features), ("objects", self.objects)):
+            for name, temp_c in names.items():
+                yield option, name, temp_c
+        for option, ranges in (("layers", self.layers), ("heights", self.heights_mm)):
+            for item in ranges:
+                yield option, f"{item.low:g}-{item.high:g}", item.temp_c
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from extras.induction_mcu import BLOCK_FORMAT
 from loop.block_codec import Row, unpack
 from simulation.emulator import Emulator, Recording
 from simulation.runner import Outcome, RunOptions, Simulation
@@ -145,13 +146,17 @@ class FullLoad(Simulation):
             load.plans.append((self.chip.peek("tim2.count"), steps))
             send_plan(data, **options)
 
-        def take(params: dict[str, Any]) -> None:
-            for row in unpack(bytes(params["data"]), load.block_len):
-                load.blocks.append((params["clock"] + row.offset * PERIOD, row))
-            unit._handle_block(params)
+        take_lot, unpack_message = unit._take_lot, unit.mcu._serial._unpack
 
-        unit._queue_plan.send = send
-        unit.mcu.register_response(take, "induction_block", unit._oid)
+        def take(messages: Any, count: int) -> None:
+            for message in messages[0:count]:
+                params = unpack_message(message)[1]
+                for row in unpack(bytes(params["data"]), load.block_len):
+                    load.blocks.append((params["clock"] + row.offset * PERIOD, row))
+            take_lot(messages, count)
+
+        unit._queue_plan.send, unit._take_lot = send, take
+        unit.mcu.register_lot(take, BLOCK_FORMAT)
 
     def _pause(self) -> bool:
         going = super()._pause()
@@ -198,6 +203,7 @@ def check_blocks(load: Load) -> int:
 
 def check_continuity(load: Load) -> None:
     """No sample lost, none told twice: a block begins where the one before ends, but for what it says was discarded."""
+    assert len(load.blocks) > 1
     for (clock, row), (after, following) in zip(load.blocks, load.blocks[1:], strict=False):
         assert row.lost == following.lost == 0
         assert after == clock + (row.count + following.discarded) * PERIOD

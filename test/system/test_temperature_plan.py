@@ -148,10 +148,18 @@ def test_a_hot_tower_is_laid_more_slowly(simulate: Simulate, tmp_path: Path) -> 
     section = SECTION.replace("bonding: no", "bonding: yes\ninterface_temp: 125\nchamber_temp: 40")
     seconds = {}
     for slowest in (1.0, 0.25):
-        run = simulate(gcode, config=config(tmp_path, f"minimum_speed_factor: {slowest}\n", section=section))
+        run = simulate(
+            gcode + "TEMPERATURE_PLAN\n",
+            config=config(tmp_path, f"minimum_speed_factor: {slowest}\n", section=section),
+            more=["--log", str(tmp_path / "log")],
+        )
         assert run.status == 0, run.stderr
         flow = np.array(run.column("flow_mm3_s"))
         seconds[slowest] = 0.01 * np.sum(flow > 0.2)
+        log = (tmp_path / "log").read_text()
+        slowed = slowest < 1.0
+        assert log.count("A hot layer is laid at") == slowed, "once, and only where it is"
+        assert ("s longer" in log) == slowed
     assert 1.5 * seconds[1.0] < seconds[0.25] < 4.5 * seconds[1.0], seconds
 
 
@@ -198,12 +206,25 @@ def test_a_bad_command_says_what_would_be_right(
         ("power_share: 0.02\n", "below the lowest temperature"),
         ("heater: heater_bed\n", "no [induction_heater]"),
         ("melt_max: 100\n", "melt_max"),
+        ("melt_min: 240\n", "not below melt_max, which is 230 C (printer.cfg, line 4)"),
+        ("features:\n  infill: warm\n", "'warm' is not a number (printer.cfg, line 4)"),
+        ("features:\n  infill: 2000\n", "PLA, which is laid at 190 to 230 C; melt_min and melt_max say"),
+        ("objects:\n  cube: 20\n", "'CUBE: 20' is no melt of PLA"),
+        ("layers:\n  2-3: 20\n", "'2-3: 20' is no melt of PLA"),
+        ("heights:\n  0.5-3: 231\n", "'0.5-3: 231' is no melt of PLA"),
+        ("melt_max: 400\nlayers:\n  1: 340\n", "to 315 C (5 below max_temp) are (printer.cfg, line 5)"),
+        ("record: /nowhere/rows.csv\n", "there is no folder '/nowhere'"),
+        (
+            "record: /\n",
+            "'/' is a folder; the name of a file in a folder that exists is needed (printer.cfg, line 4)",
+        ),
     ],
 )
 def test_a_bad_section_is_refused_by_name(simulate: Simulate, tmp_path: Path, more: str, words: str) -> None:
     section = "\n[temperature_plan]\n" + more
     run = simulate("M400\n", config=config(tmp_path, section=section))
     assert run.status == 2 and words in run.stderr, run.stderr
+    assert "Internal error" not in run.stderr
 
 
 def lines(count: int, y_mm: float = 40.0) -> str:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -87,6 +89,53 @@ def test_the_plan_counts_ages_of_what_lies_below_only() -> None:
     assert ages.full_speed_s / 20.0 == pytest.approx(0.75)  # half of it laid at half the speed
     plan.add([side(2, 8.0, wish_c=230.0), side(9, 9.0)])
     assert plan.ages() == ages  # asked for by name; and nothing right below
+
+
+PLA, COOL = MATERIALS["PLA"], deposit.Surroundings()
+FOUND = Craft(interface_c=75.0, follow_mm=60000.0)  # the print has to find what it holds
+
+
+def rings_s(craft: Craft, layers: int) -> tuple[float, TemperaturePlan]:
+    """(Seconds that rings of 12 mm radius take, three beside each other in each layer, with pace; their plan)."""
+    plan = TemperaturePlan(nozzle_melt.NozzleLimits(), PLA, COOL, craft)
+    pacer, now_s = pace.Pacer(0.2, 0.0), 0.0
+    for layer in range(layers):
+        z_mm = 0.25 * (layer + 1)
+        place = pace.Place(z_mm, 0.25, 0.0)
+        factor = pacer.layer(plan.ages(), plan.pace_interface_c, PLA, COOL, place).factor
+        for radius_mm in (12.0, 11.55, 11.1):
+            corners = [
+                (60.0 + radius_mm * math.cos(0.3 * i), 60.0 + radius_mm * math.sin(0.3 * i), z_mm)
+                for i in range(22)
+            ]
+            for start, end in itertools.pairwise(corners):
+                end_s = now_s + math.dist(start, end) / (40.0 * factor)
+                flow = 40.0 * factor * 0.45 * 0.25
+                plan.add([Piece(now_s, end_s, start, end, flow, 0.25, 0.0, math.nan, 215.0, factor)])
+                now_s = end_s
+    return now_s, plan
+
+
+def test_a_small_part_is_not_slowed_down_for_what_only_a_tall_one_would_need() -> None:
+    """12 layers, 3 mm: the interface is still a guess of what comes far above the bed (129 degC), who knows the file
+    holds 142. A print that has to find it takes little longer than one that was told; without allowance for the bed it
+    would be twice as long. What is slowed down is counted."""
+    own_s = rings_s(replace(FOUND, interface_c=None), 12)[0]
+    told_s = rings_s(replace(FOUND, interface_c=142.0, follow_mm=0.0), 12)[0]
+    found_s, plan = rings_s(FOUND, 12)
+    assert own_s < told_s < found_s < 1.3 * told_s
+    assert plan.summary().slowed_s == pytest.approx(found_s - own_s, abs=0.01)
+
+
+def test_away_from_the_bed_the_pace_is_that_of_the_interface_which_is_held() -> None:
+    near, far = rings_s(FOUND, 2)[1], rings_s(FOUND, 60)[1]  # 0.5 mm and 15 mm
+    assert near.pace_interface_c > near.interface_c + 10.0
+    assert (
+        near.pace_interface_c <= near.summary().band_c[1]
+    )  # what the hottest melt can hold on the coldest path
+    assert far.pace_interface_c == pytest.approx(far.interface_c, abs=0.2)
+    told = rings_s(replace(FOUND, interface_c=135.0, follow_mm=0.0), 2)[1]
+    assert told.pace_interface_c == told.interface_c == 135.0  # a user's word has no allowance
 
 
 def moves_of(text: str, tmp_path: Path) -> list:  # type: ignore[type-arg]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -112,3 +113,16 @@ def test_a_mark_matters_only_if_the_table_asks_for_something_there() -> None:
         assert Wishes().asks(table) != inside.asks(table) == next_layer.asks(table)
     for other in (inside.explicitly(230.0), inside.comment(read_comment(";HEIGHT:0.3"))):  # type: ignore[arg-type]
         assert inside.asks(nothing) != other.asks(nothing)
+    assert inside.asks(nothing) != replace(inside, pace=0.5).asks(nothing)
+    assert inside.explicitly(230.0).asks(nothing) != inside.explicitly(230.0, duration_s=5.0).asks(nothing)
+
+
+def test_all_that_is_asked_for_can_be_gone_through() -> None:
+    """The check of temperatures misses none."""
+    assert list(TABLE.entries()) == [
+        ("features", "external perimeter", 215.0),
+        ("objects", "PART_A", 225.0),
+        ("layers", "1-1", 230.0),
+        ("layers", "5-9", 210.0),
+        ("heights", "10-20", 205.0),
+    ]
