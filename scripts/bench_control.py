@@ -50,7 +50,7 @@ LIMITS: tuple[tuple[str, Callable[[Any], float], float, float], ...] = (
 LATE_ALLOWANCE = 1.5  # a late host may cost less than half as much again ...
 # ... of its own figure on time, as means over these seeds: each figure but the times is the largest of some noise, and
 # that of one run is off by 20 to 50 %. A ratio counts as beyond if it is so by two sigma of what the seeds scatter.
-LATE_SEEDS, LATE_SEEDS_QUICK, LATE_SIGMA = range(5, 17), range(5, 9), 2.0
+LATE_SEEDS, LATE_SEEDS_QUICK, LATE_SIGMA = range(5, 45), range(5, 9), 2.0
 LATE_PLANTS = ("reference", "strong")
 STEP_COST_US, HOST_SHARE = 100.0, 0.05
 WARM_UP_S, HOLD_S = 10.0, 40.0  # of the host, in real time
