@@ -66,3 +66,14 @@ def test_nothing_expected_nothing_strays() -> None:
     assert not lib.attention_block(a, 9001, 0)
     assert lib.attention_block(a, 9000, 0)
     assert not lib.attention_block(a, 9000, 0)  # told once
+
+
+def test_a_new_expectation_at_the_same_phase_begins_with_a_mean_of_nothing() -> None:
+    a = ffi.new("struct attention *")
+    lib.attention_expect(a, 9000, 100_000, 100)
+    for _ in range(30):  # the mean comes to 90 of 100
+        assert not lib.attention_block(a, 9000, 100_090)
+    lib.attention_expect(a, 9000, 100_000, 100)
+    for _ in range(3):  # 300 off: from nothing 38, 70, 99; from 90 at once 116
+        assert not lib.attention_block(a, 9000, 100_300)
+    assert lib.attention_block(a, 9000, 100_300)
