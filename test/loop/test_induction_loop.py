@@ -6,6 +6,7 @@ Tolerances: the product's promise is +-3 degC true skin temperature. The referen
 
 from __future__ import annotations
 
+import math
 import random
 
 import numpy as np
@@ -131,6 +132,20 @@ def test_idle_measures_and_hardly_heats() -> None:
     assert rig.loop.state.estimate.valid
     assert rig.now_s - rig.loop.state.estimate.time_s < 0.6
     assert rig.power_j / 10.0 < 0.05  # watts on average
+    assert rig.loop.fault == ""
+
+
+def test_a_pulse_of_an_idle_bridge_that_nobody_heard_is_repeated_soon() -> None:
+    deaf_s = [math.inf, math.inf]
+    rig = Rig(Plant(3), default_parameters(), 5, drop=lambda _: deaf_s[0] <= rig.now_s < deaf_s[1])
+    rig.run(2.0)
+    for begin_s in (0.1, 0.2, 0.3, 0.4):  # anywhere between two pulses, which are 0.5 s apart
+        deaf_s[:] = rig.now_s + begin_s, rig.now_s + begin_s + 0.8
+        rig.run(begin_s + 0.8)
+        assert rig.now_s - rig.loop.state.estimate.time_s > 0.7
+        rig.run(0.2)  # 0.1 from pulse to pulse, and the way of the message
+        assert rig.now_s - rig.loop.state.estimate.time_s < 0.2
+        rig.run(1.0)
     assert rig.loop.fault == ""
 
 
