@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+import random
 import sys
 from pathlib import Path
 
@@ -54,15 +55,8 @@ def pieces_of(rows):
     return pieces
 
 
-@settings(max_examples=150, deadline=None)
-@given(
-    ROWS, st.floats(170.0, 300.0), st.sampled_from([15.0, 30.0, 65.0]), st.sampled_from([None, 130.0, 155.0])
-)
-def test_the_ramps_are_those_of_the_reference(rows, start_c, power_w, interface_c):
-    """Same temperatures at every moment. 0.3 degC: losses are tables of whole degrees, and a rounding error away lies
-    the next entry. With little power to spare that is a few percent of a ramp of 10 degC; other faults make degrees.
-    Of 150 random paths one half differs by 1e-13, one in a hundred by more than 0.04, none by more than 0.09. Rarer
-    still a rounding error is what a climb begins one node later by, so each moment may be a node's."""
+def both_ramps(rows, start_c, power_w, interface_c):
+    """(times, the helper's temperatures, the reference's corners) of the same path."""
     limits = nozzle_melt.NozzleLimits(power_w=power_w)
     planner = Planner(limits, (ABS.low_c, ABS.high_c), 0.3)
     start_c = min(start_c, planner.ceiling_c)
@@ -81,14 +75,44 @@ def test_the_ramps_are_those_of_the_reference(rows, start_c, power_w, interface_
         FlowSegment(p.start_s, p.end_s, p.flow_mm3_s, math.dist(p.start_mm[:2], p.end_mm[:2])) for p in pieces
     ]
     got = plan.make(pieces[0].start_s, start_c)
-    expected = planner.plan(segments, wants, start_c)
     times = np.linspace(pieces[0].start_s, pieces[-1].end_s, 500)
     assert got[0][0] == times[0] and got[-1][0] == pytest.approx(times[-1], abs=1e-9)
-    near = np.array(
-        [at(times + shift_s, expected) for shift_s in (-NODE_S, -0.5 * NODE_S, 0.0, 0.5 * NODE_S, NODE_S)]
-    )
-    assert np.all(at(times, got) <= near.max(axis=0) + 0.3)
-    assert np.all(at(times, got) >= near.min(axis=0) - 0.3)
+    return times, at(times, got), planner.plan(segments, wants, start_c)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_the_ramps_are_those_of_the_reference(seed):
+    """Same temperatures at every moment. Losses are tables of whole degrees, and a rounding error away lies the next
+    entry: of 400 such paths one half differs by less than 0.002 degC, none by more than 0.06."""
+    choose = random.Random(seed)
+    rows = [
+        (
+            choose.uniform(0.01, 2.0),
+            choose.choice([0.0, 0.0, 0.7]),
+            choose.uniform(0.0, 30.0),
+            choose.choice([math.nan, choose.uniform(-50.0, 900.0), choose.uniform(200.0, 280.0)]),
+            choose.randint(0, 6000) / 100,
+            choose.randint(0, 6000) / 100,
+        )
+        for _ in range(choose.randint(1, 25))
+    ]
+    power_w, interface_c = choose.choice([15.0, 30.0, 65.0]), choose.choice([None, 130.0, 155.0])
+    times, got_c, expected = both_ramps(rows, choose.uniform(170.0, 300.0), power_w, interface_c)
+    assert got_c == pytest.approx(at(times, expected), abs=0.1)
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    ROWS, st.floats(170.0, 300.0), st.sampled_from([15.0, 30.0, 65.0]), st.sampled_from([None, 130.0, 155.0])
+)
+def test_the_ramps_of_any_path_are_those_of_the_reference_to_a_node(rows, start_c, power_w, interface_c):
+    """0.3 degC, at that moment or within a node of it: where next to nothing is laid two climbs cost alike, and a
+    rounding error decides which node the path takes."""
+    times, got_c, expected = both_ramps(rows, start_c, power_w, interface_c)
+    shifts_s = (-NODE_S, -0.5 * NODE_S, 0.0, 0.5 * NODE_S, NODE_S)
+    near = np.array([at(times + shift_s, expected) for shift_s in shifts_s])
+    assert np.all(got_c <= near.max(axis=0) + 0.3)
+    assert np.all(got_c >= near.min(axis=0) - 0.3)
 
 
 def at(times, corners):
