@@ -1,6 +1,7 @@
 """Imported first by the programs here: `scripts/NAME.py` runs with the packages of .venv, be it activated or not.
 
-Whoever starts them in an environment of his own keeps that one.
+Whoever starts them in an environment of his own keeps that one. Nothing in it is used (F401), and it has to come before
+what needs those packages (isort).
 """
 
 from __future__ import annotations

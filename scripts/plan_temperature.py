@@ -128,6 +128,15 @@ def other_nozzles(config: ConfigWrapper) -> frozenset[int]:
     return frozenset(int(name[8:]) for name in names if name[8:].isdigit())
 
 
+def leave_out_tools(options: argparse.Namespace, line: int) -> None:
+    """Say so; G-code with their lines in it cannot be written."""
+    if options.emit:
+        raise BadInput(
+            f"{options.gcode}, line {line}: this tool has a nozzle of its own, and --emit knows one nozzle"
+        )
+    print("what the other tools lay is left out")
+
+
 def plan(options: argparse.Namespace) -> dict[str, Any]:
     """Everything asked for; the figures."""
     config, settings, induction = read_config(options)
@@ -161,12 +170,7 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
     if not found.moves:
         raise BadInput(f"{options.gcode}: no line of it extrudes while it moves")
     if found.other_tool_line >= 0:
-        if options.emit:
-            raise BadInput(
-                f"{options.gcode}, line {found.other_tool_line + 1}: this tool has a nozzle of its own, and --emit"
-                " knows one nozzle"
-            )
-        print("what the other tools lay is left out")
+        leave_out_tools(options, found.other_tool_line + 1)
     print(temperature_plan.report_line(found.summary, settings.material))
     if found.summary.cold_share > 0.01:
         print(

@@ -68,12 +68,12 @@ class _Desk:
 
     def put(self, inputs: ControlInput, time_s: float, samples: Samples) -> None:
         """Lay out the input; its samples, reference, flow and fan are pointed to."""
-        given, pending = self.given, inputs.pending
-        count = len(pending) if pending else 0
+        given, pending = self.given, inputs.pending or ()
+        count = len(pending)
         if count > self._room:
             self._make_room(2 * count)
-        for i in range(count):
-            _PLANNED.pack_into(self._pending_bytes, i * _PLANNED.size, *pending[i])  # type: ignore[index]
+        for i, planned in enumerate(pending):
+            _PLANNED.pack_into(self._pending_bytes, i * _PLANNED.size, *planned)
         _FIGURES.pack_into(
             self._figures,
             0,
@@ -86,7 +86,7 @@ class _Desk:
             inputs.apply_s,
             inputs.hold_s,
             inputs.rebased,
-            pending is None,
+            inputs.pending is None,
             samples.size,
             count,
         )
