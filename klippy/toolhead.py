@@ -33,8 +33,6 @@ START_LEAD_S = 0.250
 BUFFER_FULL_S = 2.0
 # Below this the look-ahead queue is planned to a stop rather than risk running dry.
 BUFFER_LOW_S = 0.6
-# The watch comes back no sooner: later by less than the clock resolves is the same moment, in virtual time for ever.
-WATCH_LEAST_S = 0.001
 # A first move waits this long (host time) for company before it is planned alone.
 GATHER_S = 0.100
 # Steps are worked out in batches of this much motion.
@@ -259,7 +257,7 @@ class ToolHead:
             ahead = self.print_time - self.mcu.estimated_print_time(eventtime)
             if self.lookahead or not self._at_rest:
                 if not self._at_rest and ahead > BUFFER_LOW_S:
-                    return eventtime + max(WATCH_LEAST_S, ahead - BUFFER_LOW_S)
+                    return eventtime + (ahead - BUFFER_LOW_S)
                 self._forced_stop = bool(self.lookahead)
                 self._settle()
             if self._attend_others(eventtime):

@@ -7,7 +7,6 @@ from typing import Any
 
 MIN_GAP_S = 0.1  # between two values: an MCU keeps one value waiting per pin
 LEAD_S = 0.25  # a held-back value is sent that long before it is due
-WAKE_LEAST_S = 0.001  # the timer comes back no sooner: later by less than the clock resolves is never
 RESEND_SHARE = 0.5  # of the pin's maximum duration: refresh well before the MCU's own time-out
 
 
@@ -73,7 +72,7 @@ class ScheduledPin:
         if self._pending is not None:
             wait_s = self._pending[0] - now - LEAD_S
             if wait_s > 0.0:
-                return eventtime + max(WAKE_LEAST_S, wait_s)
+                return eventtime + wait_s
             due, value = self._pending
             self._pending = (max(due, now + MIN_GAP_S), value)
             self._flush()
@@ -83,4 +82,4 @@ class ScheduledPin:
         if now + LEAD_S >= self._last_time + refresh_s:
             self._last_time = now + LEAD_S
             self._apply(self._last_time, self.last_value)
-        return eventtime + max(WAKE_LEAST_S, self._last_time + refresh_s - LEAD_S - now)
+        return eventtime + self._last_time + refresh_s - LEAD_S - now

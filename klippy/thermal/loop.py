@@ -299,6 +299,8 @@ class InductionLoop:
     def _note_restless(self, now_s: float) -> None:
         state, reference = self.state, self.reference
         if state.target_c <= 0.0:
+            if not self._is_heard(now_s):  # on a line that loses some, short messages get through sooner
+                state.restless_s = now_s
             return
         moving = (reference is not None and now_s < reference.end_s) or any(self.flow.values)
         if moving or not self._is_held():

@@ -143,9 +143,11 @@ def test_a_pulse_of_an_idle_bridge_that_nobody_heard_is_repeated_soon() -> None:
         deaf_s[:] = rig.now_s + begin_s, rig.now_s + begin_s + 0.8
         rig.run(begin_s + 0.8)
         assert rig.now_s - rig.loop.state.estimate.time_s > 0.7
+        assert not rig.loop.is_calm(rig.now_s)  # long messages are the likeliest to be lost
         rig.run(0.2)  # 0.1 from pulse to pulse, and the way of the message
         assert rig.now_s - rig.loop.state.estimate.time_s < 0.2
         rig.run(1.0)
+        assert rig.loop.is_calm(rig.now_s)
     assert rig.loop.fault == ""
 
 

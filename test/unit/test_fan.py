@@ -4,13 +4,11 @@ from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from base_rig import Session
 
-from extras import scheduled_pin
 from gcode import CommandError
 
 
@@ -195,17 +193,3 @@ def test_output_pin_is_refreshed_before_the_mcu_gives_up(tmp_path: Path) -> None
     assert max(gaps) < 2.0  # never longer than the MCU waits
     assert [value for _, value in log[-2:]] == [0.7, 0.0]  # and no refresh of the resting value
     assert 5 <= len(log) <= 14
-
-
-@pytest.mark.parametrize("wait_s", [1e-15, 1e-13, 1e-9])
-def test_a_value_that_is_almost_due_is_waited_for_a_little(wait_s: float) -> None:
-    """Later by less than the clock's last digit would be the same moment, and virtual time would stand."""
-    reactor = SimpleNamespace(register_timer=lambda callback: None, NEVER=1e30)
-    printer = SimpleNamespace(get_reactor=lambda: reactor, is_shutdown=lambda: False)
-    mcu = SimpleNamespace(estimated_print_time=lambda eventtime: 0.0)
-    pin = scheduled_pin.ScheduledPin(printer, mcu, lambda print_time, value: None, 0.0)
-    pin._pending = (scheduled_pin.LEAD_S + wait_s, 1.0)
-    assert pin._handle_timer(301.8) >= 301.8 + 1e-4
-    pin.keep_alive(4.0, 0.0)
-    pin._pending, pin.last_value, pin._last_time = None, 1.0, scheduled_pin.LEAD_S - 2.0 + wait_s
-    assert pin._handle_timer(301.8) >= 301.8 + 1e-4

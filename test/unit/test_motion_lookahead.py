@@ -12,7 +12,6 @@ from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
 import lookahead
-import toolhead
 from lookahead import LookAheadQueue, Move
 
 EPS = 1e-6  # mm/s: rounding of square roots
@@ -177,16 +176,3 @@ def test_unlimited_acceleration_is_never_used_for_the_head() -> None:
     assert not move.is_kinematic_move
     assert move.accel == lookahead.UNLIMITED_ACCEL  # until the extruder has had its say
     assert move.axes_r[3] == 1.0
-
-
-@pytest.mark.parametrize("excess_s", [1e-15, 1e-13, 1e-9])
-def test_the_watch_of_the_buffer_always_comes_back_later(excess_s: float) -> None:
-    """Later by less than the clock's last digit is the same moment: virtual time, which waits for timers, stands."""
-    now_s = 301.8031249999983
-    head = SimpleNamespace(
-        print_time=toolhead.BUFFER_LOW_S + excess_s,
-        mcu=SimpleNamespace(estimated_print_time=lambda eventtime: 0.0),
-        lookahead=[],
-        _at_rest=False,
-    )
-    assert toolhead.ToolHead._watch(head, now_s) >= now_s + 1e-4  # type: ignore[arg-type]

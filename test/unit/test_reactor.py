@@ -55,6 +55,22 @@ def test_a_timer_that_is_always_due_does_not_starve_others() -> None:
     assert greedy_runs[0] >= 1
 
 
+@pytest.mark.parametrize("ahead_s", [0.0, 1e-15, 1e-9])
+def test_a_timer_that_is_almost_due_lets_virtual_time_pass(ahead_s: float) -> None:
+    """Less than the clock resolves is the same moment, and what waits for a moment a little later waited for ever."""
+    reactor = Reactor(VirtualTime(301.8031249999983))
+    due_s, runs = reactor.monotonic() + 1e-5, [0]
+
+    def almost(eventtime: float) -> float:
+        runs[0] += 1
+        assert runs[0] < 100, "virtual time stands"
+        return eventtime + ahead_s if eventtime < due_s else reactor.NEVER
+
+    reactor.register_timer(almost, reactor.NOW)
+    run_for(reactor, 1.0)
+    assert runs[0] > 2
+
+
 def test_pause_lets_others_run_and_returns_the_time() -> None:
     reactor = Reactor(VirtualTime(0.0))
     seen: list[tuple[str, float]] = []
