@@ -122,7 +122,13 @@ class VirtualSD:
     def get_file_list(self, check_subdirs: bool = False) -> list[tuple[str, int]]:
         """Names relative to the folder, and sizes."""
         found: list[tuple[str, int]] = []
+        walked: set[str] = set()
         for folder, subfolders, names in os.walk(self.sdcard_dirname, followlinks=True):
+            place = os.path.realpath(folder)
+            if place in walked:  # a link back
+                subfolders.clear()
+                continue
+            walked.add(place)
             subfolders[:] = [name for name in subfolders if check_subdirs and not name.startswith(".")]
             for name in names:
                 path = os.path.join(folder, name)
@@ -151,11 +157,14 @@ class VirtualSD:
         name = name.lstrip("/")
         if "\0" in name:
             raise gcmd.error("Unable to open file: its name has a zero byte")
-        known = {entry.lower(): entry for entry, _ in self.get_file_list(check_subdirs)}
-        path = os.path.join(self.sdcard_dirname, known.get(name.lower(), name))
-        inside = os.path.realpath(self.sdcard_dirname)
-        if name.lower() not in known and not os.path.realpath(path).startswith(inside + os.sep):
-            raise gcmd.error(f"Unable to open file '{name}': it is outside of {self.sdcard_dirname}")
+        path = os.path.join(self.sdcard_dirname, name)
+        inside = os.path.realpath(path).startswith(os.path.realpath(self.sdcard_dirname) + os.sep)
+        if not inside or not os.path.isfile(path):  # a link, or in other letters: one of the list
+            known = {entry.lower(): entry for entry, _ in self.get_file_list(check_subdirs)}
+            if name.lower() in known:
+                path = os.path.join(self.sdcard_dirname, known[name.lower()])
+            elif not inside:
+                raise gcmd.error(f"Unable to open file '{name}': it is outside of {self.sdcard_dirname}")
         try:
             file = open(path, "rb")  # noqa: SIM115  (stays open while it is printed)
             size = file.seek(0, os.SEEK_END)

@@ -75,6 +75,38 @@ def test_missing_file_is_a_clear_error(tmp_path: Path) -> None:
     sd_session(tmp_path).run(body)
 
 
+def test_links_and_letters_lead_to_files_and_never_in_circles(tmp_path: Path) -> None:
+    session = sd_session(tmp_path, Part="MOVE\n")
+    folder, elsewhere = tmp_path / "gcodes", tmp_path / "stick"
+    elsewhere.mkdir()
+    (elsewhere / "lent.gcode").write_text("MOVE\nMOVE\n")
+    (folder / "usb").symlink_to(elsewhere)
+    (elsewhere / "back").symlink_to(folder)
+
+    def body(s: Session) -> None:
+        card = s.printer.lookup_object("virtual_sdcard")
+        assert card.get_file_list(check_subdirs=True) == [("Part.gcode", 5), ("usb/lent.gcode", 10)]
+        for name, moves in (("pART.gcode", 1), ("usb/lent.gcode", 3)):
+            s.gcode.run_script(f"SDCARD_PRINT_FILE FILENAME={name}")
+            wait_until(s, "complete")
+            assert s.status("gcode_macro MOVE")["count"] == moves
+
+    session.run(body)
+
+
+def test_a_named_file_is_opened_without_a_look_at_all_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A part may lie in a home folder with a million files."""
+    monkeypatch.setattr("extras.virtual_sdcard.os.walk", lambda *_, **__: pytest.fail("walked"))
+
+    def body(s: Session) -> None:
+        s.gcode.run_script("SDCARD_PRINT_FILE FILENAME=part.gcode")
+        wait_until(s, "complete")
+
+    sd_session(tmp_path, part="MOVE\n").run(body)
+
+
 def test_pause_resume_from_outside_loses_no_line(tmp_path: Path) -> None:
     def body(s: Session) -> None:
         s.gcode.register_command("SLOW", lambda gcmd: s.sleep(0.1))
