@@ -328,20 +328,11 @@ class PrinterConfig:
     def read_main_config(self) -> ConfigWrapper:
         """Parse the printer's config file and apply the overrides of the command line."""
         start_args = self.printer.get_start_args()
-        path = start_args["config_file"]
-        user_text, saved_text = configtext.split_autosave(configtext.read_text(path))
-        data = ConfigData()
-        parser = configtext.ConfigParser(data)
-        parser.parse_text(user_text, path)
-        saved = ConfigData()
-        configtext.ConfigParser(saved).parse_text(saved_text, path, user_text.count("\n") + 1)
+        data, saved = configtext.read_main(start_args["config_file"])
         self._saved = {
             name: {key: option.value for key, option in section.options.items()}
             for name, section in saved.sections.items()
         }
-        for name, section in saved.sections.items():
-            for key, option in section.options.items():
-                data.set(name, key, option.value, option.origin)
         for name, key, value in start_args.get("config_overrides", ()):
             data.set(name, key.lower(), str(value), Origin("command line", 0))
         for note in data.notes:

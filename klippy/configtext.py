@@ -216,6 +216,18 @@ class _TextReader:
         self._option, self._option_indent, self._lines = "", -1, []
 
 
+def read_main(path: str) -> tuple[ConfigData, ConfigData]:
+    """(the main config file with all it includes, of that what SAVE_CONFIG wrote). Raises ConfigError."""
+    user_text, saved_text = split_autosave(read_text(path))
+    data, saved = ConfigData(), ConfigData()
+    ConfigParser(data).parse_text(user_text, path)
+    ConfigParser(saved).parse_text(saved_text, path, user_text.count("\n") + 1)
+    for name, section in saved.sections.items():
+        for key, option in section.options.items():
+            data.set(name, key, option.value, option.origin)
+    return data, saved
+
+
 def format_autosave(saved: dict[str, dict[str, str]]) -> str:
     """The SAVE_CONFIG block for sections of options; empty text if there is nothing to save."""
     if not any(saved.values()):

@@ -36,11 +36,9 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
 
 import bench_plan_cost
-import configtext
-from configfile import ConfigWrapper
+import plan_temperature
 from extras import temperature_plan
 from simulation import gcode_path, plan_offline, plan_report
-from thermal.nozzle_melt import NozzleLimits
 
 ROOT = Path(__file__).resolve().parents[1]
 FILES = {  # kind, file of pyGCodeDecode's examples
@@ -49,9 +47,9 @@ FILES = {  # kind, file of pyGCodeDecode's examples
     "large and flat, long layers": "brace.gcode",
 }
 # The files are sliced for PLA; what is printed here is ABS, with the targets of ABS.
-SECTION = {"material": "ABS", "bed_temp": "100", "chamber_temp": "40", "melt_min": "205", "melt_max": "265"}
+SECTION = {"material": "ABS", "bed_temp": "100", "chamber_temp": "40"}
 NOZZLE_C, BED_C = 245, 100
-HARD_SECTION = {"material": "PC", "bed_temp": "100", "chamber_temp": "25", "melt_max": "300"}
+HARD_SECTION = {"material": "PC", "bed_temp": "100", "chamber_temp": "25"}
 HARD_NOZZLE_C = 265
 WIDER = "[stepper_x]\nposition_max: 200\n"  # the flat part reaches X 190
 UA_W_K, HEAT_MJ_M3K, INLET_C = 0.0276, 2.1, 25.0  # of the reference plant
@@ -88,16 +86,13 @@ def offline(
     path: Path, section: dict[str, str], base_c: float
 ) -> tuple[plan_offline.OfflinePlan, Table, float]:
     """(plan, its figures, µs of processor time a move that planning takes in a printer)."""
-    data = configtext.ConfigData()
-    for name, value in section.items():
-        data.set("temperature_plan", name, value, configtext.Origin("bench", 0))
-    settings = temperature_plan.read_settings(ConfigWrapper(None, data, {}, "temperature_plan"))
-    limits = gcode_path.Limits(180.0, 2500.0)
+    config = bench_plan_cost.sample_config(section)
+    settings = temperature_plan.read_settings(config)
+    nozzle = plan_temperature.limits_of("induction", config, settings)
+    limits = gcode_path.read_limits(config.getsection("printer"), config.getsection("extruder"))
 
     def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
-        return plan_offline.Planning(settings, NozzleLimits(), replace(limits)).run(
-            path, base_c, lambda n: None
-        )
+        return plan_offline.Planning(settings, nozzle, replace(limits)).run(path, base_c, lambda n: None)
 
     first = run(replace(settings, slowest=1.0, longest_pause_s=0.0))
     known = plan_offline.steady(settings, first.summary, run(settings).summary)

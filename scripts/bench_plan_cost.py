@@ -38,11 +38,10 @@ sys.path[:0] = [str(ROOT / "klippy"), str(ROOT / "scripts")]
 import bench_steady  # noqa: E402
 import configtext  # noqa: E402
 from configfile import ConfigWrapper  # noqa: E402
-from extras import temperature_plan  # noqa: E402
+from extras import induction_settings, temperature_plan  # noqa: E402
 from lookahead import LookAheadQueue  # noqa: E402
 from simulation import gcode_path  # noqa: E402
 from thermal.control_api import Reference  # noqa: E402
-from thermal.nozzle_melt import NozzleLimits  # noqa: E402
 from thermal.wishes import Wishes  # noqa: E402
 
 AHEAD_S = 2.0  # toolhead.BUFFER_FULL_S
@@ -55,11 +54,20 @@ MEMORY_MOVES = (100_000, 1_000_000)
 Planned = tuple[Any, Wishes]  # Move of the look-ahead, what holds for it
 
 
+def sample_config(section: dict[str, str]) -> ConfigWrapper:
+    """[temperature_plan] with these options in the sample printer's config."""
+    data, _ = configtext.read_main(str(ROOT / "config" / "sim-induction.cfg"))
+    for name, value in section.items():
+        data.set("temperature_plan", name, value, configtext.Origin("bench", 0))
+    return ConfigWrapper(None, data, {}, "temperature_plan")
+
+
 class Printer:
     """As much of a printer as the section asks for; `time_s`: print time now."""
 
     def __init__(self) -> None:
-        limits = NozzleLimits()
+        section = sample_config({}).getsection("induction_heater nozzle")
+        parameters = induction_settings.read_parameters(section, induction_settings.read_unit(section))
         self.time_s = 0.0
         self.woken = False
         self.next_s = 0.0  # when the section's timer is due
@@ -67,7 +75,8 @@ class Printer:
             reference=None, state=SimpleNamespace(target_c=NOZZLE_C), set_reference=self._set_reference
         )
         self.heater = SimpleNamespace(
-            batch=False, lent=False, min_temp=limits.min_c, max_temp=limits.max_c, min_extrude_c=limits.min_extrude_c,
+            batch=False, lent=False, min_temp=parameters.supervise.temp_low_c,
+            max_temp=parameters.supervise.temp_high_c, min_extrude_c=170.0, parameters=parameters,
             loop=self.loop, now_s=lambda: self.time_s,
         )  # fmt: skip
         extruder = SimpleNamespace(get_name=lambda: "extruder", get_heater=lambda: self.heater)
@@ -111,17 +120,9 @@ class Section(temperature_plan.TemperaturePlanner):
     """[temperature_plan] on that printer, driven by hand."""
 
     def __init__(self, printer: Printer) -> None:
-        data = configtext.ConfigData()
-        for name, value in SECTION.items():
-            data.set("temperature_plan", name, value, configtext.Origin("bench", 0))
-        super().__init__(
-            printer, temperature_plan.read_settings(ConfigWrapper(None, data, {}, "temperature_plan"))
-        )
+        super().__init__(printer, temperature_plan.read_settings(sample_config(SECTION)))
         self._on_connect()
         self._on_ready()
-
-    def _limits(self) -> NozzleLimits:
-        return NozzleLimits()
 
     def _set_factor(self, factor: float) -> None:
         """The pace is off."""

@@ -30,14 +30,14 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "klippy"))
 
 import configtext
 from configfile import ConfigWrapper
-from extras import temperature_plan
+from extras import induction_settings, temperature_plan
 from simulation import gcode_path, plan_emit, plan_offline, plan_report
 from thermal.materials import MATERIALS
 from thermal.model import HeatCapacity, LossLaw
 from thermal.nozzle_melt import NozzleLimits
 
-# What heats: watts that planning may use, J/K, W/K to the air. induction: the reference plant (thermal/model.py);
-# slow: a 40 W cartridge in an aluminium block of about 20 g.
+# What heats, if the config has no induction heater: watts that planning may use, J/K, W/K to the air. induction: the
+# reference plant (thermal/model.py); slow: a 40 W cartridge in an aluminium block of about 20 g.
 HEATERS = {
     "induction": NozzleLimits(),
     "slow": NozzleLimits(
@@ -90,9 +90,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
 
 def read_config(options: argparse.Namespace) -> tuple[ConfigWrapper, temperature_plan.Settings, bool]:
     """(the config, the plan's settings, has it an induction heater). Raises ConfigError, BadInput."""
-    data = configtext.ConfigData()
-    user, _ = configtext.split_autosave(configtext.read_text(str(options.config)))
-    configtext.ConfigParser(data).parse_text(user, str(options.config))
+    data, _ = configtext.read_main(str(options.config))
     changes = [("material", options.material)] if options.material else []
     for text in options.set:
         name, equals, value = (part.strip() for part in text.partition("="))
@@ -113,13 +111,18 @@ def read_config(options: argparse.Namespace) -> tuple[ConfigWrapper, temperature
     return wrapper, settings, any(name.startswith("induction_heater") for name in data.sections)
 
 
-def limits_of(heater: str, config: ConfigWrapper) -> NozzleLimits:
-    """The nozzle: what heats it, within the config's temperatures."""
-    section = config.getsection("extruder")
-    base = HEATERS[heater]
+def limits_of(heater: str, config: ConfigWrapper, settings: temperature_plan.Settings) -> NozzleLimits:
+    """The nozzle: the config's own induction heater, or else what heats it within the config's temperatures."""
+    section = config.getsection(settings.heater if config.has_section(settings.heater) else "extruder")
+    name = f"induction_heater {section.get('heater', '')}"
+    if heater == "induction" and config.has_section(name):
+        own = config.getsection(name)
+        parameters = induction_settings.read_parameters(own, induction_settings.read_unit(own))
+        low_c = section.getfloat("min_extrude_temp", own.getfloat("min_extrude_temp", 170.0))
+        return temperature_plan.nozzle_limits(settings, parameters, low_c)
     low_c = section.getfloat("min_extrude_temp", 170.0)
     high_c = section.getfloat("max_temp", 300.0)
-    return replace(base, min_c=0.0, max_c=high_c, min_extrude_c=low_c)
+    return replace(HEATERS[heater], min_c=0.0, max_c=high_c, min_extrude_c=low_c)
 
 
 def other_nozzles(config: ConfigWrapper) -> frozenset[int]:
@@ -149,7 +152,7 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
         task = progress.add_task("planning", total=total)
 
         def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
-            nozzle = limits_of(heater, config)
+            nozzle = limits_of(heater, config, settings)
             planning = plan_offline.Planning(settings, nozzle, replace(limits), arc_mm, other_nozzles(config))
             return planning.run(options.gcode, base_c, lambda lines: progress.update(task, completed=lines))
 

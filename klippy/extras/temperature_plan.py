@@ -24,12 +24,12 @@ from tempplan import Laid, Summary, TemperaturePlan
 from thermal import wishes
 from thermal.control_api import Reference
 from thermal.materials import MATERIALS, Material
-from thermal.nozzle_melt import MeltExchange, NozzleLimits, idle_way
+from thermal.nozzle_melt import NozzleLimits, idle_way
 from thermal.pace import Pace, Pacer, Place
 
-from .temperature_plan_settings import Settings, read_settings
+from .temperature_plan_settings import HEADROOM_C, Settings, nozzle_limits, read_settings
 
-__all__ = ["Settings", "TemperaturePlanner", "load_config", "read_settings", "report_line"]
+__all__ = ["Settings", "TemperaturePlanner", "load_config", "nozzle_limits", "read_settings", "report_line"]
 
 COMMIT_S = 0.20  # the plan nearer than this stays: commands for it may be on their way
 WORK_S = 1.0  # how often it is looked, at least
@@ -39,7 +39,6 @@ RETURN_S = 0.5  # so long after the last piece the nozzle goes back to the user'
 ROWS_AT_ONCE = 4096
 WITHIN_C = 0.02  # a straight line for corners that are so near it: far below what the thermometer sees
 SAME_TIME_S = 1e-6  # a mark and the move behind it
-HEADROOM_C = 5.0  # the nozzle passes its reference by a degree or two, and at max_temp the printer shuts down
 
 
 class TemperaturePlanner:
@@ -107,27 +106,6 @@ class TemperaturePlanner:
                     f" below max_temp) are ({self.settings.written_at[option]})."
                 )
 
-    def _limits(self) -> NozzleLimits:
-        heater, parameters = self.heater, self.heater.parameters
-        holder = parameters.plausible.loss
-        return NozzleLimits(
-            min_c=heater.min_temp,
-            max_c=heater.max_temp - HEADROOM_C,
-            min_extrude_c=heater.min_extrude_c,
-            power_w=self.settings.power_share * parameters.control.power_max_w,
-            loss=parameters.loss,
-            capacity=parameters.track.heat,
-            exchange=self._exchange(),
-            holder_w_k=holder.link_w_k**2 / (holder.link_w_k + holder.second_w_k),
-            holder_s=holder.second_j_k / (holder.link_w_k + holder.second_w_k),
-        )
-
-    def _exchange(self) -> MeltExchange:
-        """As the heater knows it (MODEL_CALIBRATE with FLOW measures it), unless the section says otherwise."""
-        own: MeltExchange = self.heater.parameters.melt
-        ua_w_k = self.settings.exchange_w_k or own.ua_w_k
-        return replace(own, ua_w_k=ua_w_k, volume_mm3=self.settings.melt_mm3)
-
     def renew(self) -> None:
         """The heater works with other numbers: plan with them. What is being laid is laid with the ones before."""
         if self.plan.summary().pieces == 0 and not self.is_on_path():
@@ -135,7 +113,7 @@ class TemperaturePlanner:
 
     def _begin(self) -> None:
         """An empty bed."""
-        self._nozzle = self._limits()
+        self._nozzle = nozzle_limits(self.settings, self.heater.parameters, self.heater.min_extrude_c)
         self.plan = TemperaturePlan(self._nozzle, self.material, self.settings.surroundings, self.craft)
         self._path = PathPieces(math.pi / 4.0 * self.craft.filament_mm**2)
         self._pacer = Pacer(self.settings.slowest, self.settings.longest_pause_s)

@@ -11,9 +11,12 @@ from typing import Any
 from tempplan import Craft
 from thermal import wishes
 from thermal.deposit import Surroundings
+from thermal.loop import LoopParameters
 from thermal.materials import MATERIALS, Material
+from thermal.nozzle_melt import NozzleLimits
 
 FOLLOW_MM = 60000.0  # a fair part of a print: the weld is held where the user's own target has it on average
+HEADROOM_C = 5.0  # the nozzle passes its reference by a degree or two, and at max_temp the printer shuts down
 SLOWEST = 0.2  # of the file's speed; slicers go down to a tenth for their least time of a layer
 
 
@@ -99,6 +102,23 @@ def _material(config: Any) -> Material:
         high_c=high_c,
         bonding_c=config.getfloat("bonding_temp", base.bonding_c, minval=0.0, maxval=400.0),
         flow_c=config.getfloat("flow_temp", base.flow_c, minval=0.0, maxval=450.0),
+    )
+
+
+def nozzle_limits(settings: Settings, parameters: LoopParameters, min_extrude_c: float) -> NozzleLimits:
+    """What an [induction_heater] lets the plan do. Its melt exchange is as the heater knows it (MODEL_CALIBRATE with
+    FLOW measures it), unless [temperature_plan] says otherwise."""
+    holder, own = parameters.plausible.loss, parameters.melt
+    return NozzleLimits(
+        min_c=parameters.supervise.temp_low_c,
+        max_c=parameters.supervise.temp_high_c - HEADROOM_C,
+        min_extrude_c=min_extrude_c,
+        power_w=settings.power_share * parameters.control.power_max_w,
+        loss=parameters.loss,
+        capacity=parameters.track.heat,
+        exchange=replace(own, ua_w_k=settings.exchange_w_k or own.ua_w_k, volume_mm3=settings.melt_mm3),
+        holder_w_k=holder.link_w_k**2 / (holder.link_w_k + holder.second_w_k),
+        holder_s=holder.second_j_k / (holder.link_w_k + holder.second_w_k),
     )
 
 

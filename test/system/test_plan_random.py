@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from extras.temperature_plan import nozzle_limits
 from system.conftest import CONFIG
 from system.plan_gcode import Writer
 from system.plan_rig import Road, Watched, watch
@@ -158,7 +159,8 @@ def test_no_file_makes_the_plan_ask_for_what_cannot_or_must_not_be(tmp_path: Pat
     record = tmp_path / "rows.csv"
     body = Writer(random.Random(seed)).write(THINGS)
     watched = printed(tmp_path, body, f"{SECTION}record: {record}\n")
-    limits = watched.planner._limits()
+    heater = watched.planner.heater
+    limits = nozzle_limits(watched.planner.settings, heater.parameters, heater.min_extrude_c)
     assert all(a.end_s <= b.start_s + 1e-9 for a, b in itertools.pairwise(watched.roads))
     check_ranges(watched, limits)
     places, rows = check_slopes(watched, limits), check_rows(record)
