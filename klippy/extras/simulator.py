@@ -30,6 +30,7 @@ TRACE_RATE_HZ = 100.0
 LINE_BAUD = 250000.0
 LINE_LATENCY_S = 0.0005  # a USB serial adapter's turn-round, both directions alike
 FAN_SPIN_UP_S = 0.2
+CHIP_TEMP_C = 40.0  # a room of 25 C and what the chip's own losses add on a small board
 FILAMENT_DIAMETER_MM = 1.75
 MCU_BUILDS = ("simulator", "stm32f334", "atmega2560")
 
@@ -71,6 +72,7 @@ class McuSettings:
     drop: float = 0.0
     duplicate: float = 0.0
     build: str = "simulator"
+    chip_temp_c: float = CHIP_TEMP_C
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +205,7 @@ def _read_mcu(config: Any, name: str) -> McuSettings:
         drop=chance("drop"),
         duplicate=chance("duplicate"),
         build=config.getchoice("build", {name: name for name in MCU_BUILDS}, "simulator"),
+        chip_temp_c=config.getfloat("chip_temperature", CHIP_TEMP_C, minval=-40.0, maxval=150.0),
     )
 
 

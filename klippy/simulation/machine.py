@@ -128,6 +128,7 @@ def _add_mcus(
             mcu.duplicate,
             build=build,
         )
+        machine.world.set_chip_temperature(machine.mcus[name], mcu.chip_temp_c)
         if "serial" in options:
             machine.serials[options["serial"]] = name
     if known:

@@ -157,6 +157,10 @@ class World:
         finally:
             os.unlink(copy)  # once loaded it needs no name
 
+    def set_chip_temperature(self, mcu: int, temp_c: float) -> None:
+        """What the sensor inside the chip of an MCU feels from now on."""
+        self._index(self.lib.world_set_chip_temperature(self.pointer, mcu, temp_c))
+
     def pin(self, pin: Pin) -> Any:
         """The C form of a pin."""
         return self.ffi.new("struct world_pin *", (pin.mcu, pin.number, int(pin.inverted)))[0]

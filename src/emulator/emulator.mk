@@ -12,7 +12,8 @@ UNICORN_LIBS     := $(UNICORN)/lib/libunicorn.so.2 -Wl,-rpath,$(UNICORN)/lib
 
 EMULATOR_CORTEX_SOURCES    := $(wildcard $(EMULATOR_DIR)/*.c)
 EMULATOR_STM32F334_SOURCES := $(EMULATOR_CORTEX_SOURCES) $(wildcard $(EMULATOR_DIR)/stm32f334/*.c)
-EMULATOR_HEADERS           := $(wildcard $(EMULATOR_DIR)/*.h $(EMULATOR_DIR)/stm32f334/*.h) src/simulator/sim_mcu.h
+EMULATOR_HEADERS           := $(wildcard $(EMULATOR_DIR)/*.h $(EMULATOR_DIR)/stm32f334/*.h) \
+                              src/simulator/sim_mcu.h src/simulator/chip_sensor.h
 EMULATOR_STM32F334         := $(EMULATOR_OUT)/libferrite_stm32f334.so
 
 .PHONY: emulator

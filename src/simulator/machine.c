@@ -4,13 +4,19 @@
 #include <math.h>
 #include <string.h>
 
+#include "chip_sensor.h"
+#include "sim_mcu.h"
+
 static const uint16_t ADC_OPEN = 4095; /* nothing connected: pulled up */
+static const double ROOM_C = 25.0;
 
 void machine_init(struct machine *m)
 {
     memset(m, 0, sizeof *m);
-    for (int i = 0; i < MACHINE_MCUS; i++)
+    for (int i = 0; i < MACHINE_MCUS; i++) {
         m->nozzle_of_mcu[i] = -1;
+        m->chip_temp_c[i] = ROOM_C;
+    }
 }
 
 static struct machine_pin *pin_at(struct machine *m, struct world_pin p)
@@ -210,6 +216,8 @@ static uint16_t reference_code(struct reference *r)
 uint16_t machine_adc_read(struct machine *m, int mcu, uint32_t number, double now_s)
 {
     (void)now_s; /* a load is at most one tick behind: far below its lag */
+    if (number == SIM_PIN_TEMPERATURE)
+        return chip_sensor_code(m->chip_temp_c[mcu]);
     if (number < MACHINE_PINS && m->pins[mcu][number].role == PIN_REFERENCE)
         return reference_code(&m->references[m->pins[mcu][number].target]);
     if (number >= MACHINE_PINS || m->pins[mcu][number].role != PIN_THERMISTOR)
@@ -302,7 +310,7 @@ void machine_tick(struct machine *m, double now_s, double tick_s)
     }
     for (int i = 0; i < m->reference_count; i++) {
         struct reference *r = &m->references[i];
-        double seen_c = 25.0 + r->options.gain * (m->nozzles[r->options.nozzle].plant.skin_c - 25.0);
+        double seen_c = ROOM_C + r->options.gain * (m->nozzles[r->options.nozzle].plant.skin_c - ROOM_C);
         r->temp_c += (seen_c - r->temp_c) * (1.0 - exp(-tick_s / r->options.tau_s));
     }
     for (int i = 0; i < m->load_count; i++) {

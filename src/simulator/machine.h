@@ -115,6 +115,7 @@ struct machine {
     struct probe probes[MACHINE_PROBES];
     int axis_count, duty_count, fan_count, nozzle_count, load_count, reference_count, probe_count;
     int nozzle_of_mcu[MACHINE_MCUS]; /* index, -1 */
+    double chip_temp_c[MACHINE_MCUS];
 };
 
 void machine_init(struct machine *m);

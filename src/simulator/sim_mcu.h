@@ -14,6 +14,7 @@
 #include <stdint.h>
 
 #define SIM_EXPORT __attribute__((visibility("default")))
+#define SIM_PIN_TEMPERATURE 254
 
 #ifdef __cplusplus
 extern "C" {
@@ -28,6 +29,7 @@ struct sim_board {
     uint8_t (*pin_read)(void *ctx, uint32_t pin, uint64_t clock);
     /* value 0..PWM_MAX of cycle_ticks */
     void (*pwm_write)(void *ctx, uint32_t pin, uint32_t cycle_ticks, uint32_t value, uint64_t clock);
+    /* 12 bits; SIM_PIN_TEMPERATURE: the chip's own temperature sensor. */
     uint16_t (*adc_read)(void *ctx, uint32_t pin, uint64_t clock);
     /* In force from `clock` on: a period edge, or any clock when the firmware switches off at once. */
     void (*bridge_set)(void *ctx, uint16_t phase, uint64_t clock);

@@ -16,6 +16,7 @@ DECL_ENUMERATION_RANGE("pin", "PE0", 64, 16);
 DECL_ENUMERATION_RANGE("pin", "PF0", 80, 16);
 DECL_ENUMERATION_RANGE("pin", "PG0", 96, 16);
 DECL_ENUMERATION_RANGE("pin", "PH0", 112, 16);
+DECL_ENUMERATION("pin", "ADC_TEMPERATURE", SIM_PIN_TEMPERATURE);
 
 static struct {
     uint8_t level[SIM_PIN_COUNT];          /* of outputs, as last written */
@@ -82,7 +83,7 @@ gpio_in_read(struct gpio_in g)
 struct adc_in
 adc_setup(uint32_t pin)
 {
-    if (pin >= SIM_PIN_COUNT)
+    if (pin >= SIM_PIN_COUNT && pin != SIM_PIN_TEMPERATURE)
         shutdown(SHUTDOWN_NOT_ADC_PIN);
     return (struct adc_in){ pin };
 }

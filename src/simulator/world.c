@@ -85,6 +85,14 @@ int world_add_mcu(struct world *w, const char *library, double clock_hz, double 
     return w->mcu_count++;
 }
 
+int world_set_chip_temperature(struct world *w, int mcu, double temp_c)
+{
+    if (!mcu_at(w, mcu))
+        return world_fail(w, "chip temperature: no such MCU");
+    w->machine.chip_temp_c[mcu] = temp_c;
+    return 0;
+}
+
 int world_load_image(struct world *w, int mcu, const char *image)
 {
     struct world_mcu *m = mcu_at(w, mcu);

@@ -109,6 +109,8 @@ double world_now(const struct world *w);
 /* Building the machine; all of it before the first world_advance(). */
 int world_add_mcu(struct world *w, const char *library, double clock_hz, double clock_ppm,
                   const struct world_link_options *link);
+/* What the chip's own sensor feels; 25 degC unless told, at any time. */
+int world_set_chip_temperature(struct world *w, int mcu, double temp_c);
 /* The image an emulator runs (src/emulator/emulator.h); once, before the first world_advance(). */
 int world_load_image(struct world *w, int mcu, const char *image);
 int world_add_axis(struct world *w, const struct world_axis_options *options);

@@ -38,7 +38,7 @@ struct gpio_in {
     uint32_t mask;
 };
 struct adc_in {
-    uint8_t channel;               /* of ADC2 */
+    uint8_t channel;               /* of ADC2; SENSOR (adc.c): of ADC1 */
 };
 struct pwm_out {
     volatile uint32_t *compare;    /* TIMx_CCRy */

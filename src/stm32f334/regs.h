@@ -304,11 +304,13 @@
 #define ADC_ISR_ADRDY BIT(0)
 #define ADC_ISR_EOC BIT(2)
 #define ADC_ISR_OVR BIT(4)
+#define ADC_ISR_JEOC BIT(5)
 #define ADC_IER(adc) R(adc, 0x04)
 #define ADC_IER_OVRIE BIT(4)
 #define ADC_CR(adc) R(adc, 0x08)
 #define ADC_CR_ADEN BIT(0)
 #define ADC_CR_ADSTART BIT(2)
+#define ADC_CR_JADSTART BIT(3)
 #define ADC_CR_ADSTP BIT(4)
 #define ADC_CR_ADVREGEN(v) FIELD(v, 28, 2)
 #define ADC_CR_ADCAL BIT(31)
@@ -322,9 +324,13 @@
 #define ADC_SQR1(adc) R(adc, 0x30)
 #define ADC_SQR1_SQ1(v) FIELD(v, 6, 5)
 #define ADC_DR(adc) R(adc, 0x40)
+#define ADC_JSQR(adc) R(adc, 0x4c)
+#define ADC_JSQR_JSQ1(v) FIELD(v, 8, 5)
+#define ADC_JDR1(adc) R(adc, 0x80)
 #define ADC12_COMMON_BASE 0x50000300u
 #define ADC12_CCR R(ADC12_COMMON_BASE, 0x08)
 #define ADC12_CCR_CKMODE(v) FIELD(v, 16, 2)
+#define ADC12_CCR_TSEN BIT(23)
 
 /****************************************************************
  * SPI, I2C

@@ -214,12 +214,12 @@ def test_hardware_pwm_is_guarded_by_max_duration() -> None:
 # ---------------------------------------------------------------- analog inputs
 
 
-def analog(code: Any, **changes: int) -> tuple[Mcu, int]:
-    """An MCU sampling pin 40, 4 samples 100 ticks apart every 7200 ticks; the clock of the first."""
+def analog(code: Any, pin: int = 40, **changes: int) -> tuple[Mcu, int]:
+    """An MCU sampling a pin, 4 samples 100 ticks apart every 7200 ticks; the clock of the first."""
     mcu = Mcu()
     mcu.run(0.001)
     mcu.adc_code = code
-    mcu.configure(1, ("config_analog_in", {"oid": 0, "pin": 40}))
+    mcu.configure(1, ("config_analog_in", {"oid": 0, "pin": pin}))
     start = mcu.now + 1000
     query = {
         "oid": 0, "clock": start, "sample_ticks": 100, "sample_count": 4, "rest_ticks": 7200,
@@ -243,6 +243,23 @@ def test_a_report_is_the_sum_of_samples_taken_at_their_clocks() -> None:
     assert [int.from_bytes(r["values"], "little") for r in reports] == [10, 26, 42]
     assert [r["next_clock"] for r in reports] == [start + (i + 1) * 7200 for i in range(3)]
     assert [r.clock for r in reports] == [start + i * 7200 + 300 for i in range(3)]
+
+
+def test_the_chips_temperature_is_an_analog_input_and_nothing_else() -> None:
+    pin = Mcu().dictionary.plain["enumerations"]["pin"]["ADC_TEMPERATURE"]
+    mcu, start = analog(lambda asked, clock: 1700 if asked == pin else 0, pin=pin)
+    mcu.run_to(start + 300)
+    (report,) = mcu.replies("analog_in_state")
+    assert int.from_bytes(report["values"], "little") == 4 * 1700
+    output = {"oid": 0, "pin": pin, "value": 0, "default_value": 0, "max_duration": 0}
+    for config, shutdown in (
+        (("config_digital_out", output), "Not an output pin"),
+        (("config_analog_in", {"oid": 0, "pin": pin - 1}), "Not a valid ADC pin"),
+    ):
+        mcu = Mcu()
+        mcu.send("allocate_oids", count=1)
+        mcu.send(config[0], **config[1])
+        assert mcu.shutdown_reason() == shutdown
 
 
 def test_values_are_gathered_into_reports_of_the_size_asked_for() -> None:

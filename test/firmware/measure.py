@@ -47,10 +47,17 @@ def code_at(clock: int) -> int:
     return 40 + ((n * 2654435761 >> 7 ^ n * 40503) & 0xFFF) % 4000
 
 
-def sampling_unit(block: tuple[int, int] = (192, 2), **options: Any) -> Firmware:
-    """The induction heater configured, sampling, reporting; an axis beside it."""
+def sampling_unit(
+    block: tuple[int, int] = (192, 2),
+    period: int = PERIOD,
+    adc_pin: int = 0,
+    before: tuple[tuple[str, dict[str, int]], ...] = (),
+    beside: tuple[tuple[str, dict[str, int]], ...] = (),
+    **options: Any,
+) -> Firmware:
+    """The induction heater configured, sampling, reporting; an axis; objects (oids from 2) before and after them."""
     chip = Firmware(**options)
-    config = {"oid": 0, "bridge": 0, "adc_pin": 0, "period_ticks": PERIOD, "phase_max": 45000}
+    config = {"oid": 0, "bridge": 0, "adc_pin": adc_pin, "period_ticks": period, "phase_max": 45000}
     stepper = {
         "step_pin": AXIS_PINS[0],
         "dir_pin": AXIS_PINS[1],
@@ -58,11 +65,13 @@ def sampling_unit(block: tuple[int, int] = (192, 2), **options: Any) -> Firmware
         "step_pulse_ticks": 0,
     }
     chip.configure(
-        2,
+        2 + len(before) + len(beside),
+        *before,
         ("config_induction", config | {"max_duration": FREQ // 2}),
         ("config_induction_sense", {"oid": 0, "oversample": 5, "settle_samples": 20, "ema_shift": 0}),
         ("config_induction_block", {"oid": 0, "samples": block[0], "records": block[1]}),
         ("config_stepper", {"oid": STEP_OID} | stepper),
+        *beside,
     )
     return chip
 
@@ -113,7 +122,7 @@ def run_sampling(seconds: float, block: tuple[int, int] = (192, 2), steps_hz: in
     chip.send("induction_report", oid=0, enable=0)
     chip.run(0.05)
     made = abs(int(chip.ask("stepper_get_position", oid=STEP_OID)["pos"]))
-    return Sampling(chip, _records(chip, offset, block[0]), given, before, after, asked, made, phases)
+    return Sampling(chip, records_of(chip, offset, block[0]), given, before, after, asked, made, phases)
 
 
 def everything_cost(block: tuple[int, int], seconds: float = 0.5) -> float:
@@ -137,7 +146,7 @@ def everything_cost(block: tuple[int, int], seconds: float = 0.5) -> float:
     return (busy - idle) / samples
 
 
-def _records(chip: Firmware, offset: int, block_len: int) -> list[tuple[int, Row]]:
+def records_of(chip: Firmware, offset: int, block_len: int) -> list[tuple[int, Row]]:
     """All records reported, with the world's clock of their first sample."""
     out = []
     for message in chip.replies("induction_block"):

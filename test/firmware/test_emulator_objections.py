@@ -15,6 +15,8 @@ from simulation.builds import SIMULATOR, Build
 from simulation.world import World, WorldError
 
 READY = "clock_72(); clocks_on();"
+SENSOR_ON = "adc_regulator(); R(ADC + 0x308) |= 1 << 23; adc_start(); wait(2000);"
+INJECT_SENSOR = "R(ADC + 0x4c) = 16 << 8; R(ADC + 8) |= 8; wait(500);"
 
 MISTAKES = {
     # --- nothing there, or not clocked ---
@@ -77,6 +79,18 @@ MISTAKES = {
     "adc_running": (
         READY + "R(GPIOA) |= 3; adc_on(); R(ADC + 0x30) = 1 << 6; R(ADC + 8) |= 4; R(ADC + 0x30) = 2 << 6;",
         "while conversions run",
+    ),
+    "sensor_off": (READY + "adc_on(); R(ADC + 0x18) = 6 << 18;" + INJECT_SENSOR, "has not been on for 10 us"),
+    "sensor_sampling": (READY + SENSOR_ON + "R(ADC + 0x18) = 5 << 18;" + INJECT_SENSOR, "less than 2.2 us"),
+    "sensor_late": (READY + "adc_on(); R(ADC + 0x308) |= 1 << 23;", "is changed while a converter is on"),
+    "injected_off": (READY + "R(ADC + 0x4c) = 16 << 8;", "while the converter is off"),
+    "injected_nothing": (READY + "adc_on(); R(ADC + 8) |= 8;", "without anything in JSQR"),
+    "injected_sequence": (READY + "adc_on(); R(ADC + 0x4c) = 16 << 8 | 1;", "reserved or not modelled"),
+    "injected_meets_sample": (
+        READY + "dll_on(); legs(9600); R(GPIOA) |= 15; adc_on(); R(ADC + 0x14) = 1 << 3 | 7 << 6;"
+        "R(ADC + 0x30) = 1 << 6; R(HRTIM_COMMON + 0x3c) = 1 << 4; R(ADC + 0xc) = 7 << 6 | 1 << 10 | 1 << 12;"
+        "R(ADC + 0x4c) = 2 << 8; R(ADC + 8) |= 4; R(ADC + 8) |= 8;",  # 614 cycles in a period of 600
+        "meets one in step with the bridge",
     ),
     # --- HRTIM ---
     "dll_before_start": (READY + "R(HRTIM) = 8 | 1 << 16;", "before the delay line is calibrated"),

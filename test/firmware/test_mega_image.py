@@ -68,6 +68,19 @@ def test_it_has_no_bridge_and_the_host_says_so(tmp_path: Path) -> None:
     assert re.search(r"command '\w*induction\w*', which its firmware .* does not have", outcome.reason)
 
 
+def test_it_has_no_temperature_of_its_own_and_the_host_says_so(tmp_path: Path) -> None:
+    config, part = tmp_path / "printer.cfg", tmp_path / "part.gcode"
+    base = ROOT / "config" / "sim-mega.cfg"
+    config.write_text(f"[include {base}]\n[temperature_sensor board]\nsensor_type: temperature_mcu\n")
+    part.write_text("G28\n")
+    outcome = Simulation(RunOptions(config, part)).run()
+    assert outcome.status == BAD_INPUT
+    assert outcome.reason == (
+        "Sensor 'board': the firmware of mcu 'mcu' does not offer its chip's own temperature"
+        " (there is no pin ADC_TEMPERATURE)"
+    )
+
+
 def test_memory_left_makes_a_move_queue_of_some_hundred() -> None:
     # four steppers and nothing else: 6.9 KiB of 12-byte entries; a whole printer leaves 476
     assert stepping(4).ask("get_config")["move_count"] > 540

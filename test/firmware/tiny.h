@@ -53,9 +53,8 @@ static inline void adc_regulator(void)
     wait(2000);
     R(ADC + 0x308) = 1 << 16;
 }
-static inline void adc_on(void)
+static inline void adc_start(void)
 {
-    adc_regulator();
     R(ADC + 8) |= 1u << 31;
     while (R(ADC + 8) >> 31)
         ;
@@ -63,6 +62,11 @@ static inline void adc_on(void)
     R(ADC + 8) |= 1;
     while (!(R(ADC) & 1))
         ;
+}
+static inline void adc_on(void)
+{
+    adc_regulator();
+    adc_start();
 }
 static inline void dll_on(void)
 {

@@ -94,13 +94,6 @@ def test_a_sensor_out_of_its_range_is_named(simulate: Simulate, setting: str, wo
     assert "reference:" not in run.summary["reason"]  # the sensor that is well
 
 
-def test_a_board_without_a_temperature_of_its_own_says_so(simulate: Simulate, tmp_path: Path) -> None:
-    path = tmp_path / "printer.cfg"
-    path.write_text(f"[include {CONFIG}]\n[temperature_sensor board]\nsensor_type: temperature_mcu\n")
-    run = simulate("G4 P500\n", config=path)
-    assert run.status == 2 and "Sensor 'board': the firmware of mcu 'mcu' does not offer" in run.stderr
-
-
 def test_a_file_that_saves_its_findings_ends_with_the_restart_of_it(
     simulate: Simulate, tmp_path: Path
 ) -> None:

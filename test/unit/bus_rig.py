@@ -163,9 +163,7 @@ class Chip:
         return Sender(self, msgformat)
 
     def get_enumerations(self) -> dict[str, dict[str, int]]:
-        """The simulator's, and the pin of a chip's own temperature, which it has not."""
-        known = self.parser.get_enumerations()
-        return {**known, "pin": {**known["pin"], "ADC_TEMPERATURE": 255}}
+        return self.parser.get_enumerations()
 
     def get_constants(self) -> dict[str, Any]:
         return self.constants

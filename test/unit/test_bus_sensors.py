@@ -219,7 +219,10 @@ def test_two_points_calibrate_any_board(tmp_path: Path) -> None:
     run(tmp_path, sensor(f"sensor_type: temperature_mcu\n{TWO_POINTS}"), body)
 
 
-def test_an_unknown_board_needs_two_points_and_says_so(tmp_path: Path) -> None:
+def test_an_unknown_board_needs_two_points_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(temperature_mcu, "TYPICAL", ())
     reason = start_error(tmp_path, sensor("sensor_type: temperature_mcu"))
     assert "simulator" in reason and "sensor_temperature2" in reason
     same = TWO_POINTS.replace("0.25", "0.5")
@@ -324,6 +327,8 @@ def test_a_combined_sensor_of_something_else_is_refused(tmp_path: Path) -> None:
         "sensor_list: temperature_sensor a, respond",
     )
     assert "respond" in start_error(tmp_path, config)
+    config = config.replace("temperature_sensor a, respond", "temperature_sensor a, temperature_sensor s")
+    assert "names the section itself" in start_error(tmp_path, config)
 
 
 def test_query_adc_reports_value_and_resistance(tmp_path: Path) -> None:

@@ -119,6 +119,18 @@ def test_an_unconnected_adc_pin_reads_full_scale(rig: Rig) -> None:
     assert rig.adc(Pin(0, 99)) == 4095
 
 
+def test_a_chip_feels_its_own_temperature(rig: Rig) -> None:
+    """1.395 V of 3.3 V at 25 degC and 4.2 mV less a kelvin: what the host's table has for a simulated chip."""
+    rig.start()
+    sensor = Pin(0, 254)
+    assert rig.adc(sensor) == round(1.395 / 3.3 * 4095)
+    for temp_c, code in ((85.0, (1.395 - 60 * 0.0042) / 3.3 * 4095), (1000.0, 0)):
+        rig.world.set_chip_temperature(0, temp_c)
+        assert rig.adc(sensor) == round(code)
+    with pytest.raises(WorldError, match="no such MCU"):
+        rig.world.set_chip_temperature(3, 25.0)
+
+
 def test_the_bridge_heats_the_nozzle_with_the_power_of_its_phase(rig: Rig) -> None:
     nozzle = rig.world.add_nozzle(0, parameter_values("nozzle", "reference", {}))
     rig.start()

@@ -1,4 +1,5 @@
-/* ADC1 and ADC2 (RM0364 chapter 13): single conversions by software, conversions in step with HRTIM moved by DMA.
+/* ADC1 and ADC2 (RM0364 chapter 13): single conversions by software, regular or injected, conversions in step with HRTIM moved by
+ * DMA.
  *
  * Conversions in step are made late and many at a time: when the DMA channel's half or end is due, when somebody looks, and before
  * the bridge changes, so that all samples asked for at once lie under one phase. Between these instants the buffer in
@@ -12,23 +13,26 @@ enum {
     ISR = 0x00, IER = 0x04, CR = 0x08, CFGR = 0x0c, SMPR1 = 0x14, SMPR2 = 0x18, TR1 = 0x20, TR3 = 0x28, SQR1 = 0x30,
     SQR4 = 0x3c, DR = 0x40, JSQR = 0x4c, OFR1 = 0x60, OFR4 = 0x6c, JDR1 = 0x80, JDR4 = 0x8c, DIFSEL = 0xb0, CALFACT = 0xb4,
     COMMON_CSR = 0x300, COMMON_CCR = 0x308,
-    ADRDY = 1u << 0, EOSMP = 1u << 1, EOC = 1u << 2, EOS = 1u << 3, OVR = 1u << 4,
-    ADEN = 1u << 0, ADDIS = 1u << 1, ADSTART = 1u << 2, JADSTART = 1u << 3, ADSTP = 1u << 4, ADCAL = 1u << 31,
+    ADRDY = 1u << 0, EOSMP = 1u << 1, EOC = 1u << 2, EOS = 1u << 3, OVR = 1u << 4, JEOC = 1u << 5, JEOS = 1u << 6,
+    ADEN = 1u << 0, ADDIS = 1u << 1, ADSTART = 1u << 2, JADSTART = 1u << 3, ADSTP = 1u << 4, JADSTP = 1u << 5, ADCAL = 1u << 31,
+    TSEN = 1u << 23,
     DMAEN = 1u << 0, DMACFG = 1u << 1, CONT = 1u << 13, OVRMOD = 1u << 12,
     UNITS = 2, REGULATOR_TICKS = 720 /* 10 us, DS9994 table 63 */, CALIBRATION_CYCLES = 112, BATCH = 256,
-    TRIGGER_HRTIM1 = 7, TRIGGER_HRTIM3 = 8, NO_PIN = 0xff,
+    TRIGGER_HRTIM1 = 7, TRIGGER_HRTIM3 = 8, NO_PIN = 0xff, CHANNEL_SENSOR = 16,
+    SENSOR_START_TICKS = 720, SENSOR_SAMPLING_TICKS = 159, /* 10 us, 2.2 us: DS9994, temperature sensor characteristics */
 };
 
 static struct adc {
-    uint32_t isr, ier, cr, cfgr, smpr[2], tr[3], sqr[4], jsqr, ofr[4], dr, difsel, calfact;
+    uint32_t isr, ier, cr, cfgr, smpr[2], tr[3], sqr[4], jsqr, ofr[4], dr, jdr, difsel, calfact;
     uint64_t regulator_at, calibrated_at, ready_at;
     uint8_t regulator_step, calibrated;
-    struct event done, dma;
+    struct event done, injected, dma;
     int in_step;             /* converting at each trigger of HRTIM */
     uint64_t first_trigger;  /* clock of the next trigger that has not been converted */
     uint32_t period;
 } adcs[UNITS];
 static uint32_t common_ccr;
+static uint64_t sensor_at; /* from when on the temperature sensor is good */
 
 /* Channel to pin (DS9994 table 13): port A 0.., B 16.., C 32.. */
 static const uint8_t PIN_OF[UNITS][19] = {
@@ -43,11 +47,16 @@ static uint32_t clock_hz(void)
     return mode ? clocks.hclk / DIVIDER[mode] : clocks.adc_async;
 }
 
-static uint64_t conversion_ticks(const struct adc *a, unsigned channel)
+static double sampling_ticks(const struct adc *a, unsigned channel, unsigned more_half_cycles)
 {
     static const uint16_t SAMPLE_X2[8] = { 3, 5, 9, 15, 39, 123, 363, 1203 }; /* sampling cycles, doubled */
     uint32_t smp = a->smpr[channel / 10] >> 3 * (channel % 10) & 7u;
-    return (uint64_t)ticks_of(SAMPLE_X2[smp] + 25, 2 * clock_hz()) + 1;
+    return ticks_of(SAMPLE_X2[smp] + more_half_cycles, 2 * clock_hz());
+}
+
+static uint64_t conversion_ticks(const struct adc *a, unsigned channel)
+{
+    return (uint64_t)sampling_ticks(a, channel, 25) + 1;
 }
 
 static unsigned first_channel(const struct adc *a)
@@ -71,8 +80,20 @@ static unsigned dma_channel(unsigned unit)
     return (syscfg_remap3() >> 8 & 3u) == 3u ? 4 : 2;
 }
 
+/* V_TS is wired to ADC1 only (RM0364). */
+static int check_sensor(const struct adc *a)
+{
+    if (!(common_ccr & TSEN) || now() < sensor_at)
+        fault("ADC1 converts the temperature sensor, which is off or has not been on for 10 us (TSEN)");
+    if (sampling_ticks(a, CHANNEL_SENSOR, 0) < SENSOR_SAMPLING_TICKS)
+        fault("ADC1 samples the temperature sensor for less than 2.2 us (DS9994)");
+    return SIM_PIN_TEMPERATURE;
+}
+
 static int check_input(unsigned unit, unsigned channel)
 {
+    if (unit == 0 && channel == CHANNEL_SENSOR)
+        return check_sensor(&adcs[unit]);
     unsigned pin = channel < 19 ? PIN_OF[unit][channel] : NO_PIN;
     if (pin == NO_PIN) {
         fault("ADC%u converts channel %u, which is no pin of this package", unit + 1, channel);
@@ -198,8 +219,8 @@ void adc_dma_changed(void)
 static void start_single(unsigned unit)
 {
     struct adc *a = &adcs[unit];
-    if (a->sqr[0] & 15u || a->cfgr & CONT)
-        fault("ADC%u: sequences and continuous conversion by software are not modelled", unit + 1);
+    if (a->sqr[0] & 15u || a->cfgr & CONT || a->cr & JADSTART)
+        fault("ADC%u: sequences, continuous conversion and a turn by software are not modelled", unit + 1);
     event_at(&a->done, now() + conversion_ticks(a, first_channel(a)));
 }
 
@@ -219,6 +240,64 @@ static void single_done(void *arg)
     update_line();
 }
 
+/* ---- injected conversions by software ------------------------------------------------------------------- */
+
+/* RM0364, injected channel management: the injected conversion aborts a regular one, and one triggered meanwhile waits. Either moves a
+ * sample of the bridge, which must not happen. */
+static void check_gap(unsigned unit, uint64_t ticks)
+{
+    struct adc *a = &adcs[unit];
+    if (!a->in_step)
+        return;
+    sync(unit);
+    uint64_t since = (now() + a->period - a->first_trigger % a->period) % a->period;
+    if (since < conversion_ticks(a, first_channel(a)) || since + ticks > a->period)
+        fault("ADC%u: an injected conversion meets one in step with the bridge, %u of %u ticks after its trigger", unit + 1,
+              (unsigned)since, a->period);
+}
+
+static void start_injected(unsigned unit)
+{
+    struct adc *a = &adcs[unit];
+    unsigned channel = a->jsqr >> 8 & 31u;
+    if (!(a->cr & ADEN) || a->ready_at)
+        fault("ADC%u: JADSTART before ADRDY", unit + 1);
+    if (!channel)
+        fault("ADC%u: JADSTART without anything in JSQR", unit + 1);
+    if (a->done.due != NEVER)
+        fault("ADC%u: an injected conversion within one by software is not modelled", unit + 1);
+    uint64_t ticks = conversion_ticks(a, channel);
+    check_gap(unit, ticks);
+    a->cr |= JADSTART;
+    event_at(&a->injected, now() + ticks);
+}
+
+static void stop_injected(struct adc *a)
+{
+    a->cr &= ~(uint32_t)(JADSTART | JADSTP);
+    event_at(&a->injected, NEVER);
+}
+
+static void injected_done(void *arg)
+{
+    struct adc *a = arg;
+    int pin = check_input((unsigned)(a - adcs), a->jsqr >> 8 & 31u);
+    stop_injected(a);
+    if (pin >= 0)
+        a->jdr = board.adc_read(board.ctx, (uint32_t)pin, now()) & 0xfffu;
+    a->isr |= JEOC | JEOS;
+    update_line();
+}
+
+static void jsqr_write(unsigned unit, uint32_t value)
+{
+    if (!(adcs[unit].cr & ADEN))
+        fault("ADC%u_JSQR is written while the converter is off", unit + 1);
+    /* sequences and triggers are not modelled, and so neither is the queue of contexts */
+    must_be(unit ? "ADC2" : "ADC1", "JSQR", value, 31u << 8);
+    adcs[unit].jsqr = value;
+}
+
 /* ---- registers ------------------------------------------------------------------------------------------- */
 
 static void refresh(struct adc *a)
@@ -236,8 +315,8 @@ static void refresh(struct adc *a)
 
 static void check_off(unsigned unit, const char *reg)
 {
-    if (adcs[unit].cr & ADSTART)
-        fault("ADC%u_%s is written while conversions run (ADSTART is set)", unit + 1, reg);
+    if (adcs[unit].cr & (ADSTART | JADSTART))
+        fault("ADC%u_%s is written while conversions run (ADSTART or JADSTART is set)", unit + 1, reg);
 }
 
 static uint32_t unit_read(unsigned unit, uint32_t offset)
@@ -264,6 +343,10 @@ static uint32_t unit_read(unsigned unit, uint32_t offset)
         return a->dr;
     case JSQR:
         return a->jsqr;
+    case JDR1:
+        a->isr &= ~(uint32_t)JEOC;
+        update_line();
+        return a->jdr;
     case DIFSEL:
         return a->difsel;
     case CALFACT:
@@ -361,8 +444,6 @@ static void cr_write(unsigned unit, uint32_t value)
 {
     struct adc *a = &adcs[unit];
     refresh(a);
-    if (value & JADSTART)
-        fault("ADC%u: injected conversions are not modelled", unit + 1);
     regulator_write(unit, value);
     if (value & ADCAL && !(a->cr & ADCAL))
         calibrate(unit, value);
@@ -370,8 +451,10 @@ static void cr_write(unsigned unit, uint32_t value)
         enable(unit);
     if (value & ADSTP && a->cr & ADSTART)
         stop(unit);
+    if (value & JADSTP)
+        stop_injected(a);
     if (value & ADDIS && a->cr & ADEN) {
-        if (a->cr & ADSTART)
+        if (a->cr & (ADSTART | JADSTART))
             fault("ADC%u is switched off while conversions run", unit + 1);
         a->cr &= ~(uint32_t)ADEN;
         a->isr &= ~(uint32_t)ADRDY;
@@ -379,6 +462,8 @@ static void cr_write(unsigned unit, uint32_t value)
     }
     if (value & ADSTART && !(value & ADSTP) && !(a->cr & ADSTART))
         start(unit);
+    if (value & JADSTART && !(value & JADSTP) && !(a->cr & JADSTART))
+        start_injected(unit);
 }
 
 static void cfgr_write(unsigned unit, uint32_t value)
@@ -411,6 +496,9 @@ static void unit_write(unsigned unit, uint32_t offset, uint32_t value)
     case SMPR2:
         check_off(unit, "SMPR");
         a->smpr[(offset - SMPR1) / 4] = value;
+        break;
+    case JSQR:
+        jsqr_write(unit, value);
         break;
     case DIFSEL:
         if (value)
@@ -447,10 +535,12 @@ void adc_write_register(unsigned unit, uint32_t offset, uint32_t value)
     (void)unit;
     if (offset == COMMON_CCR) {
         must_be("ADC", "CCR", value, 0x30000u | 7u << 22);
-        if ((adcs[0].cr | adcs[1].cr) & (ADEN | ADCAL) && (value ^ common_ccr) & 0x30000u)
-            fault("the ADC clock (CKMODE) is changed while a converter is on (RM0364, 13.3.3)");
+        if ((adcs[0].cr | adcs[1].cr) & (ADEN | ADCAL) && value != common_ccr)
+            fault("the ADC clock (CKMODE) or an internal channel is changed while a converter is on (RM0364, 13.3.3)");
         if ((value >> 16 & 3u) == 1 && clocks.hclk == 0)
             fault("ADC CKMODE = 01 needs an undivided AHB clock");
+        if (value & ~common_ccr & TSEN)
+            sensor_at = now() + SENSOR_START_TICKS;
         common_ccr = value;
     } else if (offset < 0x200) {
         unit_write(offset >> 8, offset & 0xffu, value);
@@ -465,15 +555,18 @@ void adc_reset(unsigned unit)
     common_ccr = 0;
     for (unsigned i = 0; i < UNITS; i++) {
         struct adc *a = &adcs[i];
-        struct event done = a->done, dma = a->dma;
+        struct event done = a->done, injected = a->injected, dma = a->dma;
         memset(a, 0, sizeof *a);
         a->cr = 0x20000000u;
         a->done = done;
+        a->injected = injected;
         a->dma = dma;
         a->done.run = single_done;
+        a->injected.run = injected_done;
         a->dma.run = dma_due;
-        a->done.arg = a->dma.arg = a;
+        a->done.arg = a->injected.arg = a->dma.arg = a;
         event_at(&a->done, NEVER);
+        event_at(&a->injected, NEVER);
         event_at(&a->dma, NEVER);
     }
 }

@@ -4,6 +4,8 @@
 #include <stdio.h>
 #include <string.h>
 
+#include "chip_sensor.h"
+
 const uint32_t chip_flash_base = 0x08000000u;
 
 /* SRAM 12 KiB, CCM 4 KiB, flash 64 KiB (DS9994); the system memory's page holds unique id and flash size. */
@@ -138,13 +140,15 @@ void must_be(const char *name, const char *reg, uint32_t value, uint32_t allowed
         fault("%s_%s = 0x%08x: the bits 0x%08x are reserved or not modelled", name, reg, value, value & ~allowed);
 }
 
-/* What the chip is and how much flash it has (RM0364, 31.1 and 31.2). */
+/* What the chip is and how much flash it has (RM0364, 31.1 and 31.2), its temperature sensor's readings in the factory. */
 static void fill_system_memory(void)
 {
     static int done;
     static const uint32_t UID[3] = { 0x00390031u, 0x34305109u, 0x38313732u };
-    uint16_t kilobytes = 64;
+    uint16_t kilobytes = 64, cold = chip_sensor_code(30.0), hot = chip_sensor_code(110.0); /* DS9994: TS_CAL1, TS_CAL2, at 3.3 V */
     if (!done) {
+        memcpy(core_memory(0x1ffff7b8u), &cold, sizeof cold);
+        memcpy(core_memory(0x1ffff7c2u), &hot, sizeof hot);
         memcpy(core_memory(0x1ffff7acu), UID, sizeof UID);
         memcpy(core_memory(0x1ffff7ccu), &kilobytes, sizeof kilobytes);
         done = 1;
