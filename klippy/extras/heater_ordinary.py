@@ -179,6 +179,11 @@ class Heater:
         self._apply(self._read_s, 0.0, 0.0)
 
     @property
+    def lent(self) -> bool:
+        """To a calibration."""
+        return self._driver is not None
+
+    @property
     def reading(self) -> tuple[float, float]:
         """(print time, degC) of the newest reading, not smoothed."""
         return self._read_s, self._temp_c

@@ -68,7 +68,7 @@ class InductionSeat:
     def __init__(self, heater: Any) -> None:
         self.heater = heater
         self.most = float(heater.parameters.control.power_max_w)
-        self._before: loop.LoopParameters = heater.parameters
+        self._control: loop.Control = heater.parameters.control
         self._taken = False
         self._told_c = 0.0
 
@@ -80,7 +80,7 @@ class InductionSeat:
         heater = self.heater
         if heater.loop.state.target_c:
             raise heater.printer.command_error(f"Turn heater '{heater.name}' off before calibrating it")
-        self._before = heater.parameters
+        self._control = heater.parameters.control
         law = control_api.Law("calibration", _stepper(run, self.most), 0, lambda p, state, inputs, out: state)
         heater.use(replace(heater.parameters, control=loop.Control(law, None, self.most, models=True)))
         self._told_c = run.target_c
@@ -98,7 +98,7 @@ class InductionSeat:
     def leave(self) -> None:
         if self._taken:
             self.heater.set_temp(0.0)
-            self.heater.use(self._before)
+            self.heater.use(replace(self.heater.parameters, control=self._control))
             self.heater.lent = False
 
 

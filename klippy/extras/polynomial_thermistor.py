@@ -21,6 +21,7 @@ CHECK_STEPS = (
     1000  # of the range, to see that the polynomial is monotonic; a curve of low degree has no narrower bumps
 )
 BISECTIONS = 50
+BEYOND_C = 1e4  # a [temperature_sensor] without a max_temp
 
 
 class Polynomial:
@@ -94,9 +95,10 @@ class PolynomialSensor(PrinterADCtoTemperature):
 
     def setup_minmax(self, min_temp: float, max_temp: float) -> None:
         if max_temp > self._hottest_c:
+            has = "none" if max_temp > BEYOND_C else f"{max_temp:.1f}"
             raise self.printer.config_error(
-                f"Option 'max_temp' in section '{self.name}' is {max_temp:.1f}, and its polynomial thermistor is valid"
-                f" up to {self._hottest_c:.1f} degrees only."
+                f"Section '{self.name}' needs a max_temp of {self._hottest_c:.1f} at most, it has {has}: its polynomial"
+                " thermistor is valid up to there only."
             )
         super().setup_minmax(min_temp, max_temp)
 

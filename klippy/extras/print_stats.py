@@ -43,8 +43,8 @@ class PrintStats:
     # --- events of the print ---
     def note_start(self) -> None:
         """Start, or resume after a pause."""
-        now = self.reactor.monotonic()
-        if self._begin is None:
+        now, begins = self.reactor.monotonic(), self._begin is None
+        if begins:
             self._begin = now
         elif self._pause_begin is not None:
             self._paused_s += now - self._pause_begin
@@ -52,6 +52,8 @@ class PrintStats:
         self._last_e_mm = self._e_position_mm(now)
         self.state = "printing"
         self.error_message = ""
+        if begins:
+            self.printer.send_event("print_stats:begin")
 
     def note_pause(self) -> None:
         """Paused."""

@@ -122,6 +122,8 @@ def build_sensor(config: Any) -> CombinedTemperature:
     )
     if not settings.sensor_names:
         raise config.error(f"Option 'sensor_list' in section '{config.get_name()}' names no sensor.")
+    if config.get_name() in settings.sensor_names:
+        raise config.error(f"Option 'sensor_list' in section '{config.get_name()}' names the section itself.")
     name = config.get_name().split()[-1]
     sensor = CombinedTemperature(printer, name, settings)
     sensor.register()

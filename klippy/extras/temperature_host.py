@@ -16,7 +16,11 @@ REPORT_TIME_S = 1.0
 def read_millidegrees(path: str) -> float:
     """degC in the file; raises OSError or ValueError."""
     with open(path, encoding="ascii") as handle:
-        return float(handle.read().strip()) / 1000.0
+        text = handle.read().strip()
+    try:
+        return float(text) / 1000.0
+    except ValueError:
+        raise ValueError(f"there is no number but '{text[:20]}'") from None
 
 
 class HostTemperature:

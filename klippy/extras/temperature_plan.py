@@ -120,12 +120,17 @@ class TemperaturePlanner:
         self._paced_s, self._moved_c = -math.inf, 0.0
         self._has_told = False
         self._set_factor(1.0)
+        if self._reference is not None:  # the print before still lies ahead, or is on its way back
+            now_s = self.heater.now_s()
+            self.plan.lead([(s, self._reference.at(s)) for s in (now_s, now_s + COMMIT_S)])
 
     def register(self) -> None:
         self.printer.register_event_handler("klippy:connect", self._on_connect)
         self.printer.register_event_handler("klippy:ready", self._on_ready)
         self.printer.register_event_handler("klippy:shutdown", self._stop)
+        self.printer.register_event_handler("klippy:disconnect", self._close_books)
         self.printer.register_event_handler("exclude_object:current", self._on_object)
+        self.printer.register_event_handler("print_stats:begin", self._begin_print)
         gcode = self._gcode
         gcode.register_command(
             "SET_SEGMENT_TEMPERATURE",
@@ -160,6 +165,7 @@ class TemperaturePlanner:
         if self._timer is not None:
             self._reactor.unregister_timer(self._timer)
             self._timer = None
+        self._printing = False
 
     # Names of places, as the G-code comes by
 
@@ -262,9 +268,9 @@ class TemperaturePlanner:
     # The plan
 
     def _on_timer(self, eventtime: float) -> float:
-        self._watch_print()
-        self._watch_target()
         now_s = self.heater.now_s()
+        self._watch_print(now_s)
+        self._watch_target()
         next_s = self._work(now_s)
         if not self.enabled and self._reference is None:
             return float(self._reactor.NEVER)
@@ -330,7 +336,8 @@ class TemperaturePlanner:
 
     def _let_go(self, base_c: float) -> None:
         if self._reference is not None and base_c <= 0.0:
-            self.plan.cut(self.heater.now_s())
+            self._end_s = self.heater.now_s()
+            self.plan.cut(self._end_s)
             self._path.drop()
         self._reference = None
         self._base_c = base_c
@@ -376,21 +383,31 @@ class TemperaturePlanner:
 
     # The print
 
-    def _watch_print(self) -> None:
-        stats = self._print_stats
-        printing = stats is not None and stats.state in ("printing", "paused")
-        if printing and not self._printing:
-            self._begin()
-            self._state = wishes.Wishes()
-            self._marks = deque([self._state])
-            self._asks = self._state.asks(self.settings.table)
-        elif self._printing and not printing:
-            self._book(math.inf)
-            if self.enabled and self.plan.summary().pieces:
-                self._gcode.respond_info(report_line(self.plan.summary(), self.material))
+    def _begin_print(self) -> None:
+        """Before the first line of the file: what that asks for counts already."""
+        self._close_books()
+        self._begin()
+        self._state = wishes.Wishes()
+        self._marks = deque([self._state])
+        self._asks = self._state.asks(self.settings.table)
+        self._printing = True
+
+    def _watch_print(self, now_s: float) -> None:
+        """A print is over when what was queued at the end of its file is laid."""
+        over = self._printing and self._print_stats.state not in ("printing", "paused")
+        if over and now_s > self._end_s and not self._path.facts().waiting:
+            self._close_books()
             self._pacer.pace = Pace()
             self._set_factor(1.0)
-        self._printing = printing
+
+    def _close_books(self) -> None:
+        """Of this print, if there is one."""
+        if not self._printing:
+            return
+        self._printing = False
+        self._book(math.inf)
+        if self.enabled and self.plan.summary().pieces:
+            self._gcode.respond_info(report_line(self.plan.summary(), self.material))
 
     # Commands
 

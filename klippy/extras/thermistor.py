@@ -24,7 +24,15 @@ from .adc_temperature import PrinterADCtoTemperature
 
 ZERO_CELSIUS_K = 273.15
 RATIO_LOW, RATIO_HIGH = 1e-5, 1.0 - 1e-5  # keeps the logarithm finite at an open or shorted sensor
+LN_OHM_MOST = 300.0  # what min_temp near absolute zero would need no number can hold
 HOTTEST_INVERSE_K = 1.0 / 2273.15  # a shorted sensor reads as 2000 degC, where the law itself has a pole
+
+
+BETA_LEAST_K, BETA_MOST_K = 500.0, 20000.0  # parts have 2000 to 6000
+
+
+def _ohm(ln_ohm: float) -> float:
+    return math.exp(min(LN_OHM_MOST, max(-LN_OHM_MOST, ln_ohm)))
 
 
 class Law(Protocol):
@@ -52,11 +60,11 @@ class SteinhartHart:
         """Resistance at a temperature: the one real root of the cubic in ln R (Cardano)."""
         inverse_t = 1.0 / (temp_c + ZERO_CELSIUS_K)
         if not self.c3:
-            return math.exp((inverse_t - self.c1) / self.c2)
+            return _ohm((inverse_t - self.c1) / self.c2)
         third = self.c2 / (3.0 * self.c3)
         half = 0.5 * (self.c1 - inverse_t) / self.c3
         root = math.sqrt(half * half + third**3)
-        return math.exp(math.cbrt(root - half) - math.cbrt(root + half))
+        return _ohm(math.cbrt(root - half) - math.cbrt(root + half))
 
 
 def fit_beta(temp1_c: float, ohm1: float, beta_k: float) -> SteinhartHart:
@@ -112,7 +120,7 @@ class Table:
 
     def ohm(self, temp_c: float) -> float:
         """Resistance at a temperature."""
-        return math.exp(self._between(self._inverse_t, self._ln_r, 1.0 / (temp_c + ZERO_CELSIUS_K)))
+        return _ohm(self._between(self._inverse_t, self._ln_r, 1.0 / (temp_c + ZERO_CELSIUS_K)))
 
     @staticmethod
     def _between(x: list[float], y: list[float], at: float) -> float:
@@ -197,7 +205,7 @@ def read_law(config: Any) -> Law:
     above_zero_k = -ZERO_CELSIUS_K
     temp1_c = config.getfloat("temperature1", above=above_zero_k)
     ohm1 = config.getfloat("resistance1", above=0.0)
-    beta_k = config.getfloat("beta", None, above=0.0)
+    beta_k = config.getfloat("beta", None, minval=BETA_LEAST_K, maxval=BETA_MOST_K)
     if beta_k is not None:
         return fit_beta(temp1_c, ohm1, beta_k)
     points = [(temp1_c, ohm1)]

@@ -11,7 +11,8 @@ heater is an integrator with a delay; that point determines both its numbers:
 
 An integrator with a delay oscillates at K_u = pi / (2 k L) with the period T_u = 4 L. Gains are Tyreus and Luyben's
 (Ind. Eng. Chem. Res. 31, 2625, 1992), made for such plants: K_p = K_u / 2.2, T_i = 2.2 T_u, T_d = T_u / 6.3: little
-overshoot, a gain margin above 2. The scatter over the periods is the uncertainty.
+overshoot, a gain margin above 2. Medians over the periods count, and their scatter is the uncertainty: where a message
+between host and MCU is lost, one swing is switched late and tells a delay that the plant does not have.
 """
 
 from __future__ import annotations
@@ -176,6 +177,12 @@ def _cycle(points: Sequence[Point]) -> tuple[float, float, float]:
     return omega * abs(response), lag / omega, period_s
 
 
+def _middle(values: Sequence[float]) -> tuple[float, float]:
+    """(median, scatter of one value): 1.4826 median deviations are a standard deviation if it is normal."""
+    middle = statistics.median(values)
+    return middle, 1.4826 * statistics.median(abs(value - middle) for value in values)
+
+
 def evaluate(run: RelayRun) -> RelayResult:
     """PID from a run that is done. Raises CalibrationError if the swings do not tell one plant."""
     if run.stage is not Stage.DONE:
@@ -186,24 +193,23 @@ def evaluate(run: RelayRun) -> RelayResult:
     if len(cycles) < 2:
         raise CalibrationError("too few swings")
     gains, delays, periods = (list(column) for column in zip(*cycles, strict=True))
-    gain, delay_s = statistics.fmean(gains), statistics.fmean(delays)
-    sigma = statistics.stdev(gains), statistics.stdev(delays)
-    if not (gain > 0.0 and delay_s > 0.0) or sigma[0] > 0.25 * gain or sigma[1] > 0.35 * delay_s:
+    (gain, gain_scatter), (delay_s, delay_scatter_s) = _middle(gains), _middle(delays)
+    if not (gain > 0.0 and delay_s > 0.0) or gain_scatter > 0.25 * gain or delay_scatter_s > 0.35 * delay_s:
         raise CalibrationError(
-            f"the swings differ too much for a tuning (gain {gain:.3g} +- {sigma[0]:.2g}, delay {delay_s:.3g} +-"
-            f" {sigma[1]:.2g} s): is a fan or the extruder running?"
+            f"the swings differ too much for a tuning (gain {gain:.3g} +- {gain_scatter:.2g}, delay {delay_s:.3g} +-"
+            f" {delay_scatter_s:.2g} s): is a fan or the extruder running, or does the line to the board lose messages?"
         )
     measured = points[run.rises[1] :]
     swing_c = max(p.temp_c for p in measured) - min(p.temp_c for p in measured)
     ultimate, ultimate_s = math.pi / (2.0 * gain * delay_s), 4.0 * delay_s
     kp = ultimate / 2.2
-    root = math.sqrt(len(cycles))
+    root = math.sqrt(len(cycles) / (0.5 * math.pi))  # of a median
     return RelayResult(
         gain,
-        sigma[0] / root,
+        gain_scatter / root,
         delay_s,
-        sigma[1] / root,
-        statistics.fmean(periods),
+        delay_scatter_s / root,
+        statistics.median(periods),
         swing_c,
         kp,
         kp / (2.2 * ultimate_s),

@@ -150,3 +150,18 @@ def test_after_an_ended_run_the_nozzle_has_its_tuning_and_takes_a_target(
     assert "ended: ended by ABORT. Nothing was changed." in text
     assert kept(text, "before") and kept(text, "before") == kept(text, "after")
     assert run.column("true_c")[-1] == pytest.approx(200.0, abs=0.5)
+
+
+def test_while_a_heater_is_calibrated_its_law_is_neither_replaced_nor_kept_as_a_profile(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    """The run is the law for that time: another one in its place would hold the heater hot, and no run would end it."""
+    more = "[heater_profile extruder swings]\ncontrol: watermark\n"
+    for i, verb in enumerate(("LOAD=swings", "SAVE=run")):
+        command = f"HEATER_PROFILE HEATER=extruder {verb}"
+        more += f"[delayed_gcode early{i}]\ninitial_duration: {3.0 + 0.1 * i:.1f}\ngcode:\n  {command}\n"
+    lines = "PID_CALIBRATE HEATER=extruder TARGET=220 WAIT=0\n" + "G4 P500\n" * 40
+    _, text, _ = play(simulate, tmp_path, lines, more)
+    for i in range(2):
+        assert f"delayed_gcode early{i}: Heater 'extruder' is being calibrated; ABORT ends that" in text
+    assert "PID parameters: " in text and "heater_profile extruder run" not in text

@@ -91,6 +91,29 @@ def test_a_section_with_four_points_is_a_table(tmp_path: Path) -> None:
     run(tmp_path, TABLE, body)
 
 
+@pytest.mark.parametrize("name", ["Generic 3950", "SliceEngineering 450", "rrrf"])
+@pytest.mark.parametrize(("low_c", "high_c"), [(-273.0, 300.0), (-272.0, 1e8)])
+def test_limits_that_no_thermistor_can_read_are_the_ends_of_the_adc(
+    tmp_path: Path, name: str, low_c: float, high_c: float
+) -> None:
+    def body(s: BusSession) -> None:
+        limits = s.chip.pins["PA1"].setup["sample"]
+        assert (
+            0.0 <= limits["minval"] < 0.25 and limits["maxval"] > 0.35
+        )  # 560 of 1560 ohm with no thermistor
+
+    text = TABLE.replace("sensor_type: rrrf", f"sensor_type: {name}")
+    run(tmp_path, text.replace("min_temp: 0", f"min_temp: {low_c}").replace("270", str(high_c)), body)
+
+
+@pytest.mark.parametrize("beta", ["39.5", "395000"])
+def test_a_beta_that_no_part_has_is_refused(tmp_path: Path, beta: str) -> None:
+    """With the larger one every reading is 25 degC, and a heater would be hot before anybody knew."""
+    section = f"[thermistor t]\ntemperature1: 25\nresistance1: 100000\nbeta: {beta}\n"
+    reason = start_error(tmp_path, section + "[temperature_sensor s]\nsensor_type: t\nsensor_pin: PA1\n")
+    assert "'beta' in section 'thermistor t'" in reason
+
+
 # ---------------------------------------------------------------- the polynomial of source 001
 
 
@@ -145,6 +168,8 @@ def test_a_polynomial_that_turns_round_is_refused(tmp_path: Path) -> None:
 def test_a_heater_beyond_the_polynomial_is_refused(tmp_path: Path) -> None:
     reason = start_error(tmp_path, POLYNOMIAL.replace("{low}", "3.4").replace("{max}", "250"))
     assert "max_temp" in reason and "250" in reason
+    reason = start_error(tmp_path, POLYNOMIAL.replace("{low}", "3.4").replace("max_temp: {max}", ""))
+    assert "needs a max_temp of 86" in reason and "it has none" in reason
 
 
 # ---------------------------------------------------------------- platinum

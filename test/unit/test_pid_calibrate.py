@@ -55,6 +55,34 @@ def test_the_gains_settle_the_plant_they_were_found_on() -> None:
     assert all(abs(t - 60.0) < 0.2 for t in temps[-1000:])
 
 
+def test_a_swing_that_was_switched_late_does_not_spoil_the_others() -> None:
+    """A lost message: for one swing of five the output is 3 s later than the plant's own delay of 6 s."""
+    plant, late = Plant(0.4, 6.0, 2000.0), Plant(0.4, 6.0, 2000.0)
+    clean = relay.evaluate(tune(plant))
+    run = relay.RelayRun(relay.RelayPlan(60.0, 1.0, 0.2))
+    wanted = [0.0] * 10
+    for i in range(20000):
+        wanted.append(run.decide(i * DT_S, late.temp_c))
+        if run.over:
+            break
+        late.step(wanted[-11] if len(run.rises) == 4 else wanted[-1])
+    result = relay.evaluate(run)
+    assert result.delay_s == pytest.approx(clean.delay_s, rel=0.05)
+    assert result.gain_per_s == pytest.approx(clean.gain_per_s, rel=0.05)
+
+
+def test_swings_that_agree_on_nothing_are_refused() -> None:
+    plant, run = Plant(0.4, 6.0, 300.0), relay.RelayRun(relay.RelayPlan(60.0, 1.0, 0.2))
+    for i in range(20000):
+        output = run.decide(i * DT_S, plant.temp_c)
+        if run.over:
+            break
+        plant.gain = 0.15 * (1 + len(run.rises))  # another heater each time
+        plant.step(output)
+    with pytest.raises(relay.CalibrationError, match="differ too much"):
+        relay.evaluate(run)
+
+
 def test_a_heater_that_does_not_warm_ends_the_run() -> None:
     run = tune(Plant(0.0, 3.0, 400.0))
     assert "heater or sensor is broken" in run.fault
