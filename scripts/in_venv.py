@@ -6,23 +6,30 @@ what needs those packages (isort).
 
 from __future__ import annotations
 
-import importlib.util
 import os
 import sys
 from pathlib import Path
+from types import TracebackType
 
 PYTHON = Path(__file__).resolve().parent.parent / ".venv" / "bin" / "python"
 
 
+def _explain(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """A printer's own environment has less than these programs need, and an old one less than a new version."""
+    if isinstance(error, ModuleNotFoundError):
+        text = f"{sys.argv[0]}: Python package '{error.name}' is missing; `make setup` installs it into .venv"
+        print(text, file=sys.stderr)
+    else:
+        sys.__excepthook__(kind, error, trace)
+
+
 def _enter() -> None:
     # not an installed command, not a test that imports a program
-    by_name = Path(sys.argv[0]).resolve().parent == Path(__file__).resolve().parent
-    if not by_name or sys.prefix != sys.base_prefix:
+    if Path(sys.argv[0]).resolve().parent != Path(__file__).resolve().parent:
         return
-    if PYTHON.exists():
+    if sys.prefix == sys.base_prefix and PYTHON.exists():
         os.execv(PYTHON, [str(PYTHON), *sys.orig_argv[1:]])
-    if importlib.util.find_spec("cffi") is None:
-        sys.exit(f"{sys.argv[0]}: Python packages are missing; `make setup` installs them into .venv")
+    sys.excepthook = _explain
 
 
 _enter()

@@ -7,6 +7,7 @@ stays as it is. ABORT, TURN_OFF_HEATERS or a stop of the printer end it at any t
 
 from __future__ import annotations
 
+import importlib.util
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,12 +17,23 @@ from thermal import control_api, drill, loop
 
 from . import heater_tuning
 
+FIT_PACKAGES = ("numpy", "scipy")  # requirements.txt
 ABORT_HELP = "End the calibration"
 POLL_S = 0.1
 PROGRESS_S = 10.0
 FRESH_S = 3.0
 SENSOR_LEAST_C = 0.0
 QUIET_S = 10.0  # no reading for so long: the sensor is gone
+
+
+def need_fit(gcmd: Any) -> None:
+    """Before a run of minutes: are the packages there that its evaluation needs? Raises the command's error."""
+    missing = [name for name in FIT_PACKAGES if importlib.util.find_spec(name) is None]
+    if missing:
+        raise gcmd.error(
+            f"The fit after the run needs Python packages that are missing: {', '.join(missing)}. Run"
+            " scripts/install.sh or `make setup` in the folder of the host, then restart it"
+        )
 
 
 class Run(Protocol):

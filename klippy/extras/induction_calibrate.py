@@ -20,6 +20,7 @@ from typing import Any
 
 from thermal import laws, model, plausible, sweep, track
 
+from . import heater_run
 from . import induction_settings as settings
 
 COLUMNS = ("t_s", "temp_ref_c", "error", "phase_ticks", "count", "duration_s")  # thermal/fit_data.py
@@ -70,6 +71,7 @@ class InductionCalibrate:
         reference = gcmd.get("REFERENCE", "manual")
         if self._fitting:
             raise gcmd.error("The last calibration is still being fitted")
+        heater_run.need_fit(gcmd)
         parameters = self.heater.parameters
         limit_c = gcmd.get_float(
             "TEMP_MAX", min(350.0, self.heater.max_temp - 10.0), above=120.0, maxval=500.0

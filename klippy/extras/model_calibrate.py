@@ -59,6 +59,7 @@ class ModelCalibrate:
     def cmd_MODEL_CALIBRATE(self, gcmd: Any) -> None:
         if self._fitting:
             raise gcmd.error("The last calibration is still being fitted")
+        heater_run.need_fit(gcmd)
         heater = heater_tuning.heater_of(self.printer, gcmd)
         session = heater_run.Session(self.printer, heater, "MODEL_CALIBRATE")
         now_c = session.check_sensor(gcmd)

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+from extras import heater_run
+from simulation.runner import BAD_INPUT, RunOptions, Simulation
 from system.conftest import CONFIG, Simulate
 
 
@@ -165,3 +167,16 @@ def test_while_a_heater_is_calibrated_its_law_is_neither_replaced_nor_kept_as_a_
     for i in range(2):
         assert f"delayed_gcode early{i}: Heater 'extruder' is being calibrated; ABORT ends that" in text
     assert "PID parameters: " in text and "heater_profile extruder run" not in text
+
+
+@pytest.mark.parametrize("command", ["MODEL_CALIBRATE HEATER=extruder", "INDUCTION_CALIBRATE HEATER=nozzle"])
+def test_a_run_whose_fit_lacks_a_package_does_not_begin(
+    command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is evaluated minutes later, with the packages of requirements.txt."""
+    monkeypatch.setattr(heater_run, "FIT_PACKAGES", ("numpy", "no_such_package"))
+    gcode = tmp_path / "calibrate.gcode"
+    gcode.write_text(command + "\n")
+    outcome = Simulation(RunOptions(CONFIG, gcode)).run()
+    assert outcome.status == BAD_INPUT, outcome.reason
+    assert "missing: no_such_package. Run scripts/install.sh" in outcome.reason
