@@ -421,6 +421,7 @@ class PrinterConfig:
     def cmd_SAVE_CONFIG(self, gcmd: Any) -> None:
         """Write the pending values into the config file (keeping a backup), then restart."""
         if not self._pending:
+            gcmd.respond_info("SAVE_CONFIG: there is nothing to save")
             return
         try:
             backup = self._write(self.printer.get_start_args()["config_file"])

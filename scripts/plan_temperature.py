@@ -121,7 +121,7 @@ def limits_of(heater: str, config: ConfigWrapper, settings: temperature_plan.Set
         low_c = section.getfloat("min_extrude_temp", own.getfloat("min_extrude_temp", 170.0))
         return temperature_plan.nozzle_limits(settings, parameters, low_c)
     low_c = section.getfloat("min_extrude_temp", 170.0)
-    high_c = section.getfloat("max_temp", 300.0)
+    high_c = section.getfloat("max_temp", 300.0) - temperature_plan.HEADROOM_C
     return replace(HEATERS[heater], min_c=0.0, max_c=high_c, min_extrude_c=low_c)
 
 
@@ -172,6 +172,11 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
             )
     if not found.moves:
         raise BadInput(f"{options.gcode}: no line of it extrudes while it moves")
+    most_c = limits_of(heater, config, settings).max_c + temperature_plan.HEADROOM_C
+    if found.base_c > most_c:
+        raise BadInput(
+            f"{options.gcode}: heats the nozzle to {found.base_c:g} C, and max_temp of {options.config} is {most_c:g}"
+        )
     if found.other_tool_line >= 0:
         leave_out_tools(options, found.other_tool_line + 1)
     print(temperature_plan.report_line(found.summary, settings.material))

@@ -18,6 +18,8 @@ PID_BUSY_C = 1.0  # M109 returns when this near to the target ...
 PID_BUSY_SLOPE_C_S = 0.1  # ... and changing slower than this
 PRACTICAL_BUSY_C = 5.0  # its cycle does not come nearer
 
+MAX_DELTA_MOST_C = 50.0  # with more a watermark heater counts as arrived before it has begun
+
 # What a model controller of an ordinary heater wants: a small deviation is run down within seconds.
 MODEL_FADE_LAGS = 2.0  # of all the lags
 MODEL_LEAST_FADE_S = 1.0
@@ -153,7 +155,7 @@ def _read_pid(config: Any, max_power: float, smooth_s: float) -> tuple[Any, Any]
 
 
 def _read_watermark(config: Any, max_power: float, smooth_s: float) -> tuple[Any, Any]:
-    max_delta_c = config.getfloat("max_delta", 2.0, above=0.0)
+    max_delta_c = config.getfloat("max_delta", 2.0, above=0.0, maxval=MAX_DELTA_MOST_C)
     return control.WATERMARK, control.WatermarkParameters(max_delta_c, max_power)
 
 

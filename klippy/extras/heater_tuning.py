@@ -44,7 +44,7 @@ class _Overlay:
         self._base, self._over, self._names = base, over, names
 
     def get_name(self) -> str:
-        return str(self._base.get_name())
+        return str(self._over.get_name())
 
     def where(self, option: str | None = None) -> str:
         return str((self._of(option) if option else self._over).where(option))

@@ -151,7 +151,9 @@ def _control(
     )
     power_max_w = config.getfloat("max_power_w", drive.power_max_w, above=0.0, maxval=drive.power_max_w)
     pid = _pid(config, power_max_w)
-    watermark = control.WatermarkParameters(config.getfloat("max_delta", 2.0, above=0.0), power_max_w)
+    watermark = control.WatermarkParameters(
+        config.getfloat("max_delta", 2.0, above=0.0, maxval=heater_laws.MAX_DELTA_MOST_C), power_max_w
+    )
     table = heater_laws.read_practical(config, power_max_w)
     try:
         held = model_nozzle.nozzle_model(heat, loss, power_max_w, timing, melt)

@@ -52,6 +52,7 @@ class TemperaturePlanner:
         self.settings = settings
         self.material = settings.material
         self.craft = settings.craft
+        self.around = settings.surroundings
         self.enabled = settings.enabled
         self.heater: Any = None
         self._reactor = printer.get_reactor()
@@ -73,6 +74,7 @@ class TemperaturePlanner:
         self._paced_s = -math.inf  # end of what was planned at the newest pace
         self._moved_c = 0.0  # by so much the user moved the target within the print
         self._fan_device: Any = None
+        self._bed: Any = None
         self._fan = 0.0
         self._extruder: Any = None  # that the look-ahead moves, and is it ours?
         self._is_ours = True
@@ -114,7 +116,8 @@ class TemperaturePlanner:
     def _begin(self) -> None:
         """An empty bed."""
         self._nozzle = nozzle_limits(self.settings, self.heater.parameters, self.heater.min_extrude_c)
-        self.plan = TemperaturePlan(self._nozzle, self.material, self.settings.surroundings, self.craft)
+        self.around = self.settings.surroundings
+        self.plan = TemperaturePlan(self._nozzle, self.material, self.around, self.craft)
         self._path = PathPieces(math.pi / 4.0 * self.craft.filament_mm**2)
         self._pacer = Pacer(self.settings.slowest, self.settings.longest_pause_s)
         self._paced_s, self._moved_c = -math.inf, 0.0
@@ -149,6 +152,7 @@ class TemperaturePlanner:
         self._print_stats = self.printer.lookup_object("print_stats", None)
         fan = self.printer.lookup_object("fan", None)
         self._fan_device = fan.fan if fan is not None else None
+        self._bed = self.printer.lookup_object("heater_bed", None)
         if self.heater.batch:
             return
         if self.settings.record is not None:
@@ -240,8 +244,9 @@ class TemperaturePlanner:
     def _choose_pace(self) -> None:
         facts = self._path.facts()
         place = Place(facts.z_mm, facts.height_mm, self._fan)
-        ages, around = self.plan.ages(), self.settings.surroundings
-        pace = self._pacer.layer(ages, self.plan.pace_interface_c, self.material, around, place)
+        pace = self._pacer.layer(
+            self.plan.ages(), self.plan.pace_interface_c, self.material, self.around, place
+        )
         self._set_factor(pace.factor)
         self._paced_s = self._end_s
         if pace.factor < 1.0 and not self._has_told:
@@ -271,6 +276,7 @@ class TemperaturePlanner:
         now_s = self.heater.now_s()
         self._watch_print(now_s)
         self._watch_target()
+        self._watch_bed(eventtime)
         next_s = self._work(now_s)
         if not self.enabled and self._reference is None:
             return float(self._reactor.NEVER)
@@ -302,6 +308,13 @@ class TemperaturePlanner:
             return
         self._let_go(loop.state.target_c)
 
+    def _watch_bed(self, eventtime: float) -> None:
+        """The bed's target, or while it has none what was known before."""
+        bed_c = self._bed.get_status(eventtime)["target"] if self._bed is not None else 0.0
+        if bed_c > 0.0 and bed_c != self.around.bed_c:
+            self.around = replace(self.around, bed_c=bed_c)
+            self._use_craft()
+
     def is_on_path(self) -> bool:
         """Does the plan hold the heater? Asked by the heater: M109 waits until it is back at the user's target."""
         return self._reference is not None and self.heater.loop.reference is self._reference
@@ -332,7 +345,7 @@ class TemperaturePlanner:
         craft = self.craft
         if craft.interface_c is not None and not craft.follow_mm:
             craft = replace(craft, interface_c=craft.interface_c + 0.5 * self._moved_c)
-        self.plan.change(self.material, self.settings.surroundings, craft)
+        self.plan.change(self.material, self.around, craft)
 
     def _let_go(self, base_c: float) -> None:
         if self._reference is not None and base_c <= 0.0:

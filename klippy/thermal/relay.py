@@ -197,7 +197,7 @@ def evaluate(run: RelayRun) -> RelayResult:
     if not (gain > 0.0 and delay_s > 0.0) or gain_scatter > 0.25 * gain or delay_scatter_s > 0.35 * delay_s:
         raise CalibrationError(
             f"the swings differ too much for a tuning (gain {gain:.3g} +- {gain_scatter:.2g}, delay {delay_s:.3g} +-"
-            f" {delay_scatter_s:.2g} s): is a fan or the extruder running, or does the line to the board lose messages?"
+            f" {delay_scatter_s:.2g} s), as with a running fan or extruder, or a line to the board that loses messages"
         )
     measured = points[run.rises[1] :]
     swing_c = max(p.temp_c for p in measured) - min(p.temp_c for p in measured)

@@ -40,6 +40,8 @@ def assert_told_where(text: str, more: str, section: str, option: str) -> None:
         ("heater_bed", "pid_Kp", "-1", ""),
         ("heater_bed", "pid_Ki", "inf", ""),
         ("heater_bed", "max_delta", "0", "control: watermark\n"),
+        ("heater_bed", "max_delta", "200", "control: watermark\n"),  # it would not begin to heat
+        ("induction_heater nozzle", "max_delta", "200", "control: watermark\n"),
         ("heater_bed", "practical_turn", "0", "control: practical\n"),
         ("heater_bed", "max_power", "0", ""),
         ("heater_bed", "model_hat", "3", ""),
@@ -47,6 +49,7 @@ def assert_told_where(text: str, more: str, section: str, option: str) -> None:
         ("heater_profile heater_bed x", "speed", "1", "control: watermark\n"),
         ("heater_profile extruder x", "pid_kp", "22", "control: pid\n"),  # an ordinary heater's
         ("heater_profile extruder x", "control", "mcu_onoff", ""),
+        ("heater_profile extruder x", "heat_capacity_j_per_k", "1e9", "control: model\n"),
     ],
 )
 def test_an_impossible_tuning_is_refused_with_section_option_file_and_line(

@@ -269,6 +269,14 @@ def test_save_config_keeps_text_and_order_and_makes_a_backup(tmp_path: Path) -> 
     assert [path.read_text() for path in backups] == [SAVED]
 
 
+def test_save_config_with_nothing_to_save_says_so(tmp_path: Path) -> None:
+    """As before a calibration that was started without WAIT=1 has come to its result."""
+    session = Session(tmp_path, SAVED)
+    session.run(lambda s: s.gcode.run_script("SAVE_CONFIG"))
+    assert any("nothing to save" in line for line in session.lines) and session.result != "restart"
+    assert session.config_path.read_text() == SAVED
+
+
 def test_save_config_refuses_options_of_included_files(tmp_path: Path) -> None:
     (tmp_path / "more.cfg").write_text("[pause_resume]\nrecover_velocity: 5\n")
     session = Session(tmp_path, "[include more.cfg]\n")

@@ -301,6 +301,26 @@ def test_the_tool_writes_a_page_figures_and_a_file_with_commands(tmp_path: Path)
     assert targets and all(170 <= t <= 300 for t in targets)
 
 
+@pytest.mark.parametrize("heater", ["induction", "slow"])
+def test_what_is_written_keeps_away_from_max_temp(tmp_path: Path, heater: str) -> None:
+    """At which the printer shuts down."""
+    config = CONFIG.replace("300", "245").replace(
+        "features:\n  external perimeter: 235", "interface_temp: 230"
+    )
+    planned = tmp_path / "planned.gcode"
+    lines = (
+        LINES.replace("M104.1 S230\n", "").replace("S240", "S225").replace("E2.0", "E0.2")
+    )  # slow enough for either heater
+    done = tool(
+        tmp_path, "--emit", str(planned), "--heater", heater, "--step", "0.5", config=config, gcode=lines
+    )
+    assert done.returncode == 0, done.stderr
+    targets = [
+        int(line.split()[1][1:]) for line in planned.read_text().split("\n") if line.endswith(";planned")
+    ]
+    assert targets and max(targets) <= 240, targets
+
+
 @pytest.mark.parametrize(
     ("options", "config", "gcode", "words"),
     [
@@ -325,6 +345,7 @@ def test_the_tool_writes_a_page_figures_and_a_file_with_commands(tmp_path: Path)
             LINES + "T1\nG1 X5 E2\n",
             "line 20: this tool has a nozzle",
         ),
+        ([], CONFIG.replace("300", "190"), LINES, "heats the nozzle to 240 C, and max_temp of"),
         (["--config", "/nonexistent.cfg"], CONFIG, LINES, "/nonexistent.cfg"),
         ([], CONFIG.replace("max_accel: 3000", "max_accel: -1"), LINES, "max_accel"),
     ],
