@@ -78,7 +78,8 @@ void tempplan_set(struct tempplan *tp, const struct tempplan_params *params);
 int tempplan_add(struct tempplan *tp, struct tempplan_piece *pieces, int count);
 /* Plan again from from_s on, where the nozzle is asked to be at start_c. The nozzle is led from then on by the plan's
  * corners, without those that lie within within_c of a line between others; some of the last half second are kept (a
- * controller looks back). Returns how many, 0: nothing lies ahead (or there is no memory), all is as before. */
+ * controller looks back). Returns how many, 0: nothing lies ahead (or start_c is not known, or there is no memory), all is as
+ * before. */
 int tempplan_make(struct tempplan *tp, double from_s, double start_c, double within_c);
 /* From the first of these on the nozzle is led by them instead (back to the user's target, or by the user). 0, or -1: no
  * memory. */

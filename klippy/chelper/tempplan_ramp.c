@@ -402,7 +402,7 @@ static int reserve_corners(struct tempplan *tp, int count)
 
 int tempplan_make(struct tempplan *tp, double from_s, double start_c, double within_c)
 {
-    int count = make(tp, from_s, start_c);
+    int count = isnan(start_c) ? 0 : make(tp, from_s, start_c);
     if (!count || reserve_corners(tp, count))
         return 0;
     return tp->corner_count = thin_out(tp, from_s - KEPT_S, within_c, tp->corners);

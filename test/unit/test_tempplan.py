@@ -298,6 +298,14 @@ def test_a_thinned_plan_stays_near_the_plan_and_is_nowhere_steeper(rows, start_c
         assert t1 == t0 or min(passed) - 1e-6 <= (b - a) / (t1 - t0) <= max(passed) + 1e-6
 
 
+def test_a_plan_from_nowhere_is_none():
+    """As of a nozzle that has not been led to where it begins."""
+    plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft())
+    plan.add([line(10.0, 1.0, 0, 0, 20, 0, wish=240.0)])
+    assert plan.ahead(10.0, math.nan, 0.02) is None
+    assert plan.ahead(10.0, 240.0, 0.02) is not None
+
+
 def test_the_way_home_is_part_of_what_was_planned():
     """A plan that begins again after it starts from there, and its holder has been there."""
     plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft())
