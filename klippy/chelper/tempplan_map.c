@@ -8,7 +8,7 @@
 enum { FIRST_COLUMNS = 1024 };
 
 /* As in thermal/deposit.py, where the reasons are. */
-static const double SAME_PASS_CELLS = 1.5, SAME_LAYER = 0.5, NEXT_LAYER = 1.5;
+static const double SAME_PASS_CELLS = 1.5, SAME_LAYER = 0.5, NEXT_LAYER = 1.5, TAKEN_OFF_MM = 2.0;
 static const double FAR_MM = 3.0, FIRST_STEP = 0.4, GROWTH = 2.5, LEAST_COVER = 0.05, LEAST_MM2 = 1e-6;
 
 static uint64_t place(int32_t x, int32_t y)
@@ -62,10 +62,8 @@ struct column *map_column(struct deposit_map *map, int32_t x, int32_t y)
 {
     struct column *c = find(map->columns, map->mask, x, y);
     if (!c->used) {
-        *c = (struct column){ .x = x, .y = y };
+        *c = (struct column){ .x = x, .y = y, .used = 1, .kept = 1.0 };
         map->used++;
-        c->used = 1;
-        c->kept = 1.0;
     }
     return c;
 }
@@ -260,6 +258,8 @@ int column_lay(struct deposit_map *map, struct column *c, const struct tempplan_
                struct dab *before)
 {
     double odometer_mm = map->odometer_mm;
+    if (c->nodes && c->z_mm - dab->z_mm > TAKEN_OFF_MM)
+        *c = (struct column){ .x = c->x, .y = c->y, .used = 1, .kept = 1.0 };
     int same_layer = c->nodes && fabs(c->z_mm - dab->z_mm) < SAME_LAYER * dab->thick_mm;
     int same_pass = same_layer && odometer_mm - c->odometer_mm <= SAME_PASS_CELLS * p->cell_mm;
     double gap_mm = dab->z_mm - (c->nodes ? c->z_mm : 0.0);

@@ -116,12 +116,14 @@ class DepositMap:
     A road is laid in pieces far shorter than a column; its own fresh material is no substrate. A touch within
     `SAME_PASS_CELLS` of path after the last one belongs to the same pass and meets what the pass met when it came.
     A later road of the same layer has the layer below under it and its neighbour beside it: the contact's
-    temperature is their mean, weighted with width and height of the road.
+    temperature is their mean, weighted with width and height of the road. A road far below the top of its column tells
+    that what stood there has been taken off, as between two prints that come line by line.
     """
 
     SAME_PASS_CELLS = 1.5  # the diagonal of a cell is 1.41
     SAME_LAYER = 0.5  # of the road's thickness
     NEXT_LAYER = 1.5  # farther down is no layer below
+    TAKEN_OFF_MM = 2.0  # more than a bent bed makes of one layer
 
     def __init__(self, material: Material, surroundings: Surroundings, cell_mm: float = 2.0) -> None:
         self.material = material
@@ -177,7 +179,7 @@ class DepositMap:
         x_mm, y_mm, z_mm = at_mm
         key = math.floor(x_mm / self.cell_mm), math.floor(y_mm / self.cell_mm)
         column = self._cells.get(key)
-        if column is None:
+        if column is None or (column.thick_mm and column.z_mm - z_mm > self.TAKEN_OFF_MM):
             bed_c = self.surroundings.bed_c
             column = self._cells[key] = Column(time_s, z_mm, odometer_mm, bed_c, 0.0)
         same_layer = bool(column.thick_mm) and abs(column.z_mm - z_mm) < self.SAME_LAYER * thick_mm

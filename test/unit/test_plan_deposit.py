@@ -244,6 +244,16 @@ def test_a_leaning_wall_lies_on_the_wall_beside_it():
     assert alone == pytest.approx(laid.surroundings.around_c(12.0))  # in mid air
 
 
+def test_where_a_part_stood_the_next_one_finds_the_bed():
+    """Two prints without a sign between them: the first is 4 mm high and still warm."""
+    laid = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=60.0))
+    for i in range(20):
+        laid.lay((1.0, 1.0, 0.2 * (i + 1)), 5.0 * i, 240.0, 0.2, 100.0 * i)
+    assert laid.lay((1.0, 1.0, 2.4), 101.0, 240.0, 0.2, 2100.0) > 70.0  # as low as that it may be a bent bed
+    assert laid.lay((1.0, 1.0, 0.2), 110.0, 240.0, 0.2, 2200.0) == 60.0
+    assert 60.0 < laid.lay((1.0, 1.0, 0.4), 115.0, 240.0, 0.2, 2300.0) < 240.0
+
+
 def test_memory_goes_with_area_not_with_moves():
     laid = deposit.DepositMap(ABS, deposit.Surroundings())
     for n in range(20000):

@@ -119,10 +119,17 @@ def at(times, corners):
     return np.interp(times, [time_s for time_s, _ in corners], [temp_c for _, temp_c in corners])
 
 
+@pytest.mark.parametrize("heights_mm", [(), (0.2, 0.4, 0.6, 3.0, 0.4)])  # in the second parts are taken off
 @settings(max_examples=100, deadline=None)
-@given(ROWS)
-def test_the_map_is_that_of_the_reference(rows):
+@given(rows=ROWS)
+def test_the_map_is_that_of_the_reference(heights_mm, rows):
     pieces = pieces_of(rows)
+    if heights_mm:
+        heights = itertools.cycle(heights_mm)
+        pieces = [
+            p._replace(start_mm=(*p.start_mm[:2], z), end_mm=(*p.end_mm[:2], z))
+            for p, z in zip(pieces, heights, strict=False)
+        ]
     plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft(interface_c=150.0))
     wanted = plan.add(pieces)
     laid = deposit.DepositMap(ABS, AROUND)
