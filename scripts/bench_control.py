@@ -11,6 +11,8 @@ perfect knowledge, simulated on the same plant. The host's cost is measured last
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import json
 import math

@@ -11,6 +11,8 @@ which were taken on hardware or in simulavr, stand beside them.
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import json
 import subprocess

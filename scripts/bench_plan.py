@@ -20,6 +20,8 @@ follows the flow of single corners.
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import json
 import math

@@ -17,6 +17,8 @@ heater. Not counted are look-ahead and reading of the file, which are there with
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import itertools
 import os

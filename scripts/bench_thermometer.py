@@ -12,6 +12,8 @@ after the other beside the stepper commands. Exit status 1 if a figure misses it
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import csv
 import json

@@ -19,6 +19,8 @@ from pathlib import Path
 
 _STATS = re.compile(r"Stats (\d+\.\d+): (.*)")
 _ENTRY = re.compile(r"(?:(?P<group>[\w.-]+):(?=\s)|(?P<name>\w+)=(?P<value>\S+))")
+# What the host says of itself, in a line without a group of its own: it comes behind whatever group was last
+_HOST = {"gcodein", "sd_pos", "print_time", "buffer_time", "print_stall", "sysload", "cputime", "memavail"}
 _CONFIG_BEGIN, _CONFIG_END = "===== Config file =====", "======================="
 
 # Lines of the log that belong to the story, with what they mean
@@ -59,7 +61,10 @@ class Extract:
 
 
 def read_stats(text: str) -> Iterator[tuple[str, float]]:
-    """`a: x=1 y=2 b: z=3` → ("a.x", 1.0), ("a.y", 2.0), ("b.z", 3.0); what is no number is left out."""
+    """`a: x=1 y=2 b: z=3 sysload=4` → ("a.x", 1.0), ("a.y", 2.0), ("b.z", 3.0), ("sysload", 4.0).
+
+    What is no number is left out.
+    """
     group = ""
     for match in _ENTRY.finditer(text):
         if match["group"] is not None:
@@ -69,7 +74,8 @@ def read_stats(text: str) -> Iterator[tuple[str, float]]:
             value = float(match["value"])
         except ValueError:
             continue
-        yield (f"{group}.{match['name']}" if group else match["name"]), value
+        name = match["name"]
+        yield (f"{group}.{name}" if group and name not in _HOST else name), value
 
 
 def extract(lines: Iterable[str]) -> Extract:

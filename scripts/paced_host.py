@@ -13,6 +13,8 @@ stays hot and the axes stay where they are.
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import gc
 import logging

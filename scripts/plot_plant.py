@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import in_venv  # noqa: F401  # isort: skip
 
+import argparse
 import importlib
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -72,8 +74,10 @@ def draw_heating(axes: Any, tables: Any) -> None:
     axes.legend()
 
 
-def main(arguments: list[str]) -> int:
-    output = Path(arguments[0]) if arguments else OUTPUT
+def main(arguments: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(description="Draw the simulated nozzle against the published tables.")
+    parser.add_argument("output", type=Path, nargs="?", default=OUTPUT)
+    output: Path = parser.parse_args(arguments).output
     sys.path.insert(0, str(ROOT / "test" / "c"))
     tables = importlib.import_module("plant_tables")
     mpl.use("Agg")

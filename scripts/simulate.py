@@ -27,6 +27,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "klippy"))
 
 import configtext  # noqa: E402  (the path above comes first)
+import queuelogger  # noqa: E402
 from simulation.runner import BAD_INPUT, Outcome, Progress, RunOptions, Simulation  # noqa: E402
 from simulation.world import WorldError  # noqa: E402
 
@@ -181,10 +182,10 @@ def tell(outcome: Outcome) -> None:
 
 
 def set_up_log(path: Path | None) -> None:
+    """As the host's own log, which scripts/log_extract.py reads."""
     handler: logging.Handler = logging.NullHandler() if path is None else logging.FileHandler(path, mode="w")
-    logging.basicConfig(
-        level=logging.INFO if path else logging.CRITICAL + 1, handlers=[handler], format="%(message)s"
-    )
+    handler.setFormatter(queuelogger.LineFormatter("%(message)s"))
+    logging.basicConfig(level=logging.INFO if path else logging.CRITICAL + 1, handlers=[handler])
 
 
 def main(argv: Sequence[str]) -> int:
@@ -206,6 +207,7 @@ def main(argv: Sequence[str]) -> int:
                     options.until,
                     bar.show if bar else None,
                     parse_builds(options.builds),
+                    options.log,
                 )
             ).run()
         write_results(options, outcome)

@@ -90,8 +90,8 @@ def _pins(build: Build) -> dict[str, int]:
     return pins
 
 
-def make(targets: Iterable[Path], what: str) -> None:
-    """Bring files of out/ up to date. Raises WorldError."""
+def make(targets: Iterable[Path], what: str, advice: str = "") -> None:
+    """Bring files of out/ up to date. `advice`: what helps if that fails, in brackets. Raises WorldError."""
     names = [str(path.relative_to(ROOT)) for path in targets]
     OUT.mkdir(parents=True, exist_ok=True)
     with open(OUT / ".simulation-lock", "w") as lock:
@@ -111,7 +111,7 @@ def make(targets: Iterable[Path], what: str) -> None:
                 f"{what} has to be built once, and make is not installed (apt-get install make gcc)."
             ) from None
     if done.returncode:
-        raise WorldError(f"{what} does not build:\n" + (done.stderr.strip() or done.stdout.strip()))
+        raise WorldError(f"{what} does not build{advice}:\n" + (done.stderr.strip() or done.stdout.strip()))
 
 
 def use_image(name: str, folder: Path) -> None:
@@ -133,5 +133,6 @@ def make_build(name: str) -> Build:
     if build is None:
         raise WorldError(f"There is no build '{name}' of the firmware; there are {', '.join(BUILDS)}.")
     targets = [path for path in (build.image, build.library) if path is not None and path.is_relative_to(OUT)]
-    make(targets, f"The firmware's build '{name}'")
+    advice = " (`make setup-test` brings the compilers and emulators it needs)" if build.emulated else ""
+    make(targets, f"The firmware's build '{name}'", advice)
     return build

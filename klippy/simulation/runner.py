@@ -51,7 +51,8 @@ class Progress:
 class RunOptions:
     """What to print on what.
 
-    `overrides`: (section, option, value) over the config file; `builds`: MCU → the build it runs.
+    `overrides`: (section, option, value) over the config file; `builds`: MCU → the build it runs; `log`: where the
+    caller lets logging write, for what the host puts beside it.
     """
 
     config: Path
@@ -62,6 +63,7 @@ class RunOptions:
     until_s: float | None = None
     on_progress: Callable[[Progress], None] | None = None
     builds: Mapping[str, str] = field(default_factory=dict)
+    log: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +130,7 @@ class Simulation:
             "apiserver": None,
             "gcode_fd": None,
             "start_reason": "startup",
+            "log_file": str(options.log.resolve()) if options.log else None,
             "software_version": "simulation",
             "cpu_info": "simulated time",
         }

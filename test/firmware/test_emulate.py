@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from simulation.builds import BUILDS, make_build
+from simulation.builds import BUILDS, WorldError, make_build
 from system.test_run_simulator import ACK, IDENTIFY, ROOT, exchange
 
 
@@ -49,6 +49,18 @@ def test_a_print_names_a_build_that_is_not(tmp_path: Path) -> None:
         [sys.executable, *command, "--build", "z80"], capture_output=True, text=True, check=False
     )
     assert run.returncode == 2 and "no build 'z80'" in run.stderr
+
+
+def test_an_image_that_does_not_build_says_what_brings_its_compiler(monkeypatch: pytest.MonkeyPatch) -> None:
+    failed = subprocess.CompletedProcess(
+        [], 2, stdout="", stderr="fatal error: unicorn/unicorn.h: No such file"
+    )
+    monkeypatch.setattr(subprocess, "run", lambda *_, **__: failed)
+    make_build.cache_clear()
+    with pytest.raises(
+        WorldError, match=r"does not build \(`make setup-test` brings(?s:.*)unicorn/unicorn.h"
+    ):
+        make_build("stm32f334")
 
 
 @pytest.mark.parametrize("chip", [build.name for build in BUILDS.values() if build.emulated])

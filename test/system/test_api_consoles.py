@@ -92,9 +92,10 @@ def test_the_gcode_console_and_the_story_of_its_log(tmp_path: Path) -> None:
 
 
 def test_statistics_are_read_by_group() -> None:
-    text = "gcodein=0 mcu: srtt=0.001 x=a extruder: target=200 temp=199.5 sd_pos=7"
+    text = "gcodein=0 mcu: srtt=0.001 x=a extruder: target=200 temp=199.5 sd_pos=7 sysload=0.5"
     assert dict(read_stats(text)) == {
-        "gcodein": 0.0, "mcu.srtt": 0.001, "extruder.target": 200.0, "extruder.temp": 199.5, "extruder.sd_pos": 7.0,
+        "gcodein": 0.0, "mcu.srtt": 0.001, "extruder.target": 200.0, "extruder.temp": 199.5,
+        "sd_pos": 7.0, "sysload": 0.5,
     }  # fmt: skip
 
 

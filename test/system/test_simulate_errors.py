@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from log_extract import extract, story
 from system.conftest import CONFIG, Run, Simulate
 
 HOT = "G28\nM109 S250\nG90\nM83\n"
@@ -104,9 +105,21 @@ def test_a_file_that_saves_its_findings_ends_with_the_restart_of_it(
     assert "[heater_profile heater_bed mine]" in path.read_text()
 
 
-def test_an_emergency_stop_in_the_file_is_a_shutdown(simulate: Simulate) -> None:
-    run = simulate(HOT + "M112\n")
+def test_what_a_file_measures_lies_beside_the_log(simulate: Simulate, tmp_path: Path) -> None:
+    log = tmp_path / "logs" / "sim.log"
+    log.parent.mkdir()
+    run = simulate("INDUCTION_DUMP HEATER=nozzle DURATION=0.1\nG4 P500\n", more=["--log", log])
+    assert run.status == 0, run.stderr
+    assert f"raw blocks to {log.parent}/induction-nozzle-dump.csv" in log.read_text()
+    assert (log.parent / "induction-nozzle-dump.csv").stat().st_size > 1000
+
+
+def test_an_emergency_stop_in_the_file_is_a_shutdown(simulate: Simulate, tmp_path: Path) -> None:
+    log = tmp_path / "sim.log"
+    run = simulate(HOT + "M112\n", more=["--log", log])
     assert run.status == 3
+    with log.open() as lines:
+        assert "ERROR     error: Transition to shutdown state: Shutdown due to M112" in story(extract(lines))
     assert run.summary["reason"]
     assert run.summary["reason"] in run.stderr
     # the nozzle is on its way down two seconds later
