@@ -96,12 +96,10 @@ def offline(
     def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
         return plan_offline.Planning(settings, nozzle, replace(limits)).run(path, base_c, lambda n: None)
 
-    first = run(replace(settings, slowest=1.0, longest_pause_s=0.0))
-    known = plan_offline.steady(settings, first.summary, run(settings).summary)
-    found = run(known)
-    figures = plan_report.figures(found, settings.material, first.summary)
+    found, plain, known = plan_offline.plan_whole(settings, run)
+    figures = plan_report.figures(found, settings.material, plain.summary)
     figures["interface_wanted_c"] = known.craft.interface_c
-    figures["duration_fixed_s"] = round(first.duration_s, 1)
+    figures["duration_fixed_s"] = round(plain.duration_s, 1)
     return found, figures, bench_plan_cost.cost_us(path)
 
 

@@ -37,7 +37,7 @@ from typing import Any
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT / "klippy"), str(ROOT / "scripts")]
 
-import bench_steady  # noqa: E402
+import bench_steady  # noqa: E402  (the paths above come first)
 import configtext  # noqa: E402
 from configfile import ConfigWrapper  # noqa: E402
 from extras import induction_settings, temperature_plan  # noqa: E402

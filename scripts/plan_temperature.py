@@ -32,7 +32,7 @@ import configtext
 from configfile import ConfigWrapper
 from extras import induction_settings, temperature_plan
 from simulation import gcode_path, plan_emit, plan_offline, plan_report
-from thermal.materials import MATERIALS
+from thermal.materials import MATERIALS, Material
 from thermal.model import HeatCapacity, LossLaw
 from thermal.nozzle_melt import NozzleLimits
 
@@ -140,46 +140,9 @@ def leave_out_tools(options: argparse.Namespace, line: int) -> None:
     print("what the other tools lay is left out")
 
 
-def plan(options: argparse.Namespace) -> dict[str, Any]:
-    """Everything asked for; the figures."""
-    config, settings, induction = read_config(options)
-    heater = options.heater or ("induction" if induction else "slow")
-    limits = gcode_path.read_limits(config.getsection("printer"), config.getsection("extruder"))
-    arc_mm = config.getsection("gcode_arcs").getfloat("resolution", 1.0, above=0.0)
-    base_c = 0.5 * (settings.material.low_c + settings.material.high_c)
-    with Progress(console=Console(stderr=True), transient=True) as progress:
-        total = sum(1 for _ in options.gcode.open("rb"))
-        task = progress.add_task("planning", total=total)
-
-        def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
-            nozzle = limits_of(heater, config, settings)
-            planning = plan_offline.Planning(settings, nozzle, replace(limits), arc_mm, other_nozzles(config))
-            return planning.run(options.gcode, base_c, lambda lines: progress.update(task, completed=lines))
-
-        found = plain = run(replace(settings, slowest=1.0, longest_pause_s=0.0))
-        follows = settings.craft.follow_mm > 0.0
-        paces = settings.slowest < 1.0 or settings.longest_pause_s > 0.0
-        if follows and found.moves:
-            settings = plan_offline.steady(
-                settings, plain.summary, run(settings).summary if paces else plain.summary
-            )
-        if follows or paces:
-            found = run(settings)
-        if follows and found.moves:
-            print(
-                f"interface_temp: {settings.craft.interface_c} is what the material's window lets the whole path come"
-                " nearest to; planned with it"
-            )
-    if not found.moves:
-        raise BadInput(f"{options.gcode}: no line of it extrudes while it moves")
-    most_c = limits_of(heater, config, settings).max_c + temperature_plan.HEADROOM_C
-    if found.base_c > most_c:
-        raise BadInput(
-            f"{options.gcode}: heats the nozzle to {found.base_c:g} C, and max_temp of {options.config} is {most_c:g}"
-        )
-    if found.other_tool_line >= 0:
-        leave_out_tools(options, found.other_tool_line + 1)
-    print(temperature_plan.report_line(found.summary, settings.material))
+def tell(found: plan_offline.OfflinePlan, plain: plan_offline.OfflinePlan, material: Material) -> None:
+    """What a user may want to know or to change."""
+    print(temperature_plan.report_line(found.summary, material))
     if found.summary.cold_share > 0.01:
         print(
             f"{100 * found.summary.cold_share:.0f} % of the path would need a hotter melt than the material bears"
@@ -196,6 +159,35 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
             f"hot layers are laid at down to {100 * slowest:.0f} % of the file's speed; at its own speed one fixed"
             f" temperature gives {low_c:.0f}..{high_c:.0f} C"
         )
+
+
+def plan(options: argparse.Namespace) -> dict[str, Any]:
+    """Everything asked for; the figures."""
+    config, settings, induction = read_config(options)
+    heater = options.heater or ("induction" if induction else "slow")
+    limits = gcode_path.read_limits(config.getsection("printer"), config.getsection("extruder"))
+    arc_mm = config.getsection("gcode_arcs").getfloat("resolution", 1.0, above=0.0)
+    base_c = 0.5 * (settings.material.low_c + settings.material.high_c)
+    with Progress(console=Console(stderr=True), transient=True) as progress:
+        total = sum(1 for _ in options.gcode.open("rb"))
+        task = progress.add_task("planning", total=total)
+
+        def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
+            nozzle = limits_of(heater, config, settings)
+            planning = plan_offline.Planning(settings, nozzle, replace(limits), arc_mm, other_nozzles(config))
+            return planning.run(options.gcode, base_c, lambda lines: progress.update(task, completed=lines))
+
+        found, plain, known = plan_offline.plan_whole(settings, run)
+    if not found.moves:
+        raise BadInput(f"{options.gcode}: no line of it extrudes while it moves")
+    if found.other_tool_line >= 0:
+        leave_out_tools(options, found.other_tool_line + 1)
+    if settings.craft.follow_mm > 0.0:
+        print(
+            f"interface_temp: {known.craft.interface_c} is what the material's window lets the whole path come"
+            " nearest to; planned with it"
+        )
+    tell(found, plain, settings.material)
     if options.report:
         plan_report.write(options.report, options.gcode.name, found, settings.material, plain.summary)
     if options.emit:

@@ -26,8 +26,6 @@ ZERO_CELSIUS_K = 273.15
 RATIO_LOW, RATIO_HIGH = 1e-5, 1.0 - 1e-5  # keeps the logarithm finite at an open or shorted sensor
 LN_OHM_MOST = 300.0  # what min_temp near absolute zero would need no number can hold
 HOTTEST_INVERSE_K = 1.0 / 2273.15  # a shorted sensor reads as 2000 degC, where the law itself has a pole
-
-
 BETA_LEAST_K, BETA_MOST_K = 500.0, 20000.0  # parts have 2000 to 6000
 
 

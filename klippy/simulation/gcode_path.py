@@ -83,6 +83,7 @@ class GcodePath:
     """Reads one file. `bed_c`: newest bed target met; `lines`: read so far; `arc_mm`: longest chord of an arc.
 
     `other_nozzles`: numbers of the tools that have a nozzle of their own. What they lay is left out, their targets too.
+    `hottest_c`: a file that heats beyond it is refused, as the printer would.
     """
 
     def __init__(
@@ -90,8 +91,10 @@ class GcodePath:
         limits: Limits,
         arc_mm: float = gcode_arcs.DEFAULT_RESOLUTION_MM,
         other_nozzles: frozenset[int] = frozenset(),
+        hottest_c: float = math.inf,
     ) -> None:
         self.limits = limits
+        self.hottest_c = hottest_c
         self.arc_mm = arc_mm
         self.other_nozzles = other_nozzles
         self.other_tool_line = -1  # where another nozzle comes into use first
@@ -278,10 +281,12 @@ class GcodePath:
 
     def _on_m104(self, words: dict[str, str]) -> None:
         other = int(words["T"]) in self.other_nozzles if "T" in words else self._modes.other_nozzle
-        if (
-            float(words.get("S", 0.0)) > 0.0 and not other
-        ):  # off at the end of a file: nothing is laid any more
-            self._modes.nozzle_c = float(words["S"])
+        target_c = float(words.get("S", 0.0))
+        if target_c <= 0.0 or other:  # off at the end of a file: nothing is laid any more
+            return
+        if target_c > self.hottest_c:
+            raise ValueError(f"max_temp of the printer is {self.hottest_c:g} C")
+        self._modes.nozzle_c = target_c
 
     _on_m109 = _on_m104
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from extras.temperature_plan import Settings
+from extras.temperature_plan_settings import HEADROOM_C, Settings
 from pathpieces import Asked, PathPieces
 from tempplan import Laid, Summary, TemperaturePlan
 from thermal import weld
@@ -76,6 +76,26 @@ def steady(settings: Settings, plain: Summary, paced: Summary) -> Settings:
     return replace(settings, craft=replace(settings.craft, interface_c=round(kept_c), follow_mm=0.0))
 
 
+class WholeFile(NamedTuple):
+    """A file planned with all of it known."""
+
+    found: OfflinePlan
+    plain: OfflinePlan  # at the file's own speed
+    settings: Settings  # with the interface that is held
+
+
+def plan_whole(settings: Settings, run: Callable[[Settings], OfflinePlan]) -> WholeFile:
+    """Once to see what the file is like, once more to see what its pace makes of that, and then for good; less if the
+    config says how. `run` plans the file."""
+    plain = run(replace(settings, slowest=1.0, longest_pause_s=0.0))
+    paces = settings.slowest < 1.0 or settings.longest_pause_s > 0.0
+    if settings.craft.follow_mm > 0.0 and plain.moves:
+        paced = run(settings) if paces else plain
+        settings = steady(settings, plain.summary, paced.summary)
+        return WholeFile(run(settings), plain, settings)
+    return WholeFile(run(settings) if paces else plain, plain, settings)
+
+
 class Planning:
     """Plans one file; `progress(lines)` is called now and then."""
 
@@ -89,7 +109,7 @@ class Planning:
     ) -> None:
         self._settings = settings
         self._nozzle = nozzle
-        self._path = GcodePath(limits, arc_mm, other_nozzles)
+        self._path = GcodePath(limits, arc_mm, other_nozzles, nozzle.max_c + HEADROOM_C)
         self._pacer = Pacer(settings.slowest, settings.longest_pause_s)
         self._paces: list[PaceChange] = []
         self._paced_s = 0.0

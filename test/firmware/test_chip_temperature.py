@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,11 @@ COIL = 29  # PB13: ADC1, whose sampling time is in one register with the sensor'
 SUM_COUNT = 8
 ADC_MAX = 4095
 HALF_CODE_C = 0.5 * 80.0 / 416  # the factory's readings at 30 and 110 degC are 416 codes apart
+
+
+def sensed(code: int) -> Callable[[int, int], int]:
+    """What the sensor is read as; no other pin is."""
+    return lambda pin, clock: code if pin == SENSOR else 0
 
 
 def ask_for_values(
@@ -82,7 +88,7 @@ def test_the_host_reads_the_temperature_the_factory_would() -> None:
         temp_c: round(cold + (hot - cold) * (temp_c - 30.0) / 80.0) for temp_c in (-20.0, 30.0, 47.0, 110.0)
     }
     for temp_c, code in codes.items():
-        device.adc_code = lambda pin, clock, code=code: code if pin == SENSOR else 0  # type: ignore[misc]
+        device.adc_code = sensed(code)
         before = len(values(device, 0))
         ask_for_values(device, 0, FREQ // 1000)
         device.run(0.11)
@@ -172,7 +178,7 @@ def test_a_conversion_taken_back_leaves_nothing_behind() -> None:
     device.send("induction_report", oid=0, enable=1)
     for turn in range(40):
         ask_for_values(device, OID, 300, rest_s=0.0002, report=48)
-        device.adc_code = lambda pin, clock, code=1000 + turn: code  # type: ignore[misc]
+        device.adc_code = sensed(1000 + turn)
         before = len(values(device, OID))
         device.run(0.0571 + turn * 0.37e-6)
         assert values(device, OID)[before] == SUM_COUNT * (1000 + turn)

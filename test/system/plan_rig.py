@@ -22,6 +22,16 @@ from thermal.control_api import Reference
 FILAMENT_MM2 = math.pi / 4.0 * 1.75**2
 
 
+# Nothing decides but what is asked for by name.
+SECTION = """
+[temperature_plan]
+material: PLA
+bonding: no
+melt_min: 190
+melt_max: 240
+"""
+
+
 @dataclass(frozen=True, slots=True)
 class Emitted:
     """What the heater was given: the plan's reference, or the user's own target; times are print times, s."""

@@ -9,16 +9,9 @@ from pathlib import Path
 import pytest
 
 from system.conftest import CONFIG
-from system.plan_rig import Watched, watch
+from system.plan_rig import SECTION, Watched, watch
 from thermal.control_api import Reference
 
-SECTION = """
-[temperature_plan]
-material: PLA
-bonding: no
-melt_min: 190
-melt_max: 240
-"""
 SQUARE = "".join(f"G1 X{x} Y{y} E1.5 F2400\n" for x, y in ((80, 60), (80, 80), (60, 80), (60, 60)))
 JUMP_C = 0.05  # corners within 0.02 degC of a line are left out of both references
 

@@ -10,14 +10,8 @@ import pytest
 
 import bench_plan
 from system.conftest import CONFIG, Simulate, square
+from system.plan_rig import SECTION
 
-SECTION = """
-[temperature_plan]
-material: PLA
-bonding: no
-melt_min: 190
-melt_max: 240
-"""
 START = "M104 S215\nG28\nM83\nG1 X40 Y40 Z0.3 F6000\nM109 S215\n"
 LINE_E = 5.0 * 1.5 / 2.405  # 5 mm3/s over 1.5 s
 

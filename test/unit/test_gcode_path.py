@@ -345,7 +345,7 @@ def test_what_is_written_keeps_away_from_max_temp(tmp_path: Path, heater: str) -
             LINES + "T1\nG1 X5 E2\n",
             "line 20: this tool has a nozzle",
         ),
-        ([], CONFIG.replace("300", "190"), LINES, "heats the nozzle to 240 C, and max_temp of"),
+        ([], CONFIG.replace("300", "190"), LINES, "'M104 S240': max_temp of the printer is 190 C"),
         (["--config", "/nonexistent.cfg"], CONFIG, LINES, "/nonexistent.cfg"),
         ([], CONFIG.replace("max_accel: 3000", "max_accel: -1"), LINES, "max_accel"),
     ],
