@@ -47,8 +47,8 @@ fuzz: setup-test
 # The firmware's rules (any port, simulator included) and the simulated world's.
 -include src/build.mk
 -include src/ports.mk
--include src/simulator/world.mk
--include src/emulator/emulator.mk
+-include klippy/simulation/world/world.mk
+-include klippy/simulation/emulator/emulator.mk
 
 # --- build ---------------------------------------------------------------------------------------
 # src/build.mk makes libferrite_mcu.so and ferrite.dict, world.mk (SIM_TARGETS) the machine around them.
@@ -66,36 +66,36 @@ printer: setup sim chelper
 	@$(PYTHON) scripts/run_printer.py
 
 bench: setup sim chelper
-	@$(PYTHON) scripts/bench.py --out $(OUT)/bench $(if $(QUICK),--quick)
+	@$(PYTHON) scripts/bench/bench_print.py --out $(OUT)/bench $(if $(QUICK),--quick)
 
 bench-thermometer: setup-test sim chelper
-	@$(PYTHON) scripts/bench_thermometer.py --json $(OUT)/bench/thermometer.json
+	@$(PYTHON) scripts/bench/bench_thermometer.py --json $(OUT)/bench/thermometer.json
 
 bench-api: setup sim chelper
-	@$(PYTHON) scripts/bench_api.py --json $(OUT)/bench/api.json $(if $(QUICK),--seconds 60)
+	@$(PYTHON) scripts/bench/bench_api.py --json $(OUT)/bench/api.json $(if $(QUICK),--seconds 60)
 
 bench-plan: setup sim chelper
-	@$(PYTHON) scripts/bench_plan.py --out $(OUT)/bench/plan
-	@$(PYTHON) scripts/bench_plan_cost.py --memory benchy.gcode
-	@$(PYTHON) scripts/bench_plan_cost.py --real-time 30
+	@$(PYTHON) scripts/bench/bench_plan.py --out $(OUT)/bench/plan
+	@$(PYTHON) scripts/bench/bench_plan_cost.py --memory benchy.gcode
+	@$(PYTHON) scripts/bench/bench_plan_cost.py --real-time 30
 
 bench-control: setup-test sim chelper
-	@$(PYTHON) scripts/bench_control.py --out $(OUT)/bench $(if $(QUICK),--quick)
+	@$(PYTHON) scripts/bench/bench_control.py --out $(OUT)/bench $(if $(QUICK),--quick)
 
 bench-motion: setup chelper
-	@$(PYTHON) scripts/bench_motion.py $(if $(QUICK),--quick) $(if $(PEER),--peer "$(PEER)")
+	@$(PYTHON) scripts/bench/bench_motion.py $(if $(QUICK),--quick) $(if $(PEER),--peer "$(PEER)")
 
 soak: setup sim chelper
-	@$(PYTHON) scripts/soak_print.py --hours $(or $(HOURS),10)
+	@$(PYTHON) scripts/bench/soak_print.py --hours $(or $(HOURS),10)
 
 soak-motion: setup-test chelper
-	@$(PYTHON) scripts/soak_motion.py --seconds $(or $(SECONDS),600)
+	@$(PYTHON) scripts/bench/soak_motion.py --seconds $(or $(SECONDS),600)
 
 bench-steady: setup sim chelper
-	@$(PYTHON) scripts/bench_steady.py $(if $(QUICK),--seconds 30 --hours 1)
+	@$(PYTHON) scripts/bench/bench_steady.py $(if $(QUICK),--seconds 30 --hours 1)
 
 bench-firmware: setup-test sim chelper
-	@$(PYTHON) scripts/bench_firmware.py --json $(OUT)/bench/firmware.json $(if $(QUICK),--quick)
+	@$(PYTHON) scripts/bench/bench_firmware.py --json $(OUT)/bench/firmware.json $(if $(QUICK),--quick)
 
 # --- test ----------------------------------------------------------------------------------------
 # Both are run to their end whatever the other finds; the tests' closing line comes last.
@@ -135,17 +135,17 @@ check-c:
 STRICT_C := -std=gnu11 -O2 -Wall -Wextra -Werror -fsyntax-only
 
 check-layers:
-	$(PYTHON) scripts/check_layers.py
+	$(PYTHON) scripts/check/check_layers.py
 
 check-paths:
-	$(PYTHON) scripts/check_paths.py
+	$(PYTHON) scripts/check/check_paths.py
 
 check-formats: sim
-	$(PYTHON) scripts/check_formats.py $(OUT)/simulator/ferrite.dict
+	$(PYTHON) scripts/check/check_formats.py $(OUT)/simulator/ferrite.dict
 
 # The chip's registers, written by hand, against the vendor's table.
 check-registers:
-	$(PYTHON) scripts/check_registers.py
+	$(PYTHON) scripts/check/check_registers.py
 
 # The portable part of the firmware must compile for the chips it is meant for.
 check-cross: compile-check

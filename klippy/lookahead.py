@@ -20,7 +20,7 @@ Two limits act on a row of moves.
          /        \\____/     \\                 /        \\
        valley      valley
 
-The calculation is chelper/lookahead.c; here are the moves as Python sees them.
+The calculation is chelper/motion/lookahead.c; here are the moves as Python sees them.
 """
 
 from __future__ import annotations

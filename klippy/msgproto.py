@@ -232,7 +232,7 @@ class Param:
 
     @property
     def kind(self) -> str:
-        """The letter that chelper/message.h knows it by."""
+        """The letter that chelper/link/message.h knows it by."""
         return "s" if self.type.is_buffer else "i" if self.type.signed else "u"
 
     def from_text(self, text: str) -> Any:

@@ -1,6 +1,6 @@
 """Ports: what carries the bytes of one MCU link. Everything above sees only `Port` and an `OpenPort` function.
 
-A port is handed a serialqueue (klippy/chelper/serialqueue.h) and moves its bytes; it knows no messages.
+A port is handed a serialqueue (klippy/chelper/link/serialqueue.h) and moves its bytes; it knows no messages.
 
 - `ThreadPort`: a file descriptor (serial device, pty, unix socket) served by a thread of the C helper
 - `FilePort`: batch mode, everything goes to a file

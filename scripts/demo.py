@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "klippy"))
 
 from simulation.report import ReportError, write_report  # noqa: E402  (the path above comes first)
-from simulation.report_figures import Figure  # noqa: E402
+from simulation.report.figures import Figure  # noqa: E402
 
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:

@@ -21,36 +21,36 @@ from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
 
-from thermal import fit, fit_data, fit_sweep
+from thermal.identification import fit_data, fit_sensing, fit_sweep
 
 RANGES_C = ((50.0, 350.0), (25.0, 500.0))
 WORKING_POWER = 0.20  # accuracy is stated at or below this power fraction: steady printing needs 0.7-9 %
 
 
-def load_points(path: Path, recipe: str) -> tuple[fit.Points, list[fit_data.ReducedRun]]:
+def load_points(path: Path, recipe: str) -> tuple[fit_sensing.Points, list[fit_data.ReducedRun]]:
     data = fit_data.read_calibration(path)
     if set(fit_data.SWEEP_COLUMNS) <= fit_data.read_columns(path).keys():  # a run of INDUCTION_CALIBRATE
         recording = fit_sweep.read_recording(path)
         _, beta, centre, half = fit_sweep.estimate_lag(recording, 1.0)
         return fit_sweep.points_of(recording, beta, centre, half), []
-    if isinstance(data, fit.Points):
+    if isinstance(data, fit_sensing.Points):
         return data, []
     if recipe == "direct":
         return fit_data.points_of_trace(data), []
     runs = [fit_data.reduce_run(run) for run in data.runs()]
     if not runs:
-        raise fit.FitError(f"{path}: no stretch of constant power long enough to use")
+        raise fit_sensing.FitError(f"{path}: no stretch of constant power long enough to use")
     return fit_data.points_of_runs(runs), runs
 
 
-def accuracy(result: fit.Regression, points: fit.Points) -> list[dict[str, Any]]:
+def accuracy(result: fit_sensing.Regression, points: fit_sensing.Points) -> list[dict[str, Any]]:
     """Residuals in degC over the two ranges, at working power and at any power."""
     rows = []
     for low, high in RANGES_C:
         for limit in (WORKING_POWER, 1.0):
             # 0.1 % of slack: 20 % written as ticks and read back is 20.0001 %
             mask = (points.temp_c >= low) & (points.temp_c <= high) & (points.power <= limit * 1.001)
-            residual = fit.temperature_residuals(result.law, result.values(), points.where(mask))
+            residual = fit_sensing.temperature_residuals(result.law, result.values(), points.where(mask))
             usable = residual[np.isfinite(residual)]
             rows.append(
                 {
@@ -65,10 +65,12 @@ def accuracy(result: fit.Regression, points: fit.Points) -> list[dict[str, Any]]
     return rows
 
 
-def text_report(result: fit.Regression, points: fit.Points, runs: list[fit_data.ReducedRun]) -> str:
+def text_report(
+    result: fit_sensing.Regression, points: fit_sensing.Points, runs: list[fit_data.ReducedRun]
+) -> str:
     lines = []
     for run in runs:
-        power = float(100 * fit.power_of_ticks(np.array(run.phase_ticks)))
+        power = float(100 * fit_sensing.power_of_ticks(np.array(run.phase_ticks)))
         lines.append(
             f"run at {power:5.1f} %: {run.recorded} samples reduced to {run.kept} (Ramer-Douglas-Peucker), "
             f"ideal heating curve R2 = {run.curve.r_squared:.4f}, {run.temp_c.size} points read off"
@@ -100,10 +102,10 @@ def text_report(result: fit.Regression, points: fit.Points, runs: list[fit_data.
     return "\n".join(lines + ([f"  outside the law: {spread}"] if spread else []))
 
 
-def residual_table(result: fit.Regression, points: fit.Points) -> str:
-    residual = fit.temperature_residuals(result.law, result.values(), points)
+def residual_table(result: fit_sensing.Regression, points: fit_sensing.Points) -> str:
+    residual = fit_sensing.temperature_residuals(result.law, result.values(), points)
     rows = ["", "  power %   temp degC     error   residual units   residual degC"]
-    predicted = fit.predict(result.law, result.values(), points.temp_c, points.phase_ticks)
+    predicted = fit_sensing.predict(result.law, result.values(), points.temp_c, points.phase_ticks)
     for p, t, e, u, c in zip(
         points.power, points.temp_c, points.error, points.error - predicted, residual, strict=True
     ):
@@ -111,7 +113,7 @@ def residual_table(result: fit.Regression, points: fit.Points) -> str:
     return "\n".join(rows)
 
 
-def json_report(result: fit.Regression, points: fit.Points) -> dict[str, Any]:
+def json_report(result: fit_sensing.Regression, points: fit_sensing.Points) -> dict[str, Any]:
     return {
         "law": result.law,
         "coefficients": result.values(),
@@ -125,18 +127,18 @@ def json_report(result: fit.Regression, points: fit.Points) -> dict[str, Any]:
     }
 
 
-def draw(result: fit.Regression, points: fit.Points, path: Path) -> None:
+def draw(result: fit_sensing.Regression, points: fit_sensing.Points, path: Path) -> None:
     figure = Figure(figsize=(11, 4.5), layout="constrained")
     left, right = figure.subplots(1, 2)
     grid = np.linspace(points.temp_c.min(), points.temp_c.max(), 200)
-    residual = fit.temperature_residuals(result.law, result.values(), points)
+    residual = fit_sensing.temperature_residuals(result.law, result.values(), points)
     for index, ticks in enumerate(np.unique(points.phase_ticks)):
         mask = points.phase_ticks == ticks
-        colour, label = f"C{index % 10}", f"{100 * float(fit.power_of_ticks(ticks)):.3g} %"
+        colour, label = f"C{index % 10}", f"{100 * float(fit_sensing.power_of_ticks(ticks)):.3g} %"
         left.plot(points.temp_c[mask], points.error[mask], "o", color=colour, label=label, markersize=4)
         left.plot(
             grid,
-            fit.predict(result.law, result.values(), grid, np.full(grid.size, ticks)),
+            fit_sensing.predict(result.law, result.values(), grid, np.full(grid.size, ticks)),
             color=colour,
             lw=1,
         )
@@ -148,7 +150,7 @@ def draw(result: fit.Regression, points: fit.Points, path: Path) -> None:
     try:
         figure.savefig(path, dpi=110)
     except ValueError as error:  # the ending is no known format
-        raise fit.FitError(f"{path}: {error}") from None
+        raise fit_sensing.FitError(f"{path}: {error}") from None
 
 
 def main(argv: list[str] | None = None) -> int:
@@ -158,7 +160,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument(
         "trace", type=Path, help="CSV: t_s,temp_ref_c,error,phase_ticks or power_pct,temp_c,error"
     )
-    parser.add_argument("--law", choices=sorted(fit.FITTERS), default="exp")
+    parser.add_argument("--law", choices=sorted(fit_sensing.FITTERS), default="exp")
     parser.add_argument(
         "--recipe", choices=("direct", "paper"), default="direct", help="how a recording is read"
     )
@@ -167,7 +169,7 @@ def main(argv: list[str] | None = None) -> int:
     options = parser.parse_args(argv)
     try:
         points, runs = load_points(options.trace, options.recipe)
-        result = fit.FITTERS[options.law](points)
+        result = fit_sensing.FITTERS[options.law](points)
         print(text_report(result, points, runs))
         print(residual_table(result, points))
         if options.json:
@@ -178,7 +180,7 @@ def main(argv: list[str] | None = None) -> int:
             draw(result, points, options.plot)
     except OSError as error:
         return refuse(f"{error.filename}: {error.strerror}")
-    except fit.FitError as error:
+    except fit_sensing.FitError as error:
         return refuse(str(error))
     return 0
 

@@ -22,9 +22,16 @@ from matplotlib.figure import Figure
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
 
 from extras.polynomial_thermistor import Polynomial
-from thermal.fit import FitError
-from thermal.fit_data import read_columns
-from thermal.fit_thermistor import MODELS, Array, Divider, ThermistorFit, ThermistorFitError, fit_thermistor
+from thermal.identification.fit_data import read_columns
+from thermal.identification.fit_sensing import FitError
+from thermal.identification.fit_thermistor import (
+    MODELS,
+    Array,
+    Divider,
+    ThermistorFit,
+    ThermistorFitError,
+    fit_thermistor,
+)
 
 
 def read_table(path: Path, divider: Divider | None) -> tuple[Array, dict[str, Array]]:

@@ -30,14 +30,16 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "klippy"))
 
 import configtext
 from configfile import ConfigWrapper
-from extras import induction_settings, temperature_plan
-from simulation import gcode_path, plan_emit, plan_offline, plan_report
-from thermal.materials import MATERIALS, Material
-from thermal.model import HeatCapacity, LossLaw
-from thermal.nozzle_melt import NozzleLimits
+from extras import temperature_plan
+from extras.induction import settings as induction_settings
+from simulation import gcode_path, plan_emit, plan_offline
+from simulation.report import plan as plan_report
+from thermal.models.heat_loss import HeatCapacity, LossLaw
+from thermal.models.melt_exchange import NozzleLimits
+from thermal.plan.materials import MATERIALS, Material
 
 # What heats, if the config has no induction heater: watts that planning may use, J/K, W/K to the air. induction: the
-# reference plant (thermal/model.py); slow: a 40 W cartridge in an aluminium block of about 20 g.
+# reference plant (thermal/models/heat_loss.py); slow: a 40 W cartridge in an aluminium block of about 20 g.
 HEATERS = {
     "induction": NozzleLimits(),
     "slow": NozzleLimits(

@@ -22,21 +22,22 @@ from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
 
-from thermal import actuator, fit, fit_data, fit_sweep
-from thermal.fit import FitError
+from thermal.control import actuator
+from thermal.identification import fit_data, fit_sensing, fit_sweep
+from thermal.identification.fit_sensing import FitError
 
 DUMP_COLUMNS = {"time", "phase", "count", "raw_mean", "raw_min", "raw_max"}
 ROWS_MAX = 20000  # more dots than a picture shows
 
 
-def draw_dump(columns: dict[str, fit.Array], figure: Figure) -> None:
+def draw_dump(columns: dict[str, fit_sensing.Array], figure: Figure) -> None:
     top, middle, bottom = figure.subplots(3, 1, sharex=True)
     time_s = columns["time"] - columns["time"][0]
     top.fill_between(time_s, columns["raw_min"], columns["raw_max"], color="0.85", label="extremes")
     top.plot(time_s, columns["raw_mean"], lw=0.8, label="mean")
     top.set(ylabel="ADC code")
     top.legend(loc="upper right")
-    middle.step(time_s, 100.0 * (columns["phase"] / fit.PHASE_FULL_TICKS) ** 2, where="post", lw=0.8)
+    middle.step(time_s, 100.0 * (columns["phase"] / fit_sensing.PHASE_FULL_TICKS) ** 2, where="post", lw=0.8)
     middle.set(ylabel="power, %")
     if "temperature" in columns:
         bottom.plot(time_s, columns["temperature"], lw=0.8)
@@ -52,10 +53,10 @@ def draw_sweep(path: Path, figure: Figure) -> None:
     left.set(xlabel="time, s", ylabel="reference, °C", title=f"lag {result.lag.tau_s:.2f} s")
     points = result.points
     best = result.laws[result.best].regression
-    residual = fit.temperature_residuals(best.law, best.values(), points)
+    residual = fit_sensing.temperature_residuals(best.law, best.values(), points)
     for ticks in np.unique(points.phase_ticks):
         mask = points.phase_ticks == ticks
-        power = float(fit.power_of_ticks(ticks))
+        power = float(fit_sensing.power_of_ticks(ticks))
         colour, label = colormaps["turbo"](0.05 + 0.9 * power), f"{100 * power:.3g} %"
         middle.plot(points.temp_c[mask], points.error[mask], ".", color=colour, ms=3, label=label)
         right.plot(points.temp_c[mask], residual[mask], ".", color=colour, ms=3)
@@ -65,7 +66,7 @@ def draw_sweep(path: Path, figure: Figure) -> None:
     right.set(xlabel="skin, °C", ylabel="law − skin, °C", title=f"law {best.law} (grey: ±2 °C)")
 
 
-def _numeric(path: Path) -> dict[str, fit.Array]:
+def _numeric(path: Path) -> dict[str, fit_sensing.Array]:
     """Columns of a dump; an empty cell is NaN."""
     try:
         with warnings.catch_warnings():

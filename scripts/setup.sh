@@ -154,7 +154,7 @@ need_moonraker() { # its own environment: its pins are not ours
   echo "$pinned" >$own/.ferrite
 }
 
-need_registers() { # the vendor's register table, for scripts/check_registers.py: one file out of a package of 35 MB
+need_registers() { # the vendor's register table, for scripts/check/check_registers.py: one file out of a package of 35 MB
   local own=out/registers/STM32F334x.svd
   local package=cmsis-svd==0.4
   if [ -s $own ]; then return; fi

@@ -14,7 +14,7 @@ from __future__ import annotations
 from typing import Any
 
 from .probe import PrinterProbe
-from .probe_switch import ProbeSwitch
+from .probing.switch import ProbeSwitch
 
 SIGNAL_PERIOD_S = 0.020  # the rhythm of servos
 # A command has to be repeated to be understood: five pulses, and the signal ends in a pause between two.

@@ -4,7 +4,7 @@
     EXTRUSION_CALIBRATE SPEEDS=1,2,4 WIDTHS=0.45,0.49,0.55           fit what was measured on them; SAVE_CONFIG keeps it
     PRIME_OOZE                                                       push what has oozed since the last extrusion
 
-d = hole + gain * v: the strand is wider than the hole, the more the faster it leaves (thermal/extrusion.py).
+d = hole + gain * v: the strand is wider than the hole, the more the faster it leaves (thermal/plan/extrusion.py).
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from thermal.extrusion import DieSwell, Overrun, exit_diameter, fit_die_swell, oozed_mm
+from thermal.plan.extrusion import DieSwell, Overrun, exit_diameter, fit_die_swell, oozed_mm
 
 WATCH_S = 0.25
 MOVING_MM_S = 1e-3

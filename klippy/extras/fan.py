@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from . import pulse_counter
-from .scheduled_pin import ScheduledPin
+from .outputs.scheduled_pin import ScheduledPin
 
 _PIN_MIN_TIME_S = 0.1  # how far ahead of the MCU's clock a change outside the move queue is placed
 _KICK_RISE = 0.5  # a rise of speed beyond this is kicked even if the fan turns already

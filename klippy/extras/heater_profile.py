@@ -15,7 +15,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from . import heater_laws, heater_tuning
+from .heater import laws as heater_laws
+from .heater import tuning as heater_tuning
 
 SECTION = "heater_profile"
 NAME = re.compile(r"[A-Za-z0-9_.-]+")

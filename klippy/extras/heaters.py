@@ -1,7 +1,7 @@
 """Heaters and temperature sensors as the rest of the printer knows them.
 
 `PrinterHeaters` (object "heaters") is the registry: sensor types by name, heaters by name, M105 ids, and the
-commands that address any heater. Ordinary heaters are heater_ordinary.py's, or heater_onoff.py's where the MCU
+commands that address any heater. Ordinary heaters are ordinary.py's, or onoff.py's where the MCU
 switches by itself. The induction nozzle brings its own (`induction_heater.py`) and registers here under the name of
 the extruder it serves; everything that speaks to heaters uses only the `AnyHeater` role below.
 """
@@ -12,9 +12,10 @@ import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
-from . import heater_onoff, sensor_types
-from .heater_laws import read_law
-from .heater_ordinary import MAX_HEAT_TIME_S, AnySensor, Heater, is_batch, range_error, read_settings
+from .heater import onoff as heater_onoff
+from .heater.laws import read_law
+from .heater.ordinary import MAX_HEAT_TIME_S, AnySensor, Heater, is_batch, range_error, read_settings
+from .sensors import types as sensor_types
 
 __all__ = ["AnyHeater", "AnySensor", "Heater", "PrinterHeaters", "is_batch", "load_config", "range_error"]
 

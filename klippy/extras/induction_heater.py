@@ -1,6 +1,6 @@
 """[induction_heater NAME]: an induction-heated nozzle whose own coil current tells its temperature.
 
-The joint of the thermal chain (thermal/loop.py, which decides) with the printer (which acts): blocks from the
+The joint of the thermal chain (thermal/control/loop.py, which decides) with the printer (which acts): blocks from the
 induction unit go in, phase commands come out and are sent ahead by clock. Outward it is a heater like any
 other; an extruder uses it with `heater: NAME` and it is then known by the extruder's name. Not used by an
 extruder it is known by its own.
@@ -13,14 +13,18 @@ import math
 from pathlib import Path
 from typing import Any, Protocol
 
-from thermal import features, laws, loop
-from thermal.blocks import Blocks
+from thermal.control import loop
 from thermal.records import PhaseCommand
+from thermal.sensing import features, laws
+from thermal.sensing.blocks import Blocks
 
 from . import heaters as heater_registry
-from . import induction_calibrate, induction_dump, induction_flow, induction_supply
-from . import induction_settings as settings
-from .induction_mcu import InductionUnit
+from .induction import calibrate as induction_calibrate
+from .induction import dump as induction_dump
+from .induction import flow as induction_flow
+from .induction import settings
+from .induction import supply as induction_supply
+from .induction.mcu import InductionUnit
 
 QUIET_S = 0.5  # how often it is looked whether melt or fan take heat
 
@@ -68,7 +72,7 @@ class InductionHeater:
         self.smooth_time_s = smooth_time_s
         self.batch = heater_registry.is_batch(printer)
         self.served_by = ""
-        self.config: Any = None  # of the section, for tunings given by option (heater_tuning.py)
+        self.config: Any = None  # of the section, for tunings given by option (tuning.py)
         self._reactor = printer.get_reactor()
         self._timer: Any = None
         self._driver: Driver | None = None

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
-from .scheduled_pin import ScheduledPin
+from .outputs.scheduled_pin import ScheduledPin
 
 COLORS = ("RED", "GREEN", "BLUE", "WHITE")
 MIN_LEAD_S = 0.100  # a change outside the moves is placed that far ahead of the MCU's clock

@@ -1,8 +1,9 @@
 """MODEL_CALIBRATE HEATER= [TARGET=] [POWER=] [AMBIENT=] [FAN=1] [FLOW=] [WAIT=]: the model of any heater, in minutes.
 
-The run is thermal/drill.py, the fit thermal/fit_load.py in a process of its own. Ordinary heaters get `control: model`
-with its numbers, an induction nozzle its heat capacity and losses, and with FLOW what the filament takes. The heater is
-off before and after, however that ends; a fit that does not predict the segment it was not shown changes nothing.
+The run is thermal/identification/step_test.py, the fit thermal/identification/fit_load.py in a process of its own.
+Ordinary heaters get `control: model` with its numbers, an induction nozzle its heat capacity and losses, and with
+FLOW what the filament takes. The heater is off before and after, however that ends; a fit that does not predict the
+segment it was not shown changes nothing.
 """
 
 from __future__ import annotations
@@ -18,9 +19,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from thermal import drill
+from thermal.identification import step_test
 
-from . import heater_run, heater_tuning
+from .heater import run as heater_run
+from .heater import tuning as heater_tuning
 
 HOST_FOLDER = Path(__file__).resolve().parents[1]
 WARM_C = 45.0  # a heater hotter than this has not cooled down yet
@@ -78,7 +80,7 @@ class ModelCalibrate:
         power_w = self._power(gcmd, session)
         plan = self._plan(gcmd, session, target_c, flow_mm3_s)
         told = self._check_flow(gcmd, session, plan)
-        run = drill.Drill(plan, now_c)
+        run = step_test.Drill(plan, now_c)
         wait = gcmd.get_int("WAIT", 0)
         self._fan, self._flow, self._fed_stage = 0.0, 0.0, ""
         session.start(
@@ -106,11 +108,13 @@ class ModelCalibrate:
             )
         return float(power_w)
 
-    def _plan(self, gcmd: Any, session: heater_run.Session, target_c: float, flow: float) -> drill.DrillPlan:
+    def _plan(
+        self, gcmd: Any, session: heater_run.Session, target_c: float, flow: float
+    ) -> step_test.DrillPlan:
         fan = self.printer.lookup_object("fan", None) is not None and gcmd.get_int("FAN", 0)
         if session.induction:
             cool_c = max(target_c - COOLER_C, heater_tuning.min_extrude_c(session.heater) + EXTRUDE_MARGIN_C)
-            return drill.DrillPlan(
+            return step_test.DrillPlan(
                 target_c=target_c,
                 high=min(session.seat.most, NOZZLE_POWER_W),
                 band_c=1.0,
@@ -122,9 +126,9 @@ class ModelCalibrate:
                 heat_s=30.0,
                 gain_s=5.0,
                 lost_c=60.0,
-                further=drill.melt_steps(target_c, cool_c, flow) if flow else (),
+                further=step_test.melt_steps(target_c, cool_c, flow) if flow else (),
             )
-        return drill.DrillPlan(
+        return step_test.DrillPlan(
             target_c=target_c,
             high=session.seat.most,
             band_c=0.5,
@@ -138,7 +142,7 @@ class ModelCalibrate:
             lost_c=session.heater.max_temp - target_c + 20.0,
         )
 
-    def _check_flow(self, gcmd: Any, session: heater_run.Session, plan: drill.DrillPlan) -> str:
+    def _check_flow(self, gcmd: Any, session: heater_run.Session, plan: step_test.DrillPlan) -> str:
         """What would spoil the steps with filament, before anything is heated; the text that tells of them."""
         steps = [(step.target_c, step.flow_mm3_s, step.lasts_s) for step in plan.further]
         if plan.flow_s:
@@ -187,7 +191,7 @@ class ModelCalibrate:
                 "The part fan is on, and what it takes will count as the heater's own loss; FAN=1 tells them apart"
             )
 
-    def _surround(self, run: drill.Drill) -> None:
+    def _surround(self, run: step_test.Drill) -> None:
         """Fan and extruder as the run wants them."""
         if run.fan != self._fan:
             self._fan = run.fan
@@ -212,7 +216,7 @@ class ModelCalibrate:
         return float(length_mm / speed_mm_s)
 
     def _finish(
-        self, session: heater_run.Session, run: drill.Drill, power_w: float, ambient_c: float
+        self, session: heater_run.Session, run: step_test.Drill, power_w: float, ambient_c: float
     ) -> None:
         if (self._fan or self._users_fan) and not self.printer.is_shutdown():
             self.printer.lookup_object("fan").fan.set_speed(self._users_fan)
@@ -231,7 +235,7 @@ class ModelCalibrate:
         done = self._reactor.run_beside(work)
         self._reactor.register_callback(lambda eventtime: self._on_fit(session, done.wait()))
 
-    def _keep(self, session: heater_run.Session, run: drill.Drill) -> Path | None:
+    def _keep(self, session: heater_run.Session, run: step_test.Drill) -> Path | None:
         """Write the trace where the fit (and people) find it."""
         name, path = f"model-{session.heater.name}-{time.strftime('%Y%m%d-%H%M%S')}-", tempfile.gettempdir()
         try:
@@ -240,7 +244,7 @@ class ModelCalibrate:
             ) as stream:
                 path = stream.name
                 writer = csv.writer(stream)
-                writer.writerow(drill.Row._fields)
+                writer.writerow(step_test.Row._fields)
                 writer.writerows(run.rows)
         except OSError as e:
             logging.warning("MODEL_CALIBRATE: %s: %s", path, e)

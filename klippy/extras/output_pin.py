@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from .scheduled_pin import ScheduledPin
+from .outputs.scheduled_pin import ScheduledPin
 
 _MAX_KEEP_ALIVE_S = 5.0
 

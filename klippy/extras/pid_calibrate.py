@@ -1,7 +1,8 @@
 """PID_CALIBRATE HEATER= TARGET= [WRITE_FILE=] [WAIT=]: a PID for any heater, from its swings around the target.
 
-The run and its evaluation are thermal/relay.py. Ordinary heaters get pid_Kp, pid_Ki, pid_Kd (duty, per 255), induction
-nozzles pid_kp_w_per_k, pid_ki_w_per_k_s, pid_kd_w_s_per_k. They are in use at once; SAVE_CONFIG keeps them.
+The run and its evaluation are thermal/identification/relay.py. Ordinary heaters get pid_Kp, pid_Ki, pid_Kd (duty, per
+255), induction nozzles pid_kp_w_per_k, pid_ki_w_per_k_s, pid_kd_w_s_per_k. They are in use at once; SAVE_CONFIG keeps
+them.
 """
 
 from __future__ import annotations
@@ -10,9 +11,11 @@ import logging
 from pathlib import Path
 from typing import Any
 
-from thermal import control, relay
+from thermal.control import pid
+from thermal.identification import relay
 
-from . import heater_run, heater_tuning
+from .heater import run as heater_run
+from .heater import tuning as heater_tuning
 
 TRACE = Path("/tmp/heattest.txt")  # where Klipper's users look for it
 BAND_C, INDUCTION_BAND_C = 0.5, 1.0
@@ -98,7 +101,7 @@ def _tuning(result: relay.RelayResult, induction: bool) -> heater_tuning.Tuning:
     if induction:
         names, scale = ("pid_kp_w_per_k", "pid_ki_w_per_k_s", "pid_kd_w_s_per_k"), 1.0
     else:
-        names, scale = ("pid_kp", "pid_ki", "pid_kd"), control.PID_SCALE
+        names, scale = ("pid_kp", "pid_ki", "pid_kd"), pid.PID_SCALE
     gains = (result.kp, result.ki, result.kd)
     values = {name: f"{scale * gain:.5g}" for name, gain in zip(names, gains, strict=True)}
     return heater_tuning.Tuning(control="pid", **values)

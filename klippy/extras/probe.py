@@ -14,8 +14,8 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from . import manual_probe
-from .probe_points import ProbePointsHelper
-from .probe_switch import ProbeEvents, ProbeSwitch
+from .probing.points import ProbePointsHelper
+from .probing.switch import ProbeEvents, ProbeSwitch
 
 # PROBE_CALIBRATE brings the nozzle to where the probe was, so much above the trigger, at this speed.
 CALIBRATE_LIFT_MM = 5.0

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import meshmath
-
-from .z_level import ZLevel
+from .probing import surface_fit
+from .probing.z_level import ZLevel
 
 
 def load_config(config: Any) -> ZLevel:
@@ -24,7 +23,7 @@ def load_config(config: Any) -> ZLevel:
         )
 
     def heights(places: list[list[float]]) -> list[float]:
-        surface = meshmath.fit_twisted(places, [place[2] for place in places])
+        surface = surface_fit.fit_twisted(places, [place[2] for place in places])
         return [surface(x0, y0), surface(x0, y1), surface(x1, y1), surface(x1, y0)]
 
     level = ZLevel(config, 4, heights, config.getfloat("max_adjust", 4.0, above=0.0))
@@ -32,7 +31,7 @@ def load_config(config: Any) -> ZLevel:
     try:
         if len(points) != 4:
             raise ValueError(f"there are {len(points)} points")
-        meshmath.fit_twisted(points, [0.0] * 4)
+        surface_fit.fit_twisted(points, [0.0] * 4)
     except ValueError as e:
         raise config.error(
             f"Section '{config.get_name()}': points is one place near each of Z, Z1, Z2, Z3; {e}"

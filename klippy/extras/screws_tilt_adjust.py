@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from .probe_points import ProbePointsHelper
+from .probing.points import ProbePointsHelper
 
 # Rise in one turn (mm): ISO 261, coarse.
 PITCH_MM = {"M3": 0.5, "M4": 0.7, "M5": 0.8, "M6": 1.0, "M8": 1.25}

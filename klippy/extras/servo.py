@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from .scheduled_pin import ScheduledPin
+from .outputs.scheduled_pin import ScheduledPin
 
 SERVO_PERIOD_S = 0.020  # the rhythm servos expect
 

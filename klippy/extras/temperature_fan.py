@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from thermal import control
+from thermal.control import pid
 
 from . import fan
 
@@ -46,15 +46,15 @@ class WatermarkCooling:
 class PidCooling:
     """The heaters' PID, whose output is what is taken away from full speed."""
 
-    def __init__(self, parameters: control.PidParameters) -> None:
+    def __init__(self, parameters: pid.PidParameters) -> None:
         self._parameters = parameters
-        self._state = control.PidState()
+        self._state = pid.PidState()
 
     def decide(self, time_s: float, temp_c: float, target_c: float, low: float, high: float) -> float:
         # the law's output range is the room between full and least speed
         parameters = replace(self._parameters, output_low=0.0, output_high=max(high - low, 1e-6))
-        inputs = control.ControlInput(target_c, temp_c)
-        output, self._state = control.pid_step(parameters, self._state, inputs, time_s)
+        inputs = pid.ControlInput(target_c, temp_c)
+        output, self._state = pid.pid_step(parameters, self._state, inputs, time_s)
         return max(low, high - output.value)
 
 
@@ -66,7 +66,7 @@ def read_pid(config: Any) -> CoolingLaw:
     gains = [config.getfloat("pid_Kp", above=0.0)]
     gains += [config.getfloat(option, minval=0.0) for option in ("pid_Ki", "pid_Kd")]
     deriv_time_s = config.getfloat("pid_deriv_time", 2.0, above=0.0)
-    return PidCooling(control.klipper_pid(gains[0], gains[1], gains[2], 1.0, deriv_time_s))
+    return PidCooling(pid.klipper_pid(gains[0], gains[1], gains[2], 1.0, deriv_time_s))
 
 
 LAWS: dict[str, Callable[[Any], CoolingLaw]] = {"watermark": read_watermark, "pid": read_pid}

@@ -92,7 +92,7 @@ TYPICAL: tuple[tuple[str, Typical], ...] = (
     ("stm32g4", Typical(30.0, 0.760, 0.002500)),
     ("stm32l4", Typical(30.0, 0.760, 0.002500)),
     ("stm32h7", Typical(30.0, 0.620, 0.002000)),
-    ("simulator", Typical(25.0, 1.395, -0.004200)),  # src/simulator/chip_sensor.h
+    ("simulator", Typical(25.0, 1.395, -0.004200)),  # klippy/simulation/world/chip_sensor.h
 )
 FACTORY: tuple[tuple[str, Factory], ...] = (
     ("stm32f0", Factory(0x1FFFF7B8, 0x1FFFF7C2, 30.0, 110.0, 3.3)),

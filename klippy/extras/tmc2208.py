@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from .tmc_chips import TMC2208
-from .tmc_current import TwoRanges
-from .tmc_driver import StepperDriver
-from .tmc_uart import RegisterLink
+from .tmc.chips import TMC2208
+from .tmc.current import TwoRanges
+from .tmc.driver import StepperDriver
+from .tmc.uart import RegisterLink
 
 
 def load_config_prefix(config: Any) -> StepperDriver:

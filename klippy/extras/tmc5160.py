@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from .tmc_chips import TMC5160
-from .tmc_current import tmc5160_current
-from .tmc_driver import StepperDriver
-from .tmc_spi import RegisterLink
+from .tmc.chips import TMC5160
+from .tmc.current import tmc5160_current
+from .tmc.driver import StepperDriver
+from .tmc.spi import RegisterLink
 
 
 def load_config_prefix(config: Any) -> StepperDriver:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-import meshmath
-
-from .z_level import ZLevel
+from .probing import surface_fit
+from .probing.z_level import ZLevel
 
 
 def load_config(config: Any) -> ZLevel:
@@ -17,13 +16,13 @@ def load_config(config: Any) -> ZLevel:
         )
 
     def heights(places: list[list[float]]) -> list[float]:
-        plane = meshmath.fit_plane(places, [place[2] for place in places])
+        plane = surface_fit.fit_plane(places, [place[2] for place in places])
         return [plane.z(x, y) for x, y in positions]
 
     level = ZLevel(config, len(positions), heights)
     level.points.minimum_points(2)
     for name, places in (("z_positions", positions), ("points", level.points.probe_points or ())):
-        if len(positions) > 2 and meshmath.on_a_line(places):
+        if len(positions) > 2 and surface_fit.on_a_line(places):
             raise config.error(
                 f"Section '{config.get_name()}': {name} lie on a line; with {len(positions)} motors they must not"
             )

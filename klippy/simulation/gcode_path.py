@@ -17,7 +17,7 @@ from typing import Any
 
 from extras import gcode_arcs
 from lookahead import LookAheadQueue, Move
-from thermal.wishes import Wishes, read_comment
+from thermal.plan.requests import Wishes, read_comment
 
 _NUMBERED = re.compile(r"N\d+\s*(.*?)(?:\*\s*\d+\s*)?$")
 # The command and its parameters; blanks between them are no matter (G1X10).

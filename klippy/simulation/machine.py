@@ -15,6 +15,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from extras.probing.surface_fit import fit_plane
 from extras.simulator import (
     AxisSettings,
     FanSettings,
@@ -26,7 +27,6 @@ from extras.simulator import (
     ReferenceSettings,
     SimulatorSettings,
 )
-from meshmath import fit_plane
 
 from .builds import Build, make_build
 from .world import Pin, World, WorldError, parameter_values

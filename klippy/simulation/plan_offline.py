@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from extras.temperature_plan_settings import HEADROOM_C, Settings
-from pathpieces import Asked, PathPieces
-from tempplan import Laid, Summary, TemperaturePlan
-from thermal import weld
-from thermal.deposit import Surroundings
-from thermal.nozzle_melt import NozzleLimits
-from thermal.pace import Pace, Pacer, Place
+from extras.temperature_plan.settings import HEADROOM_C, Settings
+from thermal.models.melt_exchange import NozzleLimits
+from thermal.plan import weld
+from thermal.plan.deposit import Surroundings
+from thermal.plan.layer_time import Pace, Pacer, Place
+from thermal.plan.path_pieces import Asked, PathPieces
+from thermal.plan.planner import Laid, Summary, TemperaturePlan
 
 from .gcode_path import GcodePath, Limits, TimedMove
 

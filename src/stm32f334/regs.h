@@ -1,5 +1,5 @@
 /* Registers of the STM32F334 that this port uses, and no others.  Source: RM0364 (reference manual) and, for the last
- * section, PM0214 (Cortex-M4).  scripts/check_registers.py compares every address and bit with the vendor's SVD file.
+ * section, PM0214 (Cortex-M4).  scripts/check/check_registers.py compares every address and bit with the vendor's SVD file.
  *
  *   NAME_BASE              a block's address
  *   NAME_REGISTER          a register: R(block, offset); with an argument where there are several such blocks

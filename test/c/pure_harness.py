@@ -30,10 +30,10 @@ SANITIZERS = {
 
 INDUCTION_SOURCES = ("filters.c", "oversample.c", "phase.c", "guard.c", "attention.c")
 PLANT_SOURCES = (
-    "simulator/plant.c",
-    "simulator/plant_tank.c",
-    "simulator/plant_noise.c",
-    "simulator/thermal_load.c",
+    "simulation/plant/plant.c",
+    "simulation/plant/plant_tank.c",
+    "simulation/plant/plant_noise.c",
+    "simulation/plant/thermal_load.c",
 )
 
 PLANT_CDEF = """

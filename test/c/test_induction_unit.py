@@ -7,10 +7,9 @@ import struct
 from dataclasses import dataclass
 
 import pytest
+from block_codec import unpack
 from mcu_harness import FREQ, Mcu
 from pure_harness import Plant
-
-from loop.block_codec import unpack
 
 PERIOD = 600  # ticks: 120 kHz
 MAX_DURATION = FREQ // 10

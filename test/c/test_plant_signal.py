@@ -160,7 +160,7 @@ def test_table_of_parameters_is_sound():
 BENCH = r"""
 #include <stdio.h>
 #include <time.h>
-#include "simulator/plant.h"
+#include "simulation/plant/plant.h"
 static double now_ns(void) {
   struct timespec t;
   clock_gettime(CLOCK_PROCESS_CPUTIME_ID, &t);

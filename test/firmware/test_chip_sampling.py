@@ -6,7 +6,7 @@ import pytest
 from chip_rig import FREQ
 from measure import PERIOD, TRAVEL, Sampling, everything_cost, run_sampling
 
-SECONDS = 1.5  # ten in scripts/bench_firmware.py
+SECONDS = 1.5  # ten in scripts/bench/bench_firmware.py
 SAMPLES_IRQ = 16 + 11  # DMA1 channel 1
 BLOCK, Y = 192, 5
 MOST_PER_SAMPLE = 4.0  # a plain loop over the samples is 4.5 alone

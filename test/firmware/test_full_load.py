@@ -6,7 +6,7 @@ import pytest
 from chip_rig import FREQ
 from full_load import TARGET_C, TRAVEL_HZ, Load, check_blocks, check_continuity, check_phases, play
 
-SECONDS = 2.0  # ten in scripts/bench_firmware.py
+SECONDS = 2.0  # ten in scripts/bench/bench_firmware.py
 
 
 @pytest.fixture(scope="module")

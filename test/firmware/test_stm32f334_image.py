@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
 
 import check_registers  # noqa: E402
+
 import firmware_size  # noqa: E402
 import seal_firmware  # noqa: E402
 

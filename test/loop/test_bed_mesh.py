@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from extras.probing.surface_fit import Surface
 from loop.probe_rig import FLAT, STEP_MM, bed, run
-from meshmath import Surface
 from simulation.runner import PRINTED
 
 ONE_SAMPLE = ("probe", "samples", "1")

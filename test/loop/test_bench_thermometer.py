@@ -1,10 +1,9 @@
-"""The promise in figures (scripts/bench_thermometer.py), shorter than `make bench` runs it."""
+"""The promise in figures (scripts/bench/bench_thermometer.py), shorter than `make bench` runs it."""
 
 from __future__ import annotations
 
-import pytest
-
 import bench_thermometer
+import pytest
 
 
 @pytest.mark.parametrize("units", [1.0, 6.4])

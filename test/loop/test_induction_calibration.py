@@ -13,9 +13,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from induction_rig import Plant, Rig, default_parameters
 
-from loop.induction_rig import Plant, Rig, default_parameters
-from thermal import actuator, features, fit_sweep, laws, plausible, sweep
+from thermal.control import actuator
+from thermal.identification import fit_sweep, sweep
+from thermal.sensing import features, heat_balance_monitor, laws
 
 REQUIRED_C = 2.0
 OFF_BY_TEN = {
@@ -157,7 +159,7 @@ def test_drift_is_noticed_with_its_size_and_one_point_brings_it_back(
     balance = replace(
         parameters.plausible,
         heat=replace(parameters.plausible.heat, at_25c_j_k=result.capacity_j_k),
-        loss=plausible.scaled(result.loss_factor, result.ambient_c, result.second_factor),
+        loss=heat_balance_monitor.scaled(result.loss_factor, result.ambient_c, result.second_factor),
     )
     rig = Rig(Plant(4, **OFF_BY_TEN), replace(parameters, plausible=balance), 4)
     rig.run(0.6)

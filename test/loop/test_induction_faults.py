@@ -6,10 +6,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from induction_rig import Plant, Rig, default_parameters
 
-from extras import induction_supply
-from loop.induction_rig import Plant, Rig, default_parameters
-from thermal import features, laws
+from extras.induction import supply as induction_supply
+from thermal.sensing import features, laws
 
 # The reference tank's components, as a calibration of the C plant finds them.
 TANK = laws.TankLaw(1154.0, 390.0, 1429.0, 0.0, 0.457, 0.599, 0.0, 313.9, 1.003, 0.06)

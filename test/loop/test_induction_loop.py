@@ -11,8 +11,7 @@ import random
 
 import numpy as np
 import pytest
-
-from loop.induction_rig import (
+from induction_rig import (
     CALM_MESSAGES,
     CALM_RECORDS,
     PERIOD_S,
@@ -22,7 +21,8 @@ from loop.induction_rig import (
     default_parameters,
     true_law,
 )
-from thermal.control_api import Schedule
+
+from thermal.control.control_api import Schedule
 
 TARGET_C = 250.0
 VARIATIONS = [

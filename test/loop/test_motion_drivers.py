@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
-from extras import bus, tmc_spi
-from extras.tmc_chips import TMC2240, TMC5160, Chip
+from extras import bus
+from extras.tmc import spi as tmc_spi
+from extras.tmc.chips import TMC2240, TMC5160, Chip
 from simulation.runner import BAD_INPUT, PRINTED, SHUT_DOWN, Outcome, RunOptions, Simulation
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from extras import tmc_uart
+from extras.tmc import uart as tmc_uart
 from simulation.runner import BAD_INPUT, PRINTED, SHUT_DOWN, RunOptions, Simulation
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from induction_rig import Plant
 
-from loop.induction_rig import Plant
-from thermal import fit
+from thermal.identification import fit_sensing
 
 SWEEP_PERCENT = (0.2, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100)
 HELD_OUT_PERCENT = (0.5, 1, 3, 5, 8, 15, 25, 35, 55, 75, 95)
 
 
-def measure(powers: tuple[float, ...], temps: np.ndarray, **plant: float) -> fit.Points:
+def measure(powers: tuple[float, ...], temps: np.ndarray, **plant: float) -> fit_sensing.Points:
     """Errors of a nozzle held at each temperature (its own heat switched off)."""
     rows = []
     for percent in powers:
-        phase = round(float(fit.ticks_of_power(np.array(percent / 100))))
+        phase = round(float(fit_sensing.ticks_of_power(np.array(percent / 100))))
         for temp in temps:
             nozzle = Plant(1, start_c=float(temp), heat_w=0.0, **plant)
             nozzle.set_phase(phase)
@@ -28,14 +28,14 @@ def measure(powers: tuple[float, ...], temps: np.ndarray, **plant: float) -> fit
                 nozzle.run(32)  # settling
             mean = np.mean([nozzle.run(32).mean() for _ in range(32)])  # 1024 samples: 0.03 LSB
             rows.append((nozzle.read().skin_c, phase, mean - 256.0))
-    return fit.Points(*(np.array(column, dtype=float) for column in zip(*rows, strict=True)))
+    return fit_sensing.Points(*(np.array(column, dtype=float) for column in zip(*rows, strict=True)))
 
 
-def worst(law: str, train: fit.Points, test: fit.Points, power_max: float) -> float:
+def worst(law: str, train: fit_sensing.Points, test: fit_sensing.Points, power_max: float) -> float:
     """Largest error in degC on held-out points up to a power."""
-    result = fit.FITTERS[law](train)
+    result = fit_sensing.FITTERS[law](train)
     chosen = test.where(test.power <= power_max)
-    return float(np.abs(fit.temperature_residuals(law, result.values(), chosen)).max())
+    return float(np.abs(fit_sensing.temperature_residuals(law, result.values(), chosen)).max())
 
 
 def test_tank_law_follows_the_tank_from_sensing_to_full_power() -> None:

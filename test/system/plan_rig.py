@@ -17,7 +17,7 @@ import chelper
 from extras import temperature_plan
 from simulation import simport
 from simulation.runner import Outcome, RunOptions, Simulation
-from thermal.control_api import Reference
+from thermal.control.control_api import Reference
 
 FILAMENT_MM2 = math.pi / 4.0 * 1.75**2
 

@@ -11,7 +11,7 @@ import pytest
 
 from extras import extrusion
 from system.conftest import CONFIG, Simulate, square
-from thermal.extrusion import DieSwell, Overrun, exit_diameter
+from thermal.plan.extrusion import DieSwell, Overrun, exit_diameter
 
 
 def config(folder: Path, more: str) -> Path:

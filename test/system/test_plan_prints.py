@@ -10,7 +10,7 @@ import pytest
 
 from system.conftest import CONFIG
 from system.plan_rig import SECTION, Watched, watch
-from thermal.control_api import Reference
+from thermal.control.control_api import Reference
 
 SQUARE = "".join(f"G1 X{x} Y{y} E1.5 F2400\n" for x, y in ((80, 60), (80, 80), (60, 80), (60, 60)))
 JUMP_C = 0.05  # corners within 0.02 degC of a line are left out of both references

@@ -20,8 +20,8 @@ from extras.temperature_plan import nozzle_limits
 from system.conftest import CONFIG
 from system.plan_gcode import Writer
 from system.plan_rig import Road, Watched, watch
-from thermal import nozzle_melt
-from thermal.control_api import Reference
+from thermal.control.control_api import Reference
+from thermal.models import melt_exchange
 
 SEEDS = int(os.environ.get("FERRITE_PLAN_SEEDS", "4"))
 THINGS = 45
@@ -71,13 +71,13 @@ def printed(tmp_path: Path, body: str, section: str, wire: bool = False) -> Watc
     return watched
 
 
-def check_ranges(watched: Watched, limits: nozzle_melt.NozzleLimits) -> None:
+def check_ranges(watched: Watched, limits: melt_exchange.NozzleLimits) -> None:
     """Each reference by itself: in order of time, within the limits of an extruding nozzle and the user's targets."""
     targets = [
         entry.corners[0][1] for entry in watched.emitted if entry.by_user and entry.corners[0][1] > 0.0
     ]
     low_c = min(limits.min_extrude_c, *targets)
-    high_c = max(nozzle_melt.highest_c(limits), *targets)
+    high_c = max(melt_exchange.highest_c(limits), *targets)
     for entry in watched.emitted:
         if not entry.by_user:
             times, temps = zip(*entry.corners, strict=True)
@@ -94,7 +94,7 @@ def most_flow(roads: list[Road], ends: list[float], from_s: float, to_s: float) 
     return found
 
 
-def check_slopes(watched: Watched, limits: nozzle_melt.NozzleLimits) -> int:
+def check_slopes(watched: Watched, limits: melt_exchange.NozzleLimits) -> int:
     """What the heater was asked to follow, from reference to reference; returns the places looked at."""
     roads = watched.roads
     ends, looked = [road.end_s for road in roads], 0
@@ -120,7 +120,7 @@ def check_slopes(watched: Watched, limits: nozzle_melt.NozzleLimits) -> int:
 
 
 def check_step(
-    limits: nozzle_melt.NozzleLimits,
+    limits: melt_exchange.NozzleLimits,
     roads: list[Road],
     ends: list[float],
     start: tuple[float, float],
@@ -134,8 +134,8 @@ def check_step(
     cold_c, hot_c = min(a, b), max(a, b)
     held_k_s = limits.holder_w_k / limits.capacity.at(hot_c)
     slope = (b - a) / (end_s - start_s)
-    up = nozzle_melt.heating_k_s(limits, cold_c, 0.0) - held_k_s * (cold_c - holder_c)
-    down = nozzle_melt.cooling_k_s(limits, hot_c, flow) + held_k_s * (hot_c - holder_c)
+    up = melt_exchange.heating_k_s(limits, cold_c, 0.0) - held_k_s * (cold_c - holder_c)
+    down = melt_exchange.cooling_k_s(limits, hot_c, flow) + held_k_s * (hot_c - holder_c)
     assert slope <= up + SLACK_K_S, (start_s, a, b, slope, up)
     assert slope >= -down - SLACK_K_S, (start_s, a, b, slope, down, flow)
     if flow > 0.0 and most_flow(roads, ends, start_s, end_s) > 0.0:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from extras import heater_run
+from extras.heater import run as heater_run
 from simulation.runner import BAD_INPUT, RunOptions, Simulation
 from system.conftest import CONFIG, Simulate
 

@@ -5,37 +5,47 @@ from __future__ import annotations
 from typing import Any
 
 import chelper
-from thermal import actuator, blocks, chain, estimator, features, laws, model, supervise, track
+from thermal.control import actuator
+from thermal.models import heat_loss
 from thermal.records import SampleBlock, TempEstimate
+from thermal.sensing import (
+    block_temperature,
+    blocks,
+    features,
+    laws,
+    pipeline,
+    supervision,
+    temperature_filter,
+)
 
 FFI, LIB = chelper.get_ffi()
 
 
 def new_chain(
     front: features.FeatureParameters | None = None,
-    read: estimator.EstimatorParameters | None = None,
-    watch: supervise.SuperviseParameters | None = None,
+    read: block_temperature.EstimatorParameters | None = None,
+    watch: supervision.SuperviseParameters | None = None,
     drive: actuator.DriveLaw | None = None,
-    filtered: track.TrackParameters | None = None,
-) -> chain.Chain:
-    made = chain.Chain()
+    filtered: temperature_filter.TrackParameters | None = None,
+) -> pipeline.Chain:
+    made = pipeline.Chain()
     made.use(
         front or features.FeatureParameters(),
-        read or estimator.EstimatorParameters(laws.ExpLaw()),
-        watch or supervise.SuperviseParameters(0.0, 300.0),
+        read or block_temperature.EstimatorParameters(laws.ExpLaw()),
+        watch or supervision.SuperviseParameters(0.0, 300.0),
         drive or actuator.DriveLaw(),
-        filtered or track.TrackParameters(model.LossLaw()),
+        filtered or temperature_filter.TrackParameters(heat_loss.LossLaw()),
     )
     return made
 
 
-def told(made: chain.Chain) -> Any:
+def told(made: pipeline.Chain) -> Any:
     """C's struct chain_params."""
     return made._parameters
 
 
 def estimate(
-    parameters: estimator.EstimatorParameters, error: float, phase: int, noise: float = 0.03
+    parameters: block_temperature.EstimatorParameters, error: float, phase: int, noise: float = 0.03
 ) -> TempEstimate:
     """What a good block of this error says."""
     one = blocks.Blocks()
@@ -47,7 +57,7 @@ def estimate(
 
 
 def of_block(
-    parameters: estimator.EstimatorParameters, front: features.FeatureParameters, block: SampleBlock
+    parameters: block_temperature.EstimatorParameters, front: features.FeatureParameters, block: SampleBlock
 ) -> TempEstimate:
     """Features and estimate of one block."""
     one = blocks.Blocks.of([block])

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from extras.bed_mesh_points import MeshError, MeshShape, Region
+from extras.bed_mesh.points import MeshError, MeshShape, Region
 
 SHAPE = MeshShape((35.0, 6.0), (240.0, 198.0), (5, 3))
 

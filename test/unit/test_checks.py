@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import pytest
-
 import check_formats
 import check_layers
 import check_paths
+import pytest
 
 
 def put(folder: Path, files: dict[str, str]) -> Path:
@@ -28,8 +27,8 @@ def put(folder: Path, files: dict[str, str]) -> Path:
     [
         {"reactor.py": "import toolhead\n", "toolhead.py": ""},
         {"mcu.py": "def f():\n    from extras import heaters\n", "extras/heaters.py": ""},
-        {"thermal/plan.py": "from reactor import Reactor\n", "reactor.py": ""},
-        {"extras/fan.py": "from simulation.world import World\n", "simulation/world.py": ""},
+        {"thermal/plan/set_points.py": "from reactor import Reactor\n", "reactor.py": ""},
+        {"extras/fan.py": "from simulation.world import World\n", "simulation/world/__init__.py": ""},
         {"extras/a/b.py": "import klippy\n", "klippy.py": ""},
     ],
 )
@@ -54,23 +53,23 @@ def test_imports_downward_and_sideways_are_fine(tmp_path: Path) -> None:
 
 def test_thermal_may_use_the_standard_library_only(tmp_path: Path) -> None:
     files = {
-        "thermal/model.py": "import math\nimport numpy as np\n",
-        "thermal/fit.py": "import numpy as np\n",
+        "thermal/models/heat_loss.py": "import math\nimport numpy as np\n",
+        "thermal/identification/fit_sensing.py": "import numpy as np\n",
     }
     (offence,) = check_layers.check_python(put(tmp_path, files))
-    assert offence.path.name == "model.py"
+    assert offence.path.name == "heat_loss.py"
     assert offence.line == 2
 
 
 def test_what_runs_in_the_printer_may_not_need_an_offline_fit(tmp_path: Path) -> None:
     files = {
-        "thermal/fit.py": "import numpy\n",
-        "thermal/model.py": "from thermal import fit\n",
+        "thermal/identification/fit_sensing.py": "import numpy\n",
+        "thermal/models/heat_loss.py": "from thermal import fit\n",
         "extras/calibrate.py": "import thermal.fit\n",
-        "thermal/control.py": "from .fit import fit_line\n",
+        "thermal/control/pid.py": "from .fit import fit_line\n",
     }
     found = {o.path.name for o in check_layers.check_python(put(tmp_path, files))}
-    assert found == {"model.py", "calibrate.py", "control.py"}
+    assert found == {"heat_loss.py", "calibrate.py", "pid.py"}
 
 
 def test_a_module_without_a_layer_is_found(tmp_path: Path) -> None:

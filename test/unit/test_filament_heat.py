@@ -10,8 +10,9 @@ from scipy.linalg import solve_banded
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "klippy"))
 
-from thermal import extrusion, filament_heat, weld
-from thermal.materials import MATERIALS
+from thermal.models import filament_heat
+from thermal.plan import extrusion, weld
+from thermal.plan.materials import MATERIALS
 
 CHI = 1.5e-7  # ABS as printed in source 004
 TOLERANCE_C = 0.1  # the limit; the grids below are fine enough for a third of it

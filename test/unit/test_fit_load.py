@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from thermal import drill, fit_load
-from thermal.model_plant import ModelParameters, advance, at_rest, stepped
+from thermal.identification import fit_load, step_test
+from thermal.models.heater_model import ModelParameters, advance, at_rest, stepped
 
 POWER_W, AMBIENT_C = 40.0, 22.0
 READ_S, NOISE_C = 0.3, 0.03
@@ -30,13 +30,13 @@ def hotend(mass: float = 1.0, loss: float = 1.0, lag: float = 1.0, element: floa
     )
 
 
-def recording(true: ModelParameters, seed: int = 1, flow: float = 0.0) -> list[drill.Row]:
+def recording(true: ModelParameters, seed: int = 1, flow: float = 0.0) -> list[step_test.Row]:
     """A run of MODEL_CALIBRATE on this heater, with noise."""
     rng = np.random.default_rng(seed)
-    plan = drill.DrillPlan(200.0, 1.0, 2.0, 0.0, hold_s=40.0, cool_s=40.0, coast_s=30.0, fan_s=30.0,
+    plan = step_test.DrillPlan(200.0, 1.0, 2.0, 0.0, hold_s=40.0, cool_s=40.0, coast_s=30.0, fan_s=30.0,
                            flow_s=30.0 if flow else 0.0, flow_mm3_s=flow)  # fmt: skip
     fine = stepped(true, 0.02)  # nature does not step
-    run, nodes, output = drill.Drill(plan, AMBIENT_C), at_rest(true, AMBIENT_C), 0.0
+    run, nodes, output = step_test.Drill(plan, AMBIENT_C), at_rest(true, AMBIENT_C), 0.0
     for i in range(20000):
         output = run.decide(i * READ_S, nodes.sensor_c + rng.normal(0.0, NOISE_C))
         if run.over:

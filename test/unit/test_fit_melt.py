@@ -10,11 +10,11 @@ from functools import cache
 import numpy as np
 import pytest
 
-from thermal import drill, fit_load, fit_melt
-from thermal.control_api import Sample, Schedule
-from thermal.drill import Row
-from thermal.fit_melt import Held, MeltFit, MeltFitError
-from thermal.nozzle_melt import MeltExchange
+from thermal.control.control_api import Sample, Schedule
+from thermal.identification import fit_load, fit_melt, step_test
+from thermal.identification.fit_melt import Held, MeltFit, MeltFitError
+from thermal.identification.step_test import Row
+from thermal.models.melt_exchange import MeltExchange
 
 ROOM_C = 22.0
 TICK_S = 0.005
@@ -65,7 +65,7 @@ def leaves_c(n: Nozzle, bore_c: float, flow: float) -> float:
     return temp_c
 
 
-def extruded(run: drill.Drill, times: list[float], flows: list[float], now_s: float) -> Schedule:
+def extruded(run: step_test.Drill, times: list[float], flows: list[float], now_s: float) -> Schedule:
     """What stands in the extruder's queue: moves begin 0.3 s after they are asked for."""
     if not flows or flows[-1] != run.flow_mm3_s:
         times.append(now_s + 0.3)
@@ -78,11 +78,11 @@ def recording(n: Nozzle, moves: bool = True) -> tuple[Row, ...]:
     """The run of MODEL_CALIBRATE on this nozzle, with noise and the delay of the loop."""
     rng = np.random.default_rng(1)
     noise = rng.normal(0.0, NOISE_C, 80000).tolist()
-    plan = drill.DrillPlan(
+    plan = step_test.DrillPlan(
         230.0, 30.0, 1.0, 0.0, hold_s=25.0, cool_s=30.0, coast_s=10.0, heat_s=30.0, gain_s=5.0, lost_c=60.0,
-        even_c=5.0, further=drill.melt_steps(230.0, 185.0, FLOW_MM3_S),
+        even_c=5.0, further=step_test.melt_steps(230.0, 185.0, FLOW_MM3_S),
     )  # fmt: skip
-    run, skin_c, second_c, bore_c = drill.Drill(plan, ROOM_C), ROOM_C, ROOM_C, ROOM_C
+    run, skin_c, second_c, bore_c = step_test.Drill(plan, ROOM_C), ROOM_C, ROOM_C, ROOM_C
     coming = deque([0.0] * LATE_TICKS)
     times: list[float] = []
     flows: list[float] = []
@@ -193,7 +193,7 @@ def test_an_extruder_that_does_not_move_is_told() -> None:
 
 
 def test_a_run_without_these_steps_has_no_exchange() -> None:
-    rows = [row for row in recording(Nozzle()) if not row.stage.startswith(drill.MELT)]
+    rows = [row for row in recording(Nozzle()) if not row.stage.startswith(step_test.MELT)]
     fit = fit_load.fit_rows(list(recording(Nozzle())), 81.0, ROOM_C, is_nozzle=True)
     assert fit_load.fit_further(rows, fit, ROOM_C) is None
 
@@ -215,8 +215,8 @@ def test_the_nozzles_own_numbers_do_not_depend_on_the_filament() -> None:
 def steps(n: Nozzle, bend_w: float = 0.0, flow_mm3_s: float = FLOW_MM3_S) -> list[Held]:
     """As a perfect run would have them; `bend_w`: more heat in the step the fit is not shown."""
     held = [Held("hold", 230.0, 0.0, 0.0, 4.5, 9.0)]
-    for step in drill.melt_steps(230.0, 185.0, flow_mm3_s):
-        heat_w = melt_w(n, step.target_c, step.flow_mm3_s) + bend_w * (step.stage == drill.MELT_PROOF)
+    for step in step_test.melt_steps(230.0, 185.0, flow_mm3_s):
+        heat_w = melt_w(n, step.target_c, step.flow_mm3_s) + bend_w * (step.stage == step_test.MELT_PROOF)
         loss_w = 4.4 if step.target_c > 200.0 else 3.0
         held.append(Held(step.stage, step.target_c, step.flow_mm3_s, heat_w, loss_w, 4.0))
     return held

@@ -11,7 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fit_sensor
-from thermal import fit, fit_data, laws
+from thermal.identification import fit_data, fit_sensing
+from thermal.sensing import laws
 
 TABLE1 = Path(__file__).parents[1] / "data" / "oskolkov2021_table1.csv"
 # Table 2 of Sensors 2021, 21(7), 2561: estimate, standard error
@@ -29,51 +30,53 @@ TANK_LAW |= {"c": 20.0, "d": 300.0, "m": 1.05}
 
 
 @pytest.fixture(scope="module")
-def table1() -> fit.Points:
+def table1() -> fit_sensing.Points:
     points = fit_data.read_calibration(TABLE1)
-    assert isinstance(points, fit.Points)
+    assert isinstance(points, fit_sensing.Points)
     return points
 
 
-def factorial(noise_units: float, seed: int = 0) -> fit.Points:
+def factorial(noise_units: float, seed: int = 0) -> fit_sensing.Points:
     """The paper's 11 powers x 73 temperatures, rebuilt from the four-parameter law plus its own scatter."""
     power, temp = np.meshgrid([0.002, *np.arange(0.1, 1.01, 0.1)], np.arange(30.0, 751.0, 10.0))
-    temp, ticks = temp.ravel(), fit.ticks_of_power(power.ravel())
+    temp, ticks = temp.ravel(), fit_sensing.ticks_of_power(power.ravel())
     noise = np.random.default_rng(seed).normal(0.0, noise_units, temp.size)
-    return fit.Points(temp, ticks, fit.predict("exp", EXP_LAW, temp, ticks) + noise)
+    return fit_sensing.Points(temp, ticks, fit_sensing.predict("exp", EXP_LAW, temp, ticks) + noise)
 
 
-def test_exp_law_on_table_1_gives_its_published_derivation(table1: fit.Points) -> None:
-    result = fit.fit_exp(table1)
+def test_exp_law_on_table_1_gives_its_published_derivation(table1: fit_sensing.Points) -> None:
+    result = fit_sensing.fit_exp(table1)
     for name, value in EXP_LAW.items():
         assert result.values()[name] == pytest.approx(value, rel=1e-4)  # printed to six digits
     assert result.residual_sd == pytest.approx(0.98, abs=0.01)
     at_work = table1.where((table1.power < 0.201) & (table1.temp_c <= 500))
-    residual = fit.temperature_residuals("exp", result.values(), at_work)
+    residual = fit_sensing.temperature_residuals("exp", result.values(), at_work)
     assert np.abs(residual).max() == pytest.approx(2.5, abs=0.05)
     assert np.sqrt(np.mean(residual**2)) == pytest.approx(1.3, abs=0.05)
 
 
-def test_eq5_on_table_1_reaches_the_regression_figures(table1: fit.Points) -> None:
-    result = fit.fit_eq5(table1)
+def test_eq5_on_table_1_reaches_the_regression_figures(table1: fit_sensing.Points) -> None:
+    result = fit_sensing.fit_eq5(table1)
     assert result.r == pytest.approx(0.9999, abs=0.00005)
     assert result.f == pytest.approx(2.4e4, rel=0.03)
     assert result.significant
 
 
-def test_eq5_agrees_with_an_independent_solution_of_the_normal_equations(table1: fit.Points) -> None:
+def test_eq5_agrees_with_an_independent_solution_of_the_normal_equations(table1: fit_sensing.Points) -> None:
     # columns in units of the full phase keep the plain normal equations well conditioned
-    t, n = table1.temp_c, table1.phase_ticks / fit.PHASE_FULL_TICKS
+    t, n = table1.temp_c, table1.phase_ticks / fit_sensing.PHASE_FULL_TICKS
     design = np.stack([t**0, t, n, t * n, n**2, t * n**2], axis=1)
     beta = np.linalg.solve(design.T @ design, design.T @ table1.error)
-    units = fit.PHASE_FULL_TICKS ** np.array([0, 0, 1, 1, 2, 2])
-    got = fit.fit_eq5(table1).values()
-    for name, value in zip(fit.EQ5_NAMES, beta / units, strict=True):
+    units = fit_sensing.PHASE_FULL_TICKS ** np.array([0, 0, 1, 1, 2, 2])
+    got = fit_sensing.fit_eq5(table1).values()
+    for name, value in zip(fit_sensing.EQ5_NAMES, beta / units, strict=True):
         assert got[name] == pytest.approx(value, rel=0.01)
 
 
 def test_the_papers_factorial_gives_table_2_back() -> None:
-    result = fit.fit_eq5(factorial(noise_units=0.0))  # the law's mean: no draw of noise can help or hurt
+    result = fit_sensing.fit_eq5(
+        factorial(noise_units=0.0)
+    )  # the law's mean: no draw of noise can help or hurt
     for coefficient in result.coefficients:
         estimate, std_error = TABLE2[coefficient.name]
         assert abs(coefficient.estimate - estimate) < 2 * std_error, coefficient.name
@@ -82,12 +85,14 @@ def test_the_papers_factorial_gives_table_2_back() -> None:
 
 def test_the_papers_factorial_gives_its_f_figure() -> None:
     # Table 1 scatters by 0.975 units about the law; F is judged over draws of that scatter, not one of them
-    draws = [fit.fit_eq5(factorial(noise_units=0.975, seed=seed)).f for seed in range(20)]
+    draws = [fit_sensing.fit_eq5(factorial(noise_units=0.975, seed=seed)).f for seed in range(20)]
     assert 1.1e5 < np.median(draws) < 1.3e5
 
 
-def test_equation_5_cannot_reach_three_degrees_at_full_power_but_does_not_hide_it(table1: fit.Points) -> None:
-    residual = fit.temperature_residuals("eq5", {k: v[0] for k, v in TABLE2.items()}, table1)
+def test_equation_5_cannot_reach_three_degrees_at_full_power_but_does_not_hide_it(
+    table1: fit_sensing.Points,
+) -> None:
+    residual = fit_sensing.temperature_residuals("eq5", {k: v[0] for k, v in TABLE2.items()}, table1)
     inside = (table1.temp_c >= 50) & (table1.temp_c <= 350)
     assert np.abs(residual[inside]).max() == pytest.approx(15.5, abs=1.0)
     assert np.sqrt(np.mean(residual[inside] ** 2)) == pytest.approx(7.0, abs=0.5)
@@ -96,22 +101,22 @@ def test_equation_5_cannot_reach_three_degrees_at_full_power_but_does_not_hide_i
 @given(st.floats(20, 600), st.floats(0.002, 1.0))
 @settings(max_examples=200, deadline=None)
 def test_every_law_inverts_what_it_predicts(temp_c: float, power: float) -> None:
-    temp, ticks = np.array([temp_c]), fit.ticks_of_power(np.array([power]))
+    temp, ticks = np.array([temp_c]), fit_sensing.ticks_of_power(np.array([power]))
     for law, values in (
         ("eq5", {k: v[0] for k, v in TABLE2.items()}),
         ("exp", EXP_LAW),
         ("tank", TANK_LAW),
     ):
-        error = fit.predict(law, values, temp, ticks)
-        assert fit.invert(law, values, error, ticks)[0] == pytest.approx(temp_c, abs=1e-6)
+        error = fit_sensing.predict(law, values, temp, ticks)
+        assert fit_sensing.invert(law, values, error, ticks)[0] == pytest.approx(temp_c, abs=1e-6)
 
 
 def test_tank_law_recovers_a_tank_that_the_exp_law_cannot_follow() -> None:
     temp, power = np.meshgrid(np.arange(30.0, 501.0, 10.0), [0.002, 0.1, 0.2, 0.5, 1.0])
-    temp, ticks = temp.ravel(), fit.ticks_of_power(power.ravel())
+    temp, ticks = temp.ravel(), fit_sensing.ticks_of_power(power.ravel())
     noise = np.random.default_rng(1).normal(0.0, 0.1, temp.size)
-    points = fit.Points(temp, ticks, fit.predict("tank", TANK_LAW, temp, ticks) + noise)
-    tank, four = fit.fit_tank(points), fit.fit_exp(points)
+    points = fit_sensing.Points(temp, ticks, fit_sensing.predict("tank", TANK_LAW, temp, ticks) + noise)
+    tank, four = fit_sensing.fit_tank(points), fit_sensing.fit_exp(points)
     assert tank.residual_sd == pytest.approx(0.1, rel=0.2)  # nothing but the noise is left
     assert four.residual_sd > 10 * tank.residual_sd
 
@@ -121,7 +126,7 @@ def test_tank_law_recovers_a_tank_that_the_exp_law_cannot_follow() -> None:
 def test_reduced_curve_stays_within_its_tolerance(values: list[float], tolerance: float) -> None:
     y = np.array(values)
     x = np.arange(y.size, dtype=float)
-    kept = fit.reduce_curve(x, y, tolerance)
+    kept = fit_sensing.reduce_curve(x, y, tolerance)
     assert kept[0] == 0 and kept[-1] == y.size - 1
     assert np.abs(np.interp(x, x[kept], y[kept]) - y).max() <= tolerance * (1 + 1e-12)
 
@@ -129,9 +134,9 @@ def test_reduced_curve_stays_within_its_tolerance(values: list[float], tolerance
 def heating_run(power: float, start_s: float) -> str:
     t = np.arange(0, 5, 0.01)
     temp = 25 + 190 * t - 12 * t**2
-    ticks = fit.ticks_of_power(np.full(t.size, power))
+    ticks = fit_sensing.ticks_of_power(np.full(t.size, power))
     noise = np.random.default_rng(int(power * 1000)).normal(0, 0.3, t.size)
-    error = fit.predict("exp", EXP_LAW, temp, ticks) + noise
+    error = fit_sensing.predict("exp", EXP_LAW, temp, ticks) + noise
     rows = zip(t + start_s, temp, error, ticks, strict=True)
     return "".join(",".join(f"{v:.6f}" for v in row) + "\n" for row in rows)
 
@@ -197,17 +202,17 @@ def test_a_binary_file_is_named_as_what_it_is(tmp_path: Path, capsys: pytest.Cap
 
 def test_offline_and_printing_code_agree_on_every_law() -> None:
     temp, power = np.meshgrid(np.arange(30.0, 501.0, 47.0), [0.002, 0.07, 0.4, 1.0])
-    temp, ticks = temp.ravel(), fit.ticks_of_power(power.ravel())
+    temp, ticks = temp.ravel(), fit_sensing.ticks_of_power(power.ravel())
     for name, values in (("eq5", {k: v[0] for k, v in TABLE2.items()}), ("exp", EXP_LAW), ("tank", TANK_LAW)):
         law = laws.law_of(name, values)
-        error = fit.predict(name, values, temp, ticks)
+        error = fit_sensing.predict(name, values, temp, ticks)
         assert error == pytest.approx([law.error(t, n) for t, n in zip(temp, ticks, strict=True)], abs=1e-6)
         back = [law.invert(e, n)[0] for e, n in zip(error, ticks, strict=True)]
-        assert fit.invert(name, values, error, ticks) == pytest.approx(back, abs=1e-6)
+        assert fit_sensing.invert(name, values, error, ticks) == pytest.approx(back, abs=1e-6)
 
 
-def test_shipped_tank_law_is_the_fit_of_table_1(table1: fit.Points) -> None:
-    result = fit.fit_tank(table1)
+def test_shipped_tank_law_is_the_fit_of_table_1(table1: fit_sensing.Points) -> None:
+    result = fit_sensing.fit_tank(table1)
     shipped = laws.coefficients_of(laws.TankLaw())[1]
     for name, value in result.values().items():
         assert shipped[name] == pytest.approx(value, rel=1e-3, abs=0.01)  # rounded

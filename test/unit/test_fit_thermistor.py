@@ -11,8 +11,8 @@ import pytest
 import fit_thermistor as script
 from configtext import ConfigData, ConfigParser
 from extras.polynomial_thermistor import Polynomial
-from thermal.fit_data import read_columns
-from thermal.fit_thermistor import Divider, ThermistorFitError, evaluate, fit_thermistor
+from thermal.identification.fit_data import read_columns
+from thermal.identification.fit_thermistor import Divider, ThermistorFitError, evaluate, fit_thermistor
 
 DATA = Path(__file__).parents[1] / "data"
 LIU = read_columns(DATA / "liu2019_table1.csv")

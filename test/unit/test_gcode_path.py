@@ -18,9 +18,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "klippy"))
 
 import chelper
 from lookahead import LookAheadQueue
-from pathpieces import Asked, PathPieces
 from simulation.gcode_path import GcodePath, Limits
-from tempplan import Piece
+from thermal.plan.path_pieces import Asked, PathPieces
+from thermal.plan.planner import Piece
 
 ROOT = Path(__file__).resolve().parents[2]
 AREA = math.pi / 4 * 1.75**2

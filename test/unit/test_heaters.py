@@ -7,12 +7,12 @@ import struct
 from typing import Any
 
 import pytest
+from block_codec import Row, content, pack
 
 import chelper
 from configtext import ConfigError
 from extras import heater_bed, heater_generic, heaters, induction_heater, temperature_sensor, verify_heater
-from loop.block_codec import Row, content, pack
-from thermal import laws
+from thermal.sensing import laws
 from unit.heater_fakes import CommandError, FakeCommand, FakePrinter
 
 CONFIG = """

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from extras import i2c_temperature
+from extras.sensors import i2c_temperature
 from unit import bus_rig
 from unit.base_rig import Session
 from unit.bus_rig import BusSession, run, start_error

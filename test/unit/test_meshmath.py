@@ -7,7 +7,7 @@ import random
 
 import pytest
 
-from meshmath import (
+from extras.probing.surface_fit import (
     Fade,
     Surface,
     bicubic_weights,

@@ -8,10 +8,11 @@ from dataclasses import replace
 
 import pytest
 
-from thermal import model_filter, model_plant
-from thermal.control_api import ControlInput, ParameterError, Planned, Reference, Sample, Schedule
-from thermal.model_control import MODEL, model_step
-from thermal.model_plant import ModelParameters, advance, at_rest, hold_w
+from thermal.control import predictive_filter
+from thermal.control.control_api import ControlInput, ParameterError, Planned, Reference, Sample, Schedule
+from thermal.control.predictive import MODEL, model_step
+from thermal.models import heater_model
+from thermal.models.heater_model import ModelParameters, advance, at_rest, hold_w
 
 BLOCK = ModelParameters(
     heat_j_k=15.0, loss_w_k=0.07, output_w=40.0, output_high=1.0, ambient_c=20.0, melt_ua_w_k=0.06
@@ -95,17 +96,17 @@ class Truth:
 def test_the_filter_tells_a_weak_drive_from_a_draught() -> None:
     """30 % less heat shows while heating, 3 W taken away shows while holding: each is learned as what it is."""
     weak = Truth(replace(NOZZLE, output_w=0.7), 25.0, 0.005)
-    state = model_filter.begin(NOZZLE, 25.0, 0.0)
+    state = predictive_filter.begin(NOZZLE, 25.0, 0.0)
     for _ in range(200):
-        state = model_filter.observe(NOZZLE, state, [weak.sample(81.3)])
+        state = predictive_filter.observe(NOZZLE, state, [weak.sample(81.3)])
     assert state.gain == pytest.approx(0.7, abs=0.03)
     draught = Truth(NOZZLE, 25.0, 0.005)
-    state = model_filter.begin(NOZZLE, 25.0, 0.0)
+    state = predictive_filter.begin(NOZZLE, 25.0, 0.0)
     for _ in range(200):
-        state = model_filter.observe(NOZZLE, state, [draught.sample(81.3)])
+        state = predictive_filter.observe(NOZZLE, state, [draught.sample(81.3)])
     draught.disturbance_w = -3.0
     for _ in range(200):
-        state = model_filter.observe(NOZZLE, state, [draught.sample(13.0)])
+        state = predictive_filter.observe(NOZZLE, state, [draught.sample(13.0)])
     assert state.disturbance_w == pytest.approx(-3.0, abs=0.7)  # 3 % of the gain is worth 0.4 W
     assert state.gain == pytest.approx(1.0, abs=0.05)
 
@@ -114,14 +115,14 @@ def test_readings_that_lean_one_way_move_the_disturbance_and_noise_does_not() ->
     """Heat nobody told of, 3 W: a walk of 0.3 W in a second alone would take most of a second for it."""
     p, noise = replace(NOZZLE, disturbance_w=0.3), random.Random(1)
     truth = Truth(p, 250.0, 0.005)
-    state = model_filter.taken_over(p, model_filter.begin(p, 250.0, 0.0), 0.0)
+    state = predictive_filter.taken_over(p, predictive_filter.begin(p, 250.0, 0.0), 0.0)
     held_w = hold_w(p, 250.0, 0.0, 0.0)
 
     def run(messages: int) -> None:
         nonlocal state
         for _ in range(messages):
             seen = truth.sample(held_w)
-            state = model_filter.observe(
+            state = predictive_filter.observe(
                 p, state, [seen._replace(temp_c=seen.temp_c + noise.gauss(0.0, 0.05))]
             )
 
@@ -135,41 +136,41 @@ def test_readings_that_lean_one_way_move_the_disturbance_and_noise_does_not() ->
 def test_a_lagging_sensor_is_looked_through() -> None:
     p = replace(BLOCK, sensor_s=1.5, sigma_c=0.05)
     truth = Truth(p, 25.0, 0.3)
-    state = model_filter.begin(p, 25.0, 0.0)
+    state = predictive_filter.begin(p, 25.0, 0.0)
     for _ in range(60):
-        state = model_filter.observe(p, state, [truth.sample(1.0)])
+        state = predictive_filter.observe(p, state, [truth.sample(1.0)])
     # 2.5 K/s through 1.5 s of lag: the reading is 3.7 degC behind
     assert truth.nodes.temp_c - truth.nodes.sensor_c > 3.0
     assert state.nodes.temp_c == pytest.approx(truth.nodes.temp_c, abs=0.2)
 
 
 def test_blocks_of_one_message_count_as_their_mean() -> None:
-    state = model_filter.begin(NOZZLE, 250.0, 0.0)
+    state = predictive_filter.begin(NOZZLE, 250.0, 0.0)
     apart = [Sample(0.001 * i, 0.001 * i, 250.0 + 0.1 * i, 0.09, 5.0) for i in range(1, 4)]
     one = [Sample(0.002, 0.003, 250.2, 0.09 / math.sqrt(3.0), 5.0)]
-    a, b = model_filter.observe(NOZZLE, state, apart), model_filter.observe(NOZZLE, state, one)
+    a, b = predictive_filter.observe(NOZZLE, state, apart), predictive_filter.observe(NOZZLE, state, one)
     assert a.nodes.temp_c == pytest.approx(b.nodes.temp_c, abs=1e-6)
     assert a.disturbance_w == pytest.approx(b.disturbance_w, abs=1e-6)
 
 
 def test_a_jump_no_heat_can_make_moves_the_temperature_and_teaches_nothing() -> None:
-    state = model_filter.begin(NOZZLE, 250.0, 0.0)
-    after = model_filter.observe(NOZZLE, state, [Sample(0.005, 0.005, 230.0, 0.05, 5.0)])
+    state = predictive_filter.begin(NOZZLE, 250.0, 0.0)
+    after = predictive_filter.observe(NOZZLE, state, [Sample(0.005, 0.005, 230.0, 0.05, 5.0)])
     assert after.nodes.temp_c == pytest.approx(230.0, abs=0.5)
     assert (after.disturbance_w, after.gain) == pytest.approx((0.0, 1.0), abs=0.05)
 
 
 def test_a_step_of_the_reading_with_the_drive_is_taken_out_until_the_drive_falls() -> None:
-    state = model_filter.begin(NOZZLE, 250.0, 0.0)
-    state = model_filter.observe(NOZZLE, state, [Sample(0.005, 0.005, 250.0, 0.1, 5.0)])
-    state = model_filter.observe(NOZZLE, state, [Sample(0.010, 0.010, 222.0, 0.1, 81.3, rebased=True)])
+    state = predictive_filter.begin(NOZZLE, 250.0, 0.0)
+    state = predictive_filter.observe(NOZZLE, state, [Sample(0.005, 0.005, 250.0, 0.1, 5.0)])
+    state = predictive_filter.observe(NOZZLE, state, [Sample(0.010, 0.010, 222.0, 0.1, 81.3, rebased=True)])
     assert state.nodes.temp_c == pytest.approx(250.8, abs=0.5)
-    state = model_filter.observe(NOZZLE, state, [Sample(0.015, 0.015, 251.0, 0.1, 5.0, rebased=True)])
+    state = predictive_filter.observe(NOZZLE, state, [Sample(0.015, 0.015, 251.0, 0.1, 5.0, rebased=True)])
     assert state.nodes.temp_c == pytest.approx(251.0, abs=0.5)
 
 
-def known(temp_c: float) -> model_filter.ModelState:
-    return model_filter.begin(NOZZLE, temp_c, 10.0)
+def known(temp_c: float) -> predictive_filter.ModelState:
+    return predictive_filter.begin(NOZZLE, temp_c, 10.0)
 
 
 def ask(temp_c: float, target_c: float, **fields: object) -> ControlInput:
@@ -218,7 +219,7 @@ def test_flow_to_come_is_fed_forward() -> None:
     still, _ = model_step(NOZZLE, known(250.0), ask(250.0, 250.0), 10.0)
     flow = Schedule((10.02,), (13.0,))  # with the output
     flowing, _ = model_step(NOZZLE, known(250.0), ask(250.0, 250.0, flow_mm3_s=flow), 10.0)
-    melt_w = model_plant.melt_w_k(NOZZLE, 13.0) * 225.0
+    melt_w = heater_model.melt_w_k(NOZZLE, 13.0) * 225.0
     assert flowing.value - still.value == pytest.approx(melt_w, rel=0.2)
 
 

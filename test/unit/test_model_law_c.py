@@ -13,13 +13,22 @@ from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
 import chelper
-from thermal import model_filter, model_plant
-from thermal.control_api import IDLE, ControlInput, ParameterError, Planned, Reference, Sample, Schedule
-from thermal.model_control import MODEL, model_follow, model_step
-from thermal.model_plant import ModelParameters, Nodes
-from thermal.samples import Samples
-from unit import model_reference as reference
-from unit import model_reference_filter as plant
+from reference import model_reference as reference
+from reference import model_reference_filter as plant
+from thermal.control import predictive_filter
+from thermal.control.control_api import (
+    IDLE,
+    ControlInput,
+    ParameterError,
+    Planned,
+    Reference,
+    Sample,
+    Schedule,
+)
+from thermal.control.predictive import MODEL, model_follow, model_step
+from thermal.control.samples import Samples
+from thermal.models import heater_model
+from thermal.models.heater_model import ModelParameters, Nodes
 
 # Both do the same sums in the same order; squares and cubes may differ by the last bit (a product here, pow() there),
 # and some dozen steps of a filter carry that on.
@@ -37,7 +46,7 @@ def same(a: Any, b: Any, what: str = "") -> None:
         assert a == pytest.approx(b, rel=SAME, abs=1e-12, nan_ok=True), what
 
 
-def same_state(a: model_filter.ModelState, b: Any) -> None:
+def same_state(a: predictive_filter.ModelState, b: Any) -> None:
     assert a.known == b.known
     for name in b._fields:
         same(getattr(a, name), getattr(b, name), name)
@@ -210,13 +219,13 @@ def test_the_plant_is_its_equations(nodes: tuple[bool, bool, bool]) -> None:
     for _ in range(40):
         p = parameters(rng, *nodes)
         temp_c, flow, fan = rng.uniform(0.0, 300.0), rng.uniform(0.0, 25.0), rng.random()
-        same(model_plant.at_rest(p, temp_c), plant.at_rest(p, temp_c))
-        same(model_plant.hold_w(p, temp_c, flow, fan), plant.hold_w(p, temp_c, flow, fan))
-        same(model_plant.melt_w_k(p, flow), plant.melt_w_k(p, flow))
+        same(heater_model.at_rest(p, temp_c), plant.at_rest(p, temp_c))
+        same(heater_model.hold_w(p, temp_c, flow, fan), plant.hold_w(p, temp_c, flow, fan))
+        same(heater_model.melt_w_k(p, flow), plant.melt_w_k(p, flow))
         start = Nodes(*(temp_c + rng.uniform(-30.0, 30.0) for _ in range(5)), rng.choice([0.0, 10.0]))
         drive = rng.uniform(0.0, p.output_high), rng.uniform(0.7, 1.3), rng.uniform(-3.0, 3.0)
         for dt_s in (-1.0, 0.0, 0.3 * p.step_s, p.step_s, 7.3 * p.step_s):
-            mine = model_plant.advance(p, start, drive, (flow, fan), dt_s)
+            mine = heater_model.advance(p, start, drive, (flow, fan), dt_s)
             same(mine, plant.advance(p, start, drive, (flow, fan), dt_s))
 
 
@@ -224,14 +233,14 @@ def test_taking_over_is_its_equations() -> None:
     rng = random.Random(5)
     for nodes in NODES:
         p = parameters(rng, *nodes)
-        a, b = model_filter.begin(p, 200.0, 1.0), plant.begin(p, 200.0, 1.0)
+        a, b = predictive_filter.begin(p, 200.0, 1.0), plant.begin(p, 200.0, 1.0)
         same_state(a, b)
-        same_state(model_filter.taken_over(p, a, 70.0), plant.taken_over(p, b, 70.0))
+        same_state(predictive_filter.taken_over(p, a, 70.0), plant.taken_over(p, b, 70.0))
         changed = replace(p, gain_start=0.9)
-        same_state(model_filter.begin(changed, 90.0, 2.0, a), plant.begin(changed, 90.0, 2.0, b))
+        same_state(predictive_filter.begin(changed, 90.0, 2.0, a), plant.begin(changed, 90.0, 2.0, b))
 
 
-def warm(p: ModelParameters) -> tuple[model_filter.ModelState, ControlInput]:
+def warm(p: ModelParameters) -> tuple[predictive_filter.ModelState, ControlInput]:
     """Some way into a life, and what may come next."""
     world, state = World(random.Random(8), p), MODEL.start
     for _ in range(8):
@@ -277,10 +286,10 @@ def test_only_a_reference_flat_to_the_plans_end_needs_no_plan(beyond_s: float, s
     p = ModelParameters(
         heat_j_k=0.414, loss_w_k=0.02, output_w=1.0, output_high=80.0, hold_s=0.008, fade_s=0.045, ahead=11
     )
-    state, other = model_filter.begin(p, 250.0, 10.0), plant.begin(p, 250.0, 10.0)
+    state, other = predictive_filter.begin(p, 250.0, 10.0), plant.begin(p, 250.0, 10.0)
     end_s = 10.02 + (p.ahead + 1) * p.hold_s + beyond_s
     ramp = Reference((10.02, end_s), (250.0, 250.0 + slope_k_s * (end_s - 10.02)))
-    held_w = model_plant.hold_w(p, 250.0, 0.0, 0.0)
+    held_w = heater_model.hold_w(p, 250.0, 0.0, 0.0)
     inputs = ControlInput(250.0, 250.0, applied=held_w, apply_s=10.02, pending=(), reference=ramp)
     got, wanted = (
         model_step(p, state, inputs, 10.001)[0],
@@ -312,7 +321,7 @@ def test_a_state_of_another_kind_of_model_begins_anew(slants: tuple[float, float
     )
     state, _ = warm(without)
     seen = Sample(state.time_s + 0.01, state.time_s + 0.01, 123.0, 0.1, 0.0)
-    after = model_filter.observe(having, state, [seen])
+    after = predictive_filter.observe(having, state, [seen])
     assert after.nodes.temp_c == 123.0
     assert len(after.covariance) == 5 + (having.slant_c > 0.0)
     assert after.gain == state.gain

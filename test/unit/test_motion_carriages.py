@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from extras import tmc_registers, tmc_uart
 from extras.endstop_phase import circular_difference, spread
 from extras.skew_correction import Skew, measured_skew
+from extras.tmc import registers as tmc_registers
+from extras.tmc import uart as tmc_uart
 from kinematics.carriages import (
     COPY,
     INACTIVE,

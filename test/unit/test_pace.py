@@ -13,9 +13,10 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "klippy"))
 
 from simulation.gcode_path import GcodePath, Limits
-from tempplan import Craft, Piece, TemperaturePlan
-from thermal import deposit, nozzle_melt, pace
-from thermal.materials import MATERIALS
+from thermal.models import melt_exchange
+from thermal.plan import deposit, layer_time
+from thermal.plan.materials import MATERIALS
+from thermal.plan.planner import Craft, Piece, TemperaturePlan
 
 ABS = MATERIALS["ABS"]
 AROUND = deposit.Surroundings(bed_c=100.0, chamber_c=40.0)
@@ -28,7 +29,7 @@ def tower_c(age_s: float, thick_mm: float, filled: float) -> float:
     met = 0.0
     for n in range(100):
         at = (1.0, 1.0, thick_mm * (n + 1))
-        melt_c, length_mm = ABS.low_c + pace.ROOM_C, filled * 4.0 / 0.45
+        melt_c, length_mm = ABS.low_c + layer_time.ROOM_C, filled * 4.0 / 0.45
         met = laid.lay(at, age_s * n, melt_c, thick_mm, 100.0 * n, 0.45, length_mm)
     return met
 
@@ -39,40 +40,44 @@ def test_a_tower_laid_at_the_needed_age_is_as_warm_as_the_weld_bears(thick_mm: f
     less than the map's, so it errs to the slow side.
     """
     side = 2.0 * (1.0 - filled) / 0.45
-    place = pace.Place(100 * thick_mm, thick_mm, 0.0, side)
-    age_s = pace.needed_age_s(ABS, AROUND, place, INTERFACE_C)
-    goal_c = 2.0 * INTERFACE_C - ABS.low_c - pace.ROOM_C
+    place = layer_time.Place(100 * thick_mm, thick_mm, 0.0, side)
+    age_s = layer_time.needed_age_s(ABS, AROUND, place, INTERFACE_C)
+    goal_c = 2.0 * INTERFACE_C - ABS.low_c - layer_time.ROOM_C
     assert goal_c - 15.0 < tower_c(age_s, thick_mm, filled) < goal_c + 3.0
     assert tower_c(0.4 * age_s, thick_mm, filled) > goal_c + 12.0  # quicker is too hot
 
 
 def test_nothing_is_waited_for_that_waiting_does_not_bring() -> None:
     """Near a hot bed the goal is never below the bed's own surroundings: the age stays finite and short enough."""
-    place = pace.Place(0.4, 0.2, 0.0)
-    assert pace.needed_age_s(ABS, AROUND, place, 120.0) < 100.0
-    assert pace.needed_age_s(ABS, AROUND, place, 400.0) == 0.0  # a weld that wants more than the coolest melt
+    place = layer_time.Place(0.4, 0.2, 0.0)
+    assert layer_time.needed_age_s(ABS, AROUND, place, 120.0) < 100.0
+    assert (
+        layer_time.needed_age_s(ABS, AROUND, place, 400.0) == 0.0
+    )  # a weld that wants more than the coolest melt
 
 
 def test_the_pace_fits_the_extrusion_into_what_travel_leaves_of_the_age() -> None:
-    ages = pace.Ages(100.0, 100.0 * 3.0, 100.0 * 2.0, 100.0 * 2.0)  # 2 s of extrusion, 1 s of travel
-    found = pace.next_pace(pace.Pace(), ages, 6.0, 0.1, 0.0)
-    assert found == pace.Pace(pytest.approx(2.0 / 5.0), 0.0)
-    slow = pace.Ages(100.0, 100.0 * 6.0, 100.0 * 5.0, 100.0 * 2.0)  # that layer, laid so
-    assert pace.next_pace(found, slow, 6.0, 0.1, 0.0) == found
-    assert pace.next_pace(found, slow, 2.5, 0.1, 0.0) == pace.Pace()  # a wide layer: full speed again
+    ages = layer_time.Ages(100.0, 100.0 * 3.0, 100.0 * 2.0, 100.0 * 2.0)  # 2 s of extrusion, 1 s of travel
+    found = layer_time.next_pace(layer_time.Pace(), ages, 6.0, 0.1, 0.0)
+    assert found == layer_time.Pace(pytest.approx(2.0 / 5.0), 0.0)
+    slow = layer_time.Ages(100.0, 100.0 * 6.0, 100.0 * 5.0, 100.0 * 2.0)  # that layer, laid so
+    assert layer_time.next_pace(found, slow, 6.0, 0.1, 0.0) == found
+    assert (
+        layer_time.next_pace(found, slow, 2.5, 0.1, 0.0) == layer_time.Pace()
+    )  # a wide layer: full speed again
 
 
 def test_what_is_missing_at_the_slowest_pace_is_waited_for() -> None:
-    ages = pace.Ages(100.0, 100.0 * 2.0, 100.0 * 2.0, 100.0 * 2.0)
-    found = pace.next_pace(pace.Pace(), ages, 10.0, 0.5, 60.0)
-    assert found == pace.Pace(0.5, pytest.approx(6.0))
-    waited = pace.Ages(100.0, 100.0 * 10.0, 100.0 * 4.0, 100.0 * 2.0)  # the pause is no travel
-    assert pace.next_pace(found, waited, 10.0, 0.5, 60.0) == pace.Pace(0.5, pytest.approx(6.0))
-    assert pace.next_pace(pace.Pace(), ages, 10.0, 0.5, 1.5).pause_s == 1.5
+    ages = layer_time.Ages(100.0, 100.0 * 2.0, 100.0 * 2.0, 100.0 * 2.0)
+    found = layer_time.next_pace(layer_time.Pace(), ages, 10.0, 0.5, 60.0)
+    assert found == layer_time.Pace(0.5, pytest.approx(6.0))
+    waited = layer_time.Ages(100.0, 100.0 * 10.0, 100.0 * 4.0, 100.0 * 2.0)  # the pause is no travel
+    assert layer_time.next_pace(found, waited, 10.0, 0.5, 60.0) == layer_time.Pace(0.5, pytest.approx(6.0))
+    assert layer_time.next_pace(layer_time.Pace(), ages, 10.0, 0.5, 1.5).pause_s == 1.5
 
 
 def test_the_plan_counts_ages_of_what_lies_below_only() -> None:
-    plan = TemperaturePlan(nozzle_melt.NozzleLimits(), ABS, AROUND, Craft(interface_c=INTERFACE_C))
+    plan = TemperaturePlan(melt_exchange.NozzleLimits(), ABS, AROUND, Craft(interface_c=INTERFACE_C))
 
     def side(layer: int, start_s: float, wish_c: float = math.nan, speed: float = 1.0) -> Piece:
         z = 0.2 * (layer + 1)
@@ -97,11 +102,11 @@ FOUND = Craft(interface_c=75.0, follow_mm=60000.0)  # the print has to find what
 
 def rings_s(craft: Craft, layers: int) -> tuple[float, TemperaturePlan]:
     """(Seconds that rings of 12 mm radius take, three beside each other in each layer, with pace; their plan)."""
-    plan = TemperaturePlan(nozzle_melt.NozzleLimits(), PLA, COOL, craft)
-    pacer, now_s = pace.Pacer(0.2, 0.0), 0.0
+    plan = TemperaturePlan(melt_exchange.NozzleLimits(), PLA, COOL, craft)
+    pacer, now_s = layer_time.Pacer(0.2, 0.0), 0.0
     for layer in range(layers):
         z_mm = 0.25 * (layer + 1)
-        place = pace.Place(z_mm, 0.25, 0.0)
+        place = layer_time.Place(z_mm, 0.25, 0.0)
         factor = pacer.layer(plan.ages(), plan.pace_interface_c, PLA, COOL, place).factor
         for radius_mm in (12.0, 11.55, 11.1):
             corners = [

@@ -6,8 +6,9 @@ import math
 
 import pytest
 
-from thermal import control, practical, relay
-from thermal.control_api import ControlInput
+from thermal.control import pid, two_period
+from thermal.control.control_api import ControlInput
+from thermal.identification import relay
 
 DT_S = 0.3
 
@@ -44,11 +45,11 @@ def test_the_swing_tells_integrator_and_delay(delay_s: float) -> None:
 
 def test_the_gains_settle_the_plant_they_were_found_on() -> None:
     result = relay.evaluate(tune(Plant(0.4, 6.0, 400.0)))
-    parameters = control.PidParameters(result.kp, result.ki, result.kd, 0.0, 1.0, 1.0, gap_s=5.0)
-    plant, state, temps = Plant(0.4, 6.0, 400.0), control.PidState(), []
+    parameters = pid.PidParameters(result.kp, result.ki, result.kd, 0.0, 1.0, 1.0, gap_s=5.0)
+    plant, state, temps = Plant(0.4, 6.0, 400.0), pid.PidState(), []
     temp_c = 25.0
     for i in range(3000):
-        out, state = control.pid_step(parameters, state, ControlInput(60.0, temp_c), i * DT_S)
+        out, state = pid.pid_step(parameters, state, ControlInput(60.0, temp_c), i * DT_S)
         temp_c = plant.step(out.value)
         temps.append(temp_c)
     assert max(temps) < 60.0 + 5.0
@@ -101,8 +102,8 @@ def test_abort_turns_off() -> None:
 
 @pytest.mark.parametrize("bad", [(0.0, 1.0, 1.0), (-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, math.nan)])
 def test_impossible_gains_are_refused(bad: tuple[float, float, float]) -> None:
-    with pytest.raises(control.ParameterError, match="PID"):
-        control.klipper_pid(*bad, 1.0, 1.0)
+    with pytest.raises(pid.ParameterError, match="PID"):
+        pid.klipper_pid(*bad, 1.0, 1.0)
 
 
 # The practical law, Table 2 row by row
@@ -112,18 +113,18 @@ def test_impossible_gains_are_refused(bad: tuple[float, float, float]) -> None:
     ("below_c", "value"), [(200, 255), (20, 255), (19.9, 240), (9, 200), (6, 160), (4, 80), (2.9, 0), (-5, 0)]
 )
 def test_flying(below_c: float, value: int) -> None:
-    assert practical.table_value(True, below_c) == value
+    assert two_period.table_value(True, below_c) == value
 
 
 @pytest.mark.parametrize(("below_c", "value"), [(5, 225), (4.9, 210), (1.9, 220), (-9, 220)])
 def test_falling_heats_even_above_the_target(below_c: float, value: int) -> None:
-    assert practical.table_value(False, below_c) == value
+    assert two_period.table_value(False, below_c) == value
 
 
 def test_the_cutoff_stops_what_the_table_would_heat() -> None:
-    parameters = practical.PracticalParameters(1.0, cutoff_c=15.0)
-    state = practical.PracticalState(False, 250.0)
-    near, state = practical.practical_step(parameters, state, ControlInput(230.0, 244.0), 0.0)
-    far, _ = practical.practical_step(parameters, state, ControlInput(225.0, 243.9), 0.3)
+    parameters = two_period.PracticalParameters(1.0, cutoff_c=15.0)
+    state = two_period.PracticalState(False, 250.0)
+    near, state = two_period.practical_step(parameters, state, ControlInput(230.0, 244.0), 0.0)
+    far, _ = two_period.practical_step(parameters, state, ControlInput(225.0, 243.9), 0.3)
     assert near.value == pytest.approx(220 / 255)
     assert far.value == 0.0

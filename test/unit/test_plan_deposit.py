@@ -12,8 +12,8 @@ from scipy.sparse.linalg import splu
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "klippy"))
 
-from thermal import deposit
-from thermal.materials import MATERIALS, SOURCES
+from thermal.plan import deposit
+from thermal.plan.materials import MATERIALS, SOURCES
 
 ABS = MATERIALS["ABS"]
 

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "klippy"))
 
-from thermal import nozzle_melt
-from thermal.plan import Node, Planner, Want, best_path
+from thermal.models import melt_exchange
+from thermal.plan.set_points import Node, Planner, Want, best_path
 from thermal.records import FlowSegment
 
-LIMITS = nozzle_melt.NozzleLimits()
+LIMITS = melt_exchange.NozzleLimits()
 
 SEGMENT = st.tuples(
     st.floats(1e-4, 3.0),  # duration s
@@ -61,8 +61,8 @@ def slopes(limits, segments, points, start_c):
             per_k_s = limits.holder_w_k / limits.capacity.at(temp_c)
             spare = per_k_s * abs(holder_c - before_c) + 0.02
             holder_k_s = per_k_s * (temp_c - before_c)
-            most = max(0.0, nozzle_melt.heating_k_s(limits, temp_c, flow) - holder_k_s)
-            least = min(0.0, -nozzle_melt.cooling_k_s(limits, temp_c, flow) - holder_k_s)
+            most = max(0.0, melt_exchange.heating_k_s(limits, temp_c, flow) - holder_k_s)
+            least = min(0.0, -melt_exchange.cooling_k_s(limits, temp_c, flow) - holder_k_s)
             yield (b.temp_c - a.temp_c) / dt, least - spare, most + spare
 
 
@@ -71,7 +71,7 @@ def slopes(limits, segments, points, start_c):
     st.lists(SEGMENT, min_size=1, max_size=25), st.floats(170.0, 300.0), st.sampled_from([15.0, 30.0, 65.0])
 )
 def test_random_segments_never_break_a_limit(rows, start_c, power_w):
-    limits = nozzle_melt.NozzleLimits(power_w=power_w)
+    limits = melt_exchange.NozzleLimits(power_w=power_w)
     planner = Planner(limits)
     start_c = min(start_c, planner.ceiling_c)
     segments, melts = chain(rows)
@@ -174,14 +174,14 @@ def test_no_path_within_the_limits_comes_nearer_to_what_is_wanted(rows, start_c)
 
 
 def test_cooling_limit_is_that_of_the_published_nozzle():
-    idle = nozzle_melt.cooling_k_s(LIMITS, 250.0, 0.0)
+    idle = melt_exchange.cooling_k_s(LIMITS, 250.0, 0.0)
     assert 10.0 <= idle <= 14.0
     # more with flow, up to what the published UA allows: (4.7 W + 27.6 mW/K 225 K) / 4.7 W = 2.32; the
     # loss law used here gives 4.6 W
-    assert 1.5 < nozzle_melt.cooling_k_s(LIMITS, 250.0, 8.0) / idle < 2.4
-    assert nozzle_melt.cooling_k_s(LIMITS, 250.0, 1e4) / idle == pytest.approx(2.32, abs=0.1)
+    assert 1.5 < melt_exchange.cooling_k_s(LIMITS, 250.0, 8.0) / idle < 2.4
+    assert melt_exchange.cooling_k_s(LIMITS, 250.0, 1e4) / idle == pytest.approx(2.32, abs=0.1)
 
 
 def test_a_power_that_cannot_hold_the_lowest_temperature_is_refused():
     with pytest.raises(ValueError, match="holds"):
-        Planner(nozzle_melt.NozzleLimits(power_w=3.0))
+        Planner(melt_exchange.NozzleLimits(power_w=3.0))

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from simulation.report import ReportError, render_page, write_report
-from simulation.report_data import (
+from simulation.report.data import (
     COLUMNS,
     Trace,
     envelope,
@@ -25,7 +25,7 @@ from simulation.report_data import (
     settled,
     thin_path,
 )
-from simulation.report_figures import Figure, PrintRun
+from simulation.report.figures import Figure, PrintRun
 
 ROWS_PER_S = 100
 ERROR_AMPLITUDE_C = 0.8

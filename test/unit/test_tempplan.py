@@ -15,15 +15,16 @@ from hypothesis import strategies as st
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "klippy"))
 
-from tempplan import Craft, Piece, TemperaturePlan
-from thermal import deposit, nozzle_melt, weld
-from thermal.control_api import Reference
-from thermal.materials import MATERIALS
-from thermal.plan import NODE_S, Planner, PlanPoint, Want, wall_wanted
+from thermal.control.control_api import Reference
+from thermal.models import melt_exchange
+from thermal.plan import deposit, weld
+from thermal.plan.materials import MATERIALS
+from thermal.plan.planner import Craft, Piece, TemperaturePlan
+from thermal.plan.set_points import NODE_S, Planner, PlanPoint, Want, wall_wanted
 from thermal.records import FlowSegment
 
 ABS = MATERIALS["ABS"]
-LIMITS = nozzle_melt.NozzleLimits()
+LIMITS = melt_exchange.NozzleLimits()
 AROUND = deposit.Surroundings(bed_c=100.0, chamber_c=40.0)
 BASE_C = 240.0
 
@@ -57,7 +58,7 @@ def pieces_of(rows):
 
 def both_ramps(rows, start_c, power_w, interface_c):
     """(times, the helper's temperatures, the reference's corners) of the same path."""
-    limits = nozzle_melt.NozzleLimits(power_w=power_w)
+    limits = melt_exchange.NozzleLimits(power_w=power_w)
     planner = Planner(limits, (ABS.low_c, ABS.high_c), 0.3)
     start_c = min(start_c, planner.ceiling_c)
     pieces = pieces_of(rows)
@@ -173,7 +174,7 @@ def test_what_is_asked_for_by_name_wins_over_the_weld():
 
 def test_the_core_of_a_fast_filament_asks_for_a_hotter_wall():
     slow_flow, fast_flow = 1.0, 12.0
-    limits = nozzle_melt.NozzleLimits(max_c=500.0)
+    limits = melt_exchange.NozzleLimits(max_c=500.0)
     plan = TemperaturePlan(limits, ABS, AROUND, Craft(core=True, zone_mm=20.0))
     (_, _, slow_c), (_, _, fast_c) = plan.add(
         [
@@ -181,7 +182,7 @@ def test_the_core_of_a_fast_filament_asks_for_a_hotter_wall():
             line(0.5, 0.5, 9, 9, 20, 9, flow=fast_flow, wish=220.0),
         ]
     )
-    from thermal.filament_heat import wall_for_core
+    from thermal.models.filament_heat import wall_for_core
 
     radius_m = 0.875e-3
     feed_m_s = fast_flow * 1e-9 / (math.pi * radius_m**2)
@@ -215,8 +216,8 @@ def test_replanning_in_steps_keeps_what_is_committed_and_every_limit():
         middle_c = 0.5 * (a + b)
         holder_k_s = LIMITS.holder_w_k * (middle_c - holder_c) / LIMITS.capacity.at(middle_c)
         # 0.2 K/s: the holder's and the melt's share change by that within a tenth of a second
-        assert 10.0 * (b - a) <= nozzle_melt.heating_k_s(LIMITS, middle_c, 4.0) - holder_k_s + 0.2
-        assert 10.0 * (b - a) >= -nozzle_melt.cooling_k_s(LIMITS, middle_c, 4.0) - holder_k_s - 0.2
+        assert 10.0 * (b - a) <= melt_exchange.heating_k_s(LIMITS, middle_c, 4.0) - holder_k_s + 0.2
+        assert 10.0 * (b - a) >= -melt_exchange.cooling_k_s(LIMITS, middle_c, 4.0) - holder_k_s - 0.2
         holder_c += 0.1 / LIMITS.holder_s * (middle_c - holder_c)
 
 
@@ -281,7 +282,7 @@ def test_the_held_interface_is_what_the_window_reaches_on_both_ends_of_the_path(
 
 def test_a_power_too_small_is_refused():
     with pytest.raises(ValueError, match="holds"):
-        TemperaturePlan(nozzle_melt.NozzleLimits(power_w=2.0), ABS, AROUND, Craft())
+        TemperaturePlan(melt_exchange.NozzleLimits(power_w=2.0), ABS, AROUND, Craft())
 
 
 @settings(max_examples=60, deadline=None)
@@ -320,15 +321,15 @@ def test_the_way_home_is_part_of_what_was_planned():
     plan.make(10.0, 240.0)
     plan.finish(12.0)
     warm_c = plan.holder_c(12.0, 240.0)
-    way = nozzle_melt.idle_way(LIMITS, 12.0, plan.at(12.0, 240.0), warm_c, 200.0)
+    way = melt_exchange.idle_way(LIMITS, 12.0, plan.at(12.0, 240.0), warm_c, 200.0)
     plan.lead(way)
     assert plan.at(way[-1][0] + 30.0, 0.0) == 200.0
     for (t0, a), (t1, b) in itertools.pairwise(
         way
     ):  # no quicker than losses allow, and a holder that stays behind
         held_k_s = LIMITS.holder_w_k * max(0.0, a - warm_c) / LIMITS.capacity.at(a)
-        assert 0.0 < (a - b) / (t1 - t0) <= nozzle_melt.cooling_k_s(LIMITS, a, 0.0) + held_k_s
-    assert way[-1][0] - 12.0 > (240.0 - 200.0) / nozzle_melt.cooling_k_s(LIMITS, 240.0, 0.0)
+        assert 0.0 < (a - b) / (t1 - t0) <= melt_exchange.cooling_k_s(LIMITS, a, 0.0) + held_k_s
+    assert way[-1][0] - 12.0 > (240.0 - 200.0) / melt_exchange.cooling_k_s(LIMITS, 240.0, 0.0)
     plan.add([line(way[-1][0] + 5.0, 1.0, 20, 0, 40, 0, wish=230.0)])
     again = plan.make(way[-1][0] + 4.0, 200.0)
     assert all(

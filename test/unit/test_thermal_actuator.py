@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thermal import actuator
+from thermal.control import actuator
 from thermal.records import PhaseCommand
 
 LAW = actuator.DriveLaw()

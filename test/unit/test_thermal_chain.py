@@ -7,13 +7,23 @@ import random
 from dataclasses import replace
 from typing import Any
 
+import block_codec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loop import block_codec
-from thermal import actuator, blocks, convert, estimator, features, laws, model, supervise, track
-from unit import chain_reference
+from reference import chain_reference
+from thermal.control import actuator
+from thermal.models import heat_loss
+from thermal.sensing import (
+    block_temperature,
+    blocks,
+    convert,
+    features,
+    laws,
+    supervision,
+    temperature_filter,
+)
 from unit.chain_rig import new_chain
 
 CLOCK_HZ, PERIOD_TICKS = 72e6, 600
@@ -52,13 +62,15 @@ def a_message(rng: random.Random, law: laws.Law, temp_c: float, supply: float) -
 
 
 def parameters(law: laws.Law, rng: random.Random, supply: float) -> tuple[Any, ...]:
-    loss = model.LossLaw(0.0187 * rng.uniform(0.7, 1.4), 1e-4, rng.uniform(15.0, 40.0))
+    loss = heat_loss.LossLaw(0.0187 * rng.uniform(0.7, 1.4), 1e-4, rng.uniform(15.0, 40.0))
     return (
         features.FeatureParameters(256.0, 1.0, rng.uniform(0.3, 2.0)),
-        estimator.EstimatorParameters(law, supply=supply),
-        supervise.SuperviseParameters(0.0, 245.0, limit_blocks=4, calibrated=rng.random() < 0.8),
+        block_temperature.EstimatorParameters(law, supply=supply),
+        supervision.SuperviseParameters(0.0, 245.0, limit_blocks=4, calibrated=rng.random() < 0.8),
         actuator.DriveLaw(vdc_v=24.0 * supply),
-        track.TrackParameters(loss, model.HeatCapacity(0.414 * rng.uniform(0.6, 1.6)), outliers_max=3),
+        temperature_filter.TrackParameters(
+            loss, heat_loss.HeatCapacity(0.414 * rng.uniform(0.6, 1.6)), outliers_max=3
+        ),
     )
 
 
@@ -156,7 +168,7 @@ def test_parameters_changed_between_messages_hold_from_the_next_one_on() -> None
         front, read, watch, drive, filtered = told
         read = replace(read, law=law.rezeroed(210.0, law.error(200.0, 5600), 5600), supply=supply)
         drive = replace(drive, vdc_v=24.0 * supply)
-        filtered = replace(filtered, heat=model.HeatCapacity(0.4 * factor))
+        filtered = replace(filtered, heat=heat_loss.HeatCapacity(0.4 * factor))
         chain.use(front, read, watch, drive, filtered)
         reference.estimator, reference.drive, reference.track = read, drive, filtered
         rows = [block_codec.Row(192, int((256.0 + law.error(200.0, 5600)) * 192) >> 4, 5600, 400, 420)] * 3

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import pytest
+from block_codec import Row, content, pack, take
 from hypothesis import given
 from hypothesis import strategies as st
 
 import chelper
-from loop.block_codec import Row, content, pack, take
-from thermal import convert
 from thermal.records import SampleBlock
+from thermal.sensing import convert
 
 PARAMETERS = convert.ConvertParameters(oversample=5, period_ticks=600, clock_hz=72e6)
 

@@ -10,13 +10,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from thermal import blocks, estimator, features, laws, limits
 from thermal.records import SampleBlock
+from thermal.sensing import block_temperature, blocks, features, guard_limits, laws
 from unit.chain_rig import estimate, of_block
 
 TABLE1 = Path(__file__).parent.parent / "data" / "oskolkov2021_table1.csv"
 LAWS = [laws.ExpLaw(), laws.Eq5Law(), laws.TankLaw()]
-phases = st.integers(estimator.SENSING_PHASE_TICKS, 45000)
+phases = st.integers(block_temperature.SENSING_PHASE_TICKS, 45000)
 temps = st.floats(-15.0, 750.0)
 
 
@@ -30,7 +30,7 @@ def read_table() -> list[tuple[float, float, float]]:
 @pytest.mark.parametrize("law", LAWS, ids=["exp", "eq5", "tank"])
 @given(temp=temps, phase=phases)
 def test_inversion_is_the_inverse(law: laws.Law, temp: float, phase: int) -> None:
-    parameters = estimator.EstimatorParameters(law)
+    parameters = block_temperature.EstimatorParameters(law)
     got = estimate(parameters, law.error(temp, phase), phase)
     assert got.valid
     assert got.temp_c == pytest.approx(temp, abs=1e-6)  # rounding only
@@ -39,7 +39,7 @@ def test_inversion_is_the_inverse(law: laws.Law, temp: float, phase: int) -> Non
 @pytest.mark.parametrize("law", LAWS, ids=["exp", "eq5", "tank"])
 @given(temp=st.floats(50.0, 500.0), phase=phases)
 def test_derivative_and_sigma_follow_the_slope(law: laws.Law, temp: float, phase: int) -> None:
-    parameters = estimator.EstimatorParameters(law)
+    parameters = block_temperature.EstimatorParameters(law)
     error = law.error(temp, phase)
     got = estimate(parameters, error, phase)
     above = estimate(parameters, error + 0.05, phase)
@@ -50,7 +50,7 @@ def test_derivative_and_sigma_follow_the_slope(law: laws.Law, temp: float, phase
 
 
 def residuals(law: laws.Law, power_max: float, low_c: float, high_c: float) -> list[float]:
-    parameters = estimator.EstimatorParameters(law)
+    parameters = block_temperature.EstimatorParameters(law)
     found = []
     for power, temp, error in read_table():
         if power <= power_max and low_c <= temp <= high_c:
@@ -77,11 +77,11 @@ def test_paper_law_is_as_far_off_as_its_residual_says() -> None:
 @pytest.mark.parametrize("law", LAWS, ids=["exp", "eq5", "tank"])
 @given(error=st.floats(-5000.0, 5000.0), phase=st.integers(0, 45000))
 def test_what_cannot_be_believed_is_never_a_number(law: laws.Law, error: float, phase: int) -> None:
-    parameters = estimator.EstimatorParameters(law)
+    parameters = block_temperature.EstimatorParameters(law)
     got = estimate(parameters, error, phase)
     if got.valid:
         assert parameters.temp_low_c <= got.temp_c <= parameters.temp_high_c
-        assert phase >= estimator.SENSING_PHASE_TICKS
+        assert phase >= block_temperature.SENSING_PHASE_TICKS
         assert got.sigma_c > 0.0
     else:
         assert math.isnan(got.temp_c)
@@ -114,7 +114,7 @@ def test_a_block_that_cannot_be_used_says_why(change: dict[str, float], reason: 
     }
     fields |= {"min_raw": 446, "max_raw": 454, "phase_ticks": 8000, "discarded": 0, "lost": 0} | change
     block = SampleBlock(**fields)  # type: ignore[arg-type]
-    got = of_block(estimator.EstimatorParameters(laws.ExpLaw()), features.FeatureParameters(), block)
+    got = of_block(block_temperature.EstimatorParameters(laws.ExpLaw()), features.FeatureParameters(), block)
     assert (got.valid, got.reason) == (False, reason)
 
 
@@ -129,7 +129,7 @@ def test_front_end_scale_and_count_set_error_and_noise() -> None:
 def test_blocks_of_different_phase_agree_after_conversion() -> None:
     """Each block with its own phase: the raw errors differ by 60 units, the temperatures do not."""
     law = laws.ExpLaw()
-    parameters = estimator.EstimatorParameters(law)
+    parameters = block_temperature.EstimatorParameters(law)
     errors = [law.error(250.0, phase) for phase in (2012, 20125)]
     assert abs(errors[0] - errors[1]) > 30.0
     temps = [estimate(parameters, e, p).temp_c for e, p in zip(errors, (2012, 20125), strict=True)]
@@ -139,11 +139,11 @@ def test_blocks_of_different_phase_agree_after_conversion() -> None:
 @pytest.mark.parametrize("law", LAWS, ids=["exp", "eq5", "tank"])
 def test_guard_limits_hold_every_healthy_reading_at_every_phase(law: laws.Law) -> None:
     front = features.FeatureParameters()
-    rows = limits.guard_limits(law, front, -60.0, 390.0)
+    rows = guard_limits.guard_limits(law, front, -60.0, 390.0)
     assert len(rows) <= 12  # what the firmware's guard stores
     assert [r.phase_ticks for r in rows] == sorted({r.phase_ticks for r in rows})
-    assert rows[0].phase_ticks == estimator.SENSING_PHASE_TICKS
-    for phase in range(estimator.SENSING_PHASE_TICKS, 45001, 97):
+    assert rows[0].phase_ticks == block_temperature.SENSING_PHASE_TICKS
+    for phase in range(block_temperature.SENSING_PHASE_TICKS, 45001, 97):
         row = [r for r in rows if r.phase_ticks <= phase][-1]
         for temp in (-60.0, 20.0, 250.0, 390.0):
             raw = front.adc_zero_raw + law.error(temp, phase)
@@ -152,14 +152,14 @@ def test_guard_limits_hold_every_healthy_reading_at_every_phase(law: laws.Law) -
 
 def test_guard_trips_well_above_the_limit_at_low_power() -> None:
     law = laws.ExpLaw()
-    row = limits.guard_limits(law, features.FeatureParameters(), -60.0, 390.0)[0]
+    row = guard_limits.guard_limits(law, features.FeatureParameters(), -60.0, 390.0)[0]
     # A row serves phases from 0.2 to 5 % power; over those the law's slope falls by 5 %: 390 degC may read as 415.
     assert 256.0 + law.error(415.0, 2012) > row.high_raw
 
 
 def test_guard_limits_refuse_a_front_end_that_cannot_show_them() -> None:
     with pytest.raises(ValueError, match="cannot show"):
-        limits.guard_limits(laws.ExpLaw(), features.FeatureParameters(-4000.0), -60.0, 390.0)
+        guard_limits.guard_limits(laws.ExpLaw(), features.FeatureParameters(-4000.0), -60.0, 390.0)
 
 
 @pytest.mark.parametrize("law", LAWS, ids=["exp", "eq5", "tank"])

@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from thermal import blocks, supervise
+from thermal.sensing import blocks, supervision
 from unit.chain_rig import FFI, LIB, new_chain, told
 
-PARAMETERS = supervise.SuperviseParameters(0.0, 300.0, limit_blocks=3)
+PARAMETERS = supervision.SuperviseParameters(0.0, 300.0, limit_blocks=3)
 CHAIN = told(new_chain(watch=PARAMETERS))
 
 
@@ -19,11 +19,11 @@ CHAIN = told(new_chain(watch=PARAMETERS))
 class Watched:
     """Supervision and what the blocks have shown it."""
 
-    state: supervise.SuperviseState = field(default_factory=supervise.SuperviseState)
+    state: supervision.SuperviseState = field(default_factory=supervision.SuperviseState)
     seen: Any = field(default_factory=lambda: FFI.new("struct chain_watch *"))
 
     def __post_init__(self) -> None:
-        supervise.start(self.state, self.seen, 0.0)
+        supervision.start(self.state, self.seen, 0.0)
 
     def block(self, end_s: float, temp_c: float = 0.0, reason: str = "") -> None:
         raw = FFI.new("struct coil_block *")
@@ -31,7 +31,7 @@ class Watched:
         LIB.chain_watch_block(CHAIN, self.seen, raw)
 
     def watch(self, time_s: float, temp_c: float, target_c: float, power: float) -> str:
-        return supervise.watch(PARAMETERS, self.state, self.seen, time_s, temp_c, target_c, power)
+        return supervision.watch(PARAMETERS, self.state, self.seen, time_s, temp_c, target_c, power)
 
     def live(
         self, seconds: float, temp_of_time: Callable[[float], float], target: float, power: float

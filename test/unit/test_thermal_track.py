@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from thermal import blocks, features, model, plausible, track
+from thermal.models import heat_loss
 from thermal.records import SampleBlock, TempEstimate
+from thermal.sensing import blocks, features, heat_balance_monitor, temperature_filter
 from unit.chain_rig import FFI, LIB, new_chain, told
 
 BLOCK_S = 0.0016
-LOSS, HEAT = model.LossLaw(), model.HeatCapacity()
-CHAIN = new_chain(filtered=track.TrackParameters(LOSS, HEAT))
+LOSS, HEAT = heat_loss.LossLaw(), heat_loss.HeatCapacity()
+CHAIN = new_chain(filtered=temperature_filter.TrackParameters(LOSS, HEAT))
 
 
 class Filter:
@@ -48,16 +49,16 @@ def run(temps: np.ndarray, power_w: np.ndarray, noise_c: float) -> tuple[np.ndar
 def test_at_rest_it_is_as_quiet_as_seventeen_bits() -> None:
     """4^5 samples of 1 LSB are 0.031 LSB = 0.04 degC; a block of 192 samples has 0.1 degC."""
     held = np.full(3000, 250.0)
-    out, _ = run(held, np.full(3000, model.loss_w(LOSS, 250.0)), 0.1)
+    out, _ = run(held, np.full(3000, heat_loss.loss_w(LOSS, 250.0)), 0.1)
     assert np.std(out[500:] - 250.0) < 0.045
 
 
 def test_a_step_of_the_drive_is_followed_without_lag_because_the_heat_is_known() -> None:
-    power = np.where(np.arange(1000) < 500, model.loss_w(LOSS, 100.0), 60.0)
+    power = np.where(np.arange(1000) < 500, heat_loss.loss_w(LOSS, 100.0), 60.0)
     temps, temp = [], 100.0
     for watts in power:  # 60 W: 120 K/s
         temps.append(temp)
-        temp += BLOCK_S * (watts - model.loss_w(LOSS, temp)) / HEAT.at(temp)
+        temp += BLOCK_S * (watts - heat_loss.loss_w(LOSS, temp)) / HEAT.at(temp)
     out, _ = run(np.array(temps), power, 0.1)
     assert np.abs(out[100:] - np.array(temps)[100:]).max() < 0.4
 
@@ -66,7 +67,7 @@ def test_heat_nobody_told_of_is_found_within_its_memory() -> None:
     """Extrusion takes 13 K/s from one block to the next: harder than 50 ms of a real melt."""
     time_s = np.arange(1500) * BLOCK_S
     temps = 250.0 - np.where(time_s > 1.0, 13.0 * (time_s - 1.0), 0.0)
-    out, on = run(temps, np.full(1500, model.loss_w(LOSS, 250.0)), 0.1)
+    out, on = run(temps, np.full(1500, heat_loss.loss_w(LOSS, 250.0)), 0.1)
     assert np.abs(out[200:] - temps[200:]).max() < 0.5
     assert on.state.rate_k_s == pytest.approx(-13.0, abs=3.0)
 
@@ -139,16 +140,18 @@ def test_six_blocks_are_as_uncertain_as_they_say_with_any_noise(noise_lsb: float
 # Heat balance
 
 
-def balance(power_factor: float, seconds: float, capacity: float = 1.0) -> plausible.PlausibleState:
+def balance(
+    power_factor: float, seconds: float, capacity: float = 1.0
+) -> heat_balance_monitor.PlausibleState:
     """Hold 250 degC with `power_factor` times the heat the model needs for it."""
-    loss = plausible.scaled(1.0, 25.0)
-    parameters = plausible.PlausibleParameters(HEAT, loss, 0.03)
-    state = plausible.PlausibleState(second_c=25.0)
+    loss = heat_balance_monitor.scaled(1.0, 25.0)
+    parameters = heat_balance_monitor.PlausibleParameters(HEAT, loss, 0.03)
+    state = heat_balance_monitor.PlausibleState(second_c=25.0)
     second = 25.0
     for n in range(int(seconds * 10)):
         watts = loss.skin_out_w(250.0, second) * power_factor
         second += 0.1 * loss.second_rate(250.0, second)
-        plausible.observe(parameters, state, 0.1 * n, 250.0, 0.1 * watts, True)
+        heat_balance_monitor.observe(parameters, state, 0.1 * n, 250.0, 0.1 * watts, True)
     return state
 
 
@@ -158,7 +161,7 @@ def test_a_balance_that_closes_means_no_drift() -> None:
 
 def test_more_heat_than_the_reading_explains_means_it_reads_low() -> None:
     state = balance(1.08, 60.0)
-    loss = plausible.scaled(1.0, 25.0)
+    loss = heat_balance_monitor.scaled(1.0, 25.0)
     expected = -0.08 * loss.skin_out_w(250.0, state.second_c) / loss.slope_w_k(250.0)
     assert state.drift_c == pytest.approx(expected, rel=0.15)
 
@@ -169,26 +172,26 @@ def test_nothing_is_said_before_it_has_been_quiet_for_long() -> None:
 
 @pytest.mark.parametrize(("factor", "named"), [(1.0, False), (0.5, True), (1.6, True), (1.2, False)])
 def test_a_nozzle_of_another_mass_is_named_from_its_heat_up(factor: float, named: bool) -> None:
-    parameters = plausible.PlausibleParameters(HEAT, plausible.scaled(1.0, 25.0))
-    state, temp, second = plausible.PlausibleState(), 25.0, 25.0
+    parameters = heat_balance_monitor.PlausibleParameters(HEAT, heat_balance_monitor.scaled(1.0, 25.0))
+    state, temp, second = heat_balance_monitor.PlausibleState(), 25.0, 25.0
     for n in range(60):
-        plausible.observe(parameters, state, 0.1 * n, temp, 8.13, True)
+        heat_balance_monitor.observe(parameters, state, 0.1 * n, temp, 8.13, True)
         out = parameters.loss.skin_out_w(temp, second)
         temp += 0.1 * (81.3 - out) / (HEAT.at(temp) * factor)
         if temp > 300.0:
             break
     assert state.capacity_ratio == pytest.approx(factor, rel=0.05)
-    assert ("wrong nozzle" in plausible.warning(parameters, state)) == named
+    assert ("wrong nozzle" in heat_balance_monitor.warning(parameters, state)) == named
 
 
 def test_a_start_with_a_hot_nozzle_takes_the_unknown_second_mass_for_no_drift() -> None:
     """As after a RESTART in a print: the skin is known, what stands behind it is not."""
-    loss = plausible.scaled(1.0, 25.0)
-    parameters = plausible.PlausibleParameters(HEAT, loss, 0.03)
+    loss = heat_balance_monitor.scaled(1.0, 25.0)
+    parameters = heat_balance_monitor.PlausibleParameters(HEAT, loss, 0.03)
     for behind in (30.0, 70.0, 135.0):
-        state, temp, second, told = plausible.PlausibleState(), 135.0, behind, []
+        state, temp, second, told = heat_balance_monitor.PlausibleState(), 135.0, behind, []
         for n in range(1200):  # two minutes of cooling, exactly by the model
-            plausible.observe(parameters, state, 0.1 * n, temp, 0.0, True)
+            heat_balance_monitor.observe(parameters, state, 0.1 * n, temp, 0.0, True)
             told.append(state.drift_c)
             rate = loss.second_rate(temp, second)
             temp -= 0.1 * loss.skin_out_w(temp, second) / HEAT.at(temp)

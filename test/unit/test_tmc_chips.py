@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from extras.tmc_chips import FLAGS, SIGNED, TMC2130, TMC2208, TMC2209, TMC2240, TMC5160, Chip
-from extras.tmc_current import CurrentModel, ReferenceResistor, TwoRanges, tmc5160_current
+from extras.tmc.chips import FLAGS, SIGNED, TMC2130, TMC2208, TMC2209, TMC2240, TMC5160, Chip
+from extras.tmc.current import CurrentModel, ReferenceResistor, TwoRanges, tmc5160_current
 
 CHIPS = (TMC2130, TMC2208, TMC2209, TMC2240, TMC5160)
 FULL_PEAK_A = {0: 11.75 / 12.0, 1: 2.0, 2: 3.0}  # TMC2240 with 12 kohm, by range

@@ -2,7 +2,7 @@
 
 The masks are facts read from the headers of Analog Devices' TMC-API (tmc/ic/CHIP/CHIP_HW_Abstraction.h, at the commits
 named below; TMC2208: CHIP_Fields.h, and 'unchecked' by its own words). Where the vendor's name of a field is another,
-it is given as ours=theirs in a comment of the line. Nothing here is computed from klippy/extras/tmc_chips.py.
+it is given as ours=theirs in a comment of the line. Nothing here is computed from klippy/extras/tmc/chips.py.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import math
 
 import pytest
 
-from extras.tmc_chips import TMC2130, TMC2208, TMC2209, TMC2240, TMC5160, Chip
-from extras.tmc_current import ReferenceResistor, TwoRanges
+from extras.tmc.chips import TMC2130, TMC2208, TMC2209, TMC2240, TMC5160, Chip
+from extras.tmc.current import ReferenceResistor, TwoRanges
 
 IHOLD_IRUN = "10 IHOLD_IRUN ihold 1F irun 1F00 iholddelay F0000"
 TIMES = "11 TPOWERDOWN tpowerdown FF\n12 TSTEP tstep FFFFF\n13 TPWMTHRS tpwmthrs FFFFF"

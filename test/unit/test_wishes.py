@@ -11,7 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "klippy"))
 
-from thermal.wishes import Comment, Range, Wishes, WishTable, read_comment, read_names, read_ranges
+from thermal.plan.requests import Comment, Range, Wishes, WishTable, read_comment, read_names, read_ranges
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Pins move, heat and read the right things (src/simulator/machine.c), with a fake MCU working the pins."""
+"""Pins move, heat and read the right things (klippy/simulation/world/machine.c), with a fake MCU working the pins."""
 
 from __future__ import annotations
 

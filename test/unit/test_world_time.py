@@ -1,4 +1,4 @@
-"""Time, clocks and lines of the simulated world (src/simulator/world.c, world_link.c), with fake MCUs."""
+"""Time, clocks and lines of the simulated world (klippy/simulation/world/world.c, world_link.c), with fake MCUs."""
 
 from __future__ import annotations
 

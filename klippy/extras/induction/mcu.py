@@ -1,0 +1,200 @@
+"""The induction unit's border: SI and print time on this side, ticks and clocks on the wire. Decides nothing.
+
+    queue_plan([PhaseCommand])     ──> queue_induction_plan clock= steps=    replaces what was pending from then on
+    set_calm(Calm)                 ──> induction_calm records= phase= expected= limit=
+    queue_phase(PhaseCommand)      ──> queue_induction_phase clock= phase=
+    on_blocks(Blocks)              <── induction_block sequence= clock= data=     a lot of them at a time
+    on_stray()                     <── induction_stray                            not as expected: no more calm
+
+The MCU turns the bridge off by itself when it hears no phase command for `max_duration`, and trips on its own
+table of raw limits, which is sent here once at configuration.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+import struct
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from thermal.control.steady import LOT_S, Calm
+from thermal.records import PHASE_MAX_TICKS, PhaseCommand
+from thermal.sensing import convert
+from thermal.sensing.blocks import Blocks
+from thermal.sensing.guard_limits import LimitRow
+
+PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
+# Steps that may wait on the MCU at one time: a plan, and what stays of the one before.
+MOVE_QUEUE_SLOTS = 24
+# While nothing happens many messages of blocks wake the host once: waking costs it more than the messages.
+LOT_SLACK_S = 0.015  # should one of them be lost
+BLOCK_FORMAT = "induction_block oid=%c sequence=%hu clock=%u data=%*s"
+LIMIT_MAX = 1 << 24  # of a block's sum, as in src/attention.h
+PLAN_STEP = struct.Struct("<HH")
+
+OnBlocks = Callable[[Blocks], None]
+OnStray = Callable[[], None]
+
+
+@dataclass(frozen=True, slots=True)
+class UnitSettings:
+    """How one induction unit is wired and sampled; plain values."""
+
+    bridge: int  # index of the full bridge on its MCU
+    frequency_hz: float
+    oversample: int  # y: 4^y samples a block
+    settle_samples: int  # discarded after a phase step
+    ema_shift: int  # 0 = no filter on the MCU
+    max_duration_s: float  # the bridge's own watchdog
+    trip_blocks: int  # consecutive blocks beyond a limit before the guard trips
+    block_samples: int  # samples of a whole block, at most 4^oversample
+    records: int  # blocks to a message ...
+    calm_records: int  # ... and while nothing happens
+
+
+class InductionUnit:
+    """One bridge with its synchronous ADC on one MCU."""
+
+    def __init__(self, mcu: Any, sense_pin: str, settings: UnitSettings, limits: Sequence[LimitRow]) -> None:
+        self.mcu = mcu
+        self.settings = settings
+        self._sense_pin = sense_pin
+        self._limits = list(limits)
+        self._oid = mcu.create_oid()
+        self._on_blocks: OnBlocks = lambda blocks: None
+        self._on_stray: OnStray = lambda: None
+        self._queue_phase: Any = None
+        self._queue_plan: Any = None
+        self._period_ticks, self._period_s, self._second_ticks = 0, math.inf, 1
+        self._report: Any = None
+        self._tell_calm: Any = None
+        self._calm: Calm | None = None
+        self._stream: convert.Stream | None = None
+        self._last_clock = 0
+        mcu.register_config_callback(self._build_config)
+        mcu.register_response(self._handle_stray, "induction_stray", self._oid)
+
+    def setup_callback(self, on_blocks: OnBlocks, on_stray: OnStray) -> None:
+        """`on_blocks(blocks)` in the reactor's thread, for every lot of messages with news; on_stray() before one that
+        begins with blocks not as expected."""
+        self._on_blocks, self._on_stray = on_blocks, on_stray
+
+    def _build_config(self) -> None:
+        mcu, settings, oid = self.mcu, self.settings, self._oid
+        clock_hz = mcu.get_constant_float("CLOCK_FREQ")
+        period_ticks = round(clock_hz / settings.frequency_hz)
+        phase_max = int(mcu.get_constants().get("BRIDGE_PHASE_MAX", PHASE_MAX_TICKS))
+        self._stream = convert.Stream(
+            convert.ConvertParameters(settings.oversample, period_ticks, clock_hz, settings.block_samples)
+        )
+        for _ in range(MOVE_QUEUE_SLOTS):
+            mcu.request_move_queue_slot()
+        mcu.add_config_cmd(
+            f"config_induction oid={oid} bridge={settings.bridge} adc_pin={self._sense_pin}"
+            f" period_ticks={period_ticks} phase_max={phase_max}"
+            f" max_duration={mcu.seconds_to_clock(settings.max_duration_s)}"
+        )
+        mcu.add_config_cmd(
+            f"config_induction_sense oid={oid} oversample={settings.oversample}"
+            f" settle_samples={settings.settle_samples} ema_shift={settings.ema_shift}"
+        )
+        mcu.add_config_cmd(
+            f"config_induction_block oid={oid} samples={settings.block_samples} records={settings.records}"
+        )
+        for row in self._limits:
+            mcu.add_config_cmd(
+                f"config_induction_limit oid={oid} phase={row.phase_ticks} low={row.low_raw}"
+                f" high={row.high_raw} trip_blocks={settings.trip_blocks}"
+            )
+        mcu.add_config_cmd(f"induction_report oid={oid} enable=1", is_init=True)
+        queue = mcu.alloc_command_queue()
+        self._queue_phase = mcu.lookup_command("queue_induction_phase oid=%c clock=%u phase=%hu", cq=queue)
+        self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
+        self._period_ticks, self._period_s = period_ticks, period_ticks / clock_hz
+        self._second_ticks = round(clock_hz)
+        self._tell_calm = mcu.lookup_command(
+            "induction_calm oid=%c records=%c phase=%hu expected=%u limit=%u", cq=queue
+        )
+        mcu.register_lot(self._take_lot, BLOCK_FORMAT)
+        self._report = mcu.lookup_command("induction_report oid=%c enable=%c", cq=queue)
+
+    # Samples up
+
+    def _take_lot(self, messages: Any, count: int) -> None:
+        stream, mcu = self._stream, self.mcu
+        if stream is None:
+            return
+        clock = mcu.print_time_to_clock(mcu.estimated_print_time(messages[count - 1].receive_time))
+        before = clock - self._second_ticks
+        time_s = mcu.clock_to_print_time(clock)
+        tick_s = (time_s - mcu.clock_to_print_time(before)) / self._second_ticks
+        blocks = stream.take(messages, count, clock, time_s, tick_s)
+        if complaint := stream.complaint():
+            logging.warning("induction unit on mcu '%s': %s; message ignored", mcu.get_name(), complaint)
+        if blocks.count:
+            self._on_blocks(blocks)
+
+    def _handle_stray(self, params: dict[str, Any]) -> None:
+        """The calm is over, also if the MCU was just told to go on with it; what waits here need wait no longer."""
+        self.set_calm(None)
+        self._on_stray()
+
+    # Phases down
+
+    def queue_phase(self, command: PhaseCommand) -> None:
+        """Send one time-stamped phase; commands must come in order of time."""
+        clock = self.mcu.print_time_to_clock(command.time_s)
+        # Rounding must never make a command earlier than the one before it.
+        clock = max(clock, self._last_clock + 1)
+        self._last_clock = clock
+        self._queue_phase.send([self._oid, clock, command.phase_ticks], minclock=0, reqclock=clock)
+
+    def queue_plan(self, commands: Sequence[PhaseCommand]) -> None:
+        """Send phases in order of time, in place of all that is pending from the first of them on."""
+        if not commands:
+            return
+        clock = self.mcu.print_time_to_clock(commands[0].time_s)
+        steps, periods = b"", 0
+        for command in commands[:PLAN_STEPS_MAX]:
+            at = max(periods, round((command.time_s - commands[0].time_s) / self._period_s))
+            steps += PLAN_STEP.pack(min(0xFFFF, at - periods), command.phase_ticks)
+            periods = at
+        self._last_clock = clock + periods * self._period_ticks
+        self._queue_plan.send([self._oid, clock, steps], minclock=0, reqclock=clock)
+
+    def set_calm(self, calm: Calm | None) -> None:
+        """Blocks may come in bulk and are expected to be so; None: each shall come as soon as may be."""
+        if calm == self._calm:
+            return
+        settings, was_calm, self._calm = self.settings, self._calm is not None, calm
+        if calm is None:
+            self._tell_calm.send([self._oid, settings.records, 0, 0, 0])
+            self.mcu.register_lot(self._take_lot, BLOCK_FORMAT)
+            return
+        samples = settings.block_samples
+        expected, limit = round(calm.expected_raw * samples), math.ceil(calm.limit_raw * samples)
+        limit = 0 if expected < 0 or limit > LIMIT_MAX else limit
+        self._tell_calm.send([self._oid, settings.calm_records, calm.phase_ticks, max(0, expected), limit])
+        if not was_calm:
+            message_s = settings.calm_records * samples / settings.frequency_hz
+            most = max(1, round(LOT_S / message_s))
+            self.mcu.register_lot(self._take_lot, BLOCK_FORMAT, most * message_s + LOT_SLACK_S, most)
+
+    def set_report(self, enable: bool) -> None:
+        """Start or stop sampling and reports."""
+        self._report.send([self._oid, int(enable)])
+        if self._stream is not None:
+            self._stream.restart()
+
+    def print_time_now(self, eventtime: float) -> float:
+        """Estimated present print time of this MCU."""
+        return self.mcu.estimated_print_time(eventtime)
+
+    def get_status(self) -> dict[str, int]:
+        """Counters of the stream of blocks."""
+        names = ("blocks", "missing_blocks", "lost_samples", "discarded_samples")
+        counters = self._stream.counters if self._stream is not None else None
+        values = [getattr(counters, name, 0) for name in names]
+        return dict(zip(("blocks", "blocks_lost", "samples_lost", "samples_discarded"), values, strict=True))

@@ -1,0 +1,280 @@
+"""The options of [induction_heater NAME] as the plain values of the thermal chain; nothing in here acts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+from typing import Any
+
+from thermal.control import actuator, control_api, loop, pid, predictive, two_period
+from thermal.models import heat_loss, melt_exchange, nozzle_model
+from thermal.sensing import (
+    block_temperature,
+    features,
+    guard_limits,
+    heat_balance_monitor,
+    laws,
+    supervision,
+    temperature_filter,
+)
+
+from ..heater import laws as heater_laws
+from .mcu import UnitSettings
+
+SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
+GUARD_LOW_C = -60.0  # below any workshop by more than the law's error
+ADC_MAX_12_BIT = 4095
+UNCALIBRATED = "uncalibrated"
+
+# Defaults for the reference nozzle (0.9 g, 0.45 J/K): found in test/loop, where mass, losses and efficiency
+# vary.
+DEFAULT_KP_W_PER_K = 5.0
+DEFAULT_KI_W_PER_K_S = 10.0
+DEFAULT_KD_W_S_PER_K = 0.15
+DEFAULT_DERIVATIVE_S = 0.010
+DEFAULT_LEAD_S = 0.015
+DEFAULT_BLOCK_SAMPLES = 192  # 1.6 ms at 120 kHz
+RECORDS_MOST = 7  # of 6 bytes fit one message
+CALM_MESSAGE_S = 0.0115  # while nothing happens: a message each 11.2 ms
+DEFAULT_RECORDS = 3  # a message each 4.8 ms: 7.5 kB/s of a 25 kB/s line
+DEFAULT_CONTROL_S = 0.008  # a phase step costs 20 samples of settling: 2 % of the signal
+
+# A calibrated law follows the drive at any power: it may arrive faster, and its steps are no jumps.
+CALIBRATED_APPROACH = loop.Approach(power_w=60.0, band_c=45.0, leave_c=80.0, rebase_fraction=math.inf)
+
+
+def read_law(config: Any) -> tuple[laws.Law, bool]:
+    """(sensing law, calibrated); each coefficient is an option with the seeds' value as default.
+
+    The options of all laws are read: changing `estimator` is no reason to delete a calibration.
+    """
+    names = {name: name for name in (*laws.LAWS, UNCALIBRATED)}
+    choice = config.getchoice("estimator", names, "exp")
+    found: dict[str, laws.Law] = {}
+    for name, kind in laws.LAWS.items():
+        default = kind()
+        values = {
+            f.name: config.getfloat(f"{name}_{f.name}", getattr(default, f.name))
+            for f in fields(kind)
+            if f.name != "residual_units"
+        }
+        found[name] = replace(default, **values)
+    law = found["exp" if choice == UNCALIBRATED else choice]
+    residual = config.getfloat("law_residual", law.residual_units, minval=0.0)
+    return laws.law_of(*laws.coefficients_of(law), residual), choice != UNCALIBRATED
+
+
+def read_unit(config: Any) -> UnitSettings:
+    oversample = config.getint("oversample", 4, minval=3, maxval=7)
+    longest = 4**oversample
+    frequency_hz = config.getfloat("frequency", 120000.0, minval=20000.0, maxval=1000000.0)
+    block_samples = config.getint(
+        "block_samples",
+        DEFAULT_BLOCK_SAMPLES if oversample == 4 else longest,
+        minval=longest // 16,
+        maxval=longest,
+    )
+    records = config.getint("records_per_message", DEFAULT_RECORDS, minval=1, maxval=3)
+    calm_records = min(RECORDS_MOST, int(CALM_MESSAGE_S * frequency_hz / block_samples))
+    return UnitSettings(
+        config.getint("bridge", 0, minval=0, maxval=255),
+        frequency_hz,
+        oversample,
+        config.getint("settle_samples", 20, minval=0, maxval=1000),
+        config.getint("ema_shift", 0, minval=0, maxval=8),
+        config.getfloat("max_duration", 0.100, minval=0.030, maxval=5.0),
+        config.getint("guard_trip_blocks", 12, minval=1, maxval=255),
+        block_samples,
+        records,
+        max(records, calm_records),
+    )
+
+
+def _timing(config: Any, unit: UnitSettings) -> loop.Timing:
+    period_s = 1.0 / unit.frequency_hz
+    return loop.Timing(
+        period_s * unit.block_samples,
+        period_s * unit.settle_samples,
+        config.getfloat("command_lead", DEFAULT_LEAD_S, minval=0.001, maxval=0.200),
+        unit.max_duration_s,
+        control_s=config.getfloat("control_interval", DEFAULT_CONTROL_S, minval=0.0, maxval=0.025),
+    )
+
+
+def _drive(config: Any, timing: loop.Timing, frequency_hz: float) -> actuator.ActuatorParameters:
+    vdc_v = config.getfloat("vdc", 24.0, above=0.0)
+    law = actuator.DriveLaw(
+        config.getfloat("power_full_w", 81.3, above=0.0),
+        config.getfloat("drive_exponent", 1.5, above=0.0),
+        vdc_v,
+        config.getfloat("vdc_reference", 24.0, above=0.0),
+    )
+    pulse_s = timing.block_s + timing.settle_s + SETTLE_MARGIN_SAMPLES / frequency_hz
+    return actuator.ActuatorParameters(
+        law,
+        pulse_s,
+        config.getfloat("sense_interval", 0.100, minval=2.0 * pulse_s, maxval=1.0),
+        config.getfloat("idle_interval", 0.500, minval=2.0 * pulse_s, maxval=1.0),
+        pulses_max=max(2, math.ceil(timing.control_s / pulse_s) + 1),
+    )
+
+
+def _pid(config: Any, power_max_w: float) -> pid.PidParameters:
+    return pid.PidParameters(
+        config.getfloat("pid_kp_w_per_k", DEFAULT_KP_W_PER_K, above=0.0),
+        config.getfloat("pid_ki_w_per_k_s", DEFAULT_KI_W_PER_K_S, minval=0.0),
+        config.getfloat("pid_kd_w_s_per_k", DEFAULT_KD_W_S_PER_K, minval=0.0),
+        0.0,
+        power_max_w,
+        config.getfloat("pid_derivative_time", DEFAULT_DERIVATIVE_S, minval=0.0, maxval=1.0),
+    )
+
+
+def _control(
+    config: Any,
+    drive: actuator.DriveLaw,
+    heat: heat_loss.HeatCapacity,
+    loss: heat_balance_monitor.TwoNodeLoss,
+    timing: loop.Timing,
+    melt: melt_exchange.MeltExchange,
+) -> loop.Control:
+    """The control law by name; the options of all are read, switching is no reason to delete a tuning."""
+    choice = config.getchoice(
+        "control", {name: name for name in ("model", "pid", "watermark", "practical")}, "model"
+    )
+    power_max_w = config.getfloat("max_power_w", drive.power_max_w, above=0.0, maxval=drive.power_max_w)
+    pid = _pid(config, power_max_w)
+    watermark = pid.WatermarkParameters(
+        config.getfloat("max_delta", 2.0, above=0.0, maxval=heater_laws.MAX_DELTA_MOST_C), power_max_w
+    )
+    table = heater_laws.read_practical(config, power_max_w)
+    try:
+        held = nozzle_model.nozzle_model(heat, loss, power_max_w, timing, melt)
+    except control_api.ParameterError as e:
+        where = config.where("heat_capacity_j_per_k")
+        raise config.error(f"Section '{config.get_name()}': {e} (heat_capacity_j_per_k: {where}).") from None
+    if choice == "pid":
+        return loop.Control(pid.PID, pid, power_max_w)
+    if choice == "watermark":
+        return loop.Control(pid.WATERMARK, watermark, power_max_w, cycle_c=watermark.max_delta_c)
+    if choice == "practical":
+        cycle_c = heater_laws.PRACTICAL_BUSY_C
+        return loop.Control(two_period.PRACTICAL, table, power_max_w, cycle_c=cycle_c)
+    return loop.Control(predictive.MODEL, held, power_max_w, models=True)
+
+
+def remodelled(parameters: loop.LoopParameters) -> loop.LoopParameters:
+    """The same with the model law told what the heat balance knows now: a calibration measures both at once."""
+    chosen = parameters.control
+    if not chosen.models:
+        return parameters
+    balance = parameters.plausible
+    held = nozzle_model.nozzle_model(
+        balance.heat, balance.loss, chosen.power_max_w, parameters.timing, parameters.melt
+    )
+    return replace(parameters, control=replace(chosen, parameters=held))
+
+
+def approach_for(law: laws.Law, drive: actuator.DriveLaw) -> loop.Approach:
+    """How a nozzle with this law may arrive at its target."""
+    default = CALIBRATED_APPROACH if isinstance(law, laws.TankLaw) else loop.Approach()
+    return replace(default, power_w=min(default.power_w, drive.power_max_w))
+
+
+def _approach(config: Any, drive: actuator.DriveLaw, law: laws.Law) -> loop.Approach:
+    default = approach_for(law, drive)
+    band_c = config.getfloat("approach_band", default.band_c, minval=10.0, maxval=300.0)
+    power_w = config.getfloat("approach_power_w", default.power_w, above=0.0, maxval=drive.power_max_w)
+    return loop.Approach(power_w, band_c, band_c + default.leave_c - default.band_c, default.rebase_fraction)
+
+
+def _loss(config: Any) -> heat_loss.LossLaw:
+    default = heat_loss.LossLaw()
+    factor = config.getfloat("loss_factor", 1.0, above=0.0, maxval=10.0)
+    conductance_w_k = config.getfloat("loss_w_per_k", default.conductance_w_k, minval=0.0)
+    radiation_m2 = config.getfloat("loss_radiation_m2", default.radiation_m2, minval=0.0)
+    if not conductance_w_k + radiation_m2:
+        raise config.error(
+            f"Options 'loss_w_per_k' and 'loss_radiation_m2' in section '{config.get_name()}': one of them must be"
+            f" above 0, there is no nozzle without losses ({config.where('loss_w_per_k')})."
+        )
+    return heat_loss.LossLaw(
+        factor * conductance_w_k,
+        factor * radiation_m2,
+        config.getfloat("ambient_temp", default.ambient_c, minval=-50.0, maxval=100.0),
+    )
+
+
+def _melt(config: Any) -> melt_exchange.MeltExchange:
+    """What the filament takes; MODEL_CALIBRATE with FLOW measures it."""
+    default = melt_exchange.MeltExchange()
+    return replace(
+        default,
+        ua_w_k=config.getfloat("melt_exchange", default.ua_w_k, above=0.0, maxval=1.0),
+        heat_mj_m3k=config.getfloat("melt_heat", default.heat_mj_m3k, above=0.1, maxval=20.0),
+        inlet_c=config.getfloat("melt_inlet_temp", default.inlet_c, minval=-50.0, maxval=150.0),
+    )
+
+
+def _plausible(
+    config: Any, heat: heat_loss.HeatCapacity, loss: heat_loss.LossLaw
+) -> heat_balance_monitor.PlausibleParameters:
+    return heat_balance_monitor.PlausibleParameters(
+        heat,
+        heat_balance_monitor.scaled(
+            config.getfloat("loss_factor", 1.0, above=0.0, maxval=10.0),
+            loss.ambient_c,
+            config.getfloat("second_mass_factor", 1.0, above=0.0, maxval=10.0),
+        ),
+        config.getfloat("loss_uncertainty", 0.25, above=0.0, maxval=2.0),
+        config.getfloat("drift_limit", 8.0, above=0.0, maxval=200.0),
+    )
+
+
+def read_parameters(config: Any, unit: UnitSettings) -> loop.LoopParameters:
+    """Everything the chain of one nozzle is told."""
+    law, calibrated = read_law(config)
+    front = features.FeatureParameters(
+        config.getfloat("adc_zero", 256.0),
+        config.getfloat("units_per_lsb", 1.0, above=0.0),
+        config.getfloat("noise_lsb", 1.0, minval=0.0),
+        ADC_MAX_12_BIT,
+        block_samples=unit.block_samples,
+    )
+    temp_low_c = config.getfloat("min_temp", -10.0, minval=-20.0)
+    temp_high_c = config.getfloat("max_temp", above=max(temp_low_c, 0.0), maxval=700.0)
+    timing = _timing(config, unit)
+    drive = _drive(config, timing, unit.frequency_hz)
+    loss = _loss(config)
+    heat = heat_loss.HeatCapacity(config.getfloat("heat_capacity_j_per_k", 0.414, above=0.0))
+    balance = _plausible(config, heat, loss)
+    melt = _melt(config)
+    return loop.LoopParameters(
+        front,
+        block_temperature.EstimatorParameters(law, supply=drive.law.vdc_v / drive.law.vdc_reference_v),
+        _control(config, drive.law, heat, balance.loss, timing, melt),
+        loss,
+        drive,
+        supervision.SuperviseParameters(temp_low_c, temp_high_c, calibrated=calibrated),
+        timing,
+        _approach(config, drive.law, law),
+        temperature_filter.TrackParameters(loss, heat),
+        balance,
+        melt,
+    )
+
+
+def guard_rows(config: Any, parameters: loop.LoopParameters) -> list[guard_limits.LimitRow]:
+    """The MCU's table; without a calibration only the ends of the ADC can be judged."""
+    margin_c = config.getfloat("guard_margin", 40.0, minval=5.0, maxval=200.0)
+    if not parameters.supervise.calibrated:
+        return [guard_limits.LimitRow(block_temperature.SENSING_PHASE_TICKS, 0, 65535)]
+    try:
+        return guard_limits.guard_limits(
+            parameters.estimator.law,
+            parameters.front,
+            GUARD_LOW_C,
+            parameters.supervise.temp_high_c + margin_c,
+        )
+    except ValueError as e:
+        raise config.error(f"Section '{config.get_name()}': {e}") from None

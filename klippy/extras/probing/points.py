@@ -1,0 +1,129 @@
+"""A list of places to probe one after the other, by the probe or by hand; every levelling module works on it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from .. import manual_probe
+
+Point = Sequence[float]
+# finalize(offsets of the probe, nozzle's places at the triggers); "retry": probe all again
+Finalize = Callable[[Any, list[list[float]]], Any]
+NO_OFFSETS = (0.0, 0.0, 0.0)
+
+
+class ProbePointsHelper:
+    """Options `points`, `horizontal_move_z` and `speed`, and the way over them."""
+
+    def __init__(
+        self, config: Any, finalize_callback: Finalize, default_points: Sequence[Point] | None = None
+    ) -> None:
+        self.printer = config.get_printer()
+        self.finalize_callback = finalize_callback
+        self.probe_points = default_points
+        self.name = config.get_name()
+        if default_points is None or "points" in config.get_prefix_options("points"):
+            self.probe_points = config.getlists("points", seps=(",", "\n"), parser=float, count=2)
+        self.default_horizontal_move_z = config.getfloat("horizontal_move_z", 5.0)
+        self.horizontal_move_z = self.default_horizontal_move_z
+        self.speed = config.getfloat("speed", 50.0, above=0.0)
+        self.use_offsets = False
+        self.lift_speed = self.speed
+        self._offsets: Any = NO_OFFSETS
+        self._manual_places: list[list[float]] = []
+
+    # -- what the owner sets --
+
+    def minimum_points(self, n: int) -> None:
+        """Raise a config error if there are fewer points."""
+        if self.probe_points is None or len(self.probe_points) < n:
+            raise self.printer.config_error(
+                f"Need at least {n} probe points for {self.name}, there are {len(self.probe_points or ())}"
+            )
+
+    def update_probe_points(self, points: Sequence[Point], min_points: int) -> None:
+        self.probe_points = points
+        self.minimum_points(min_points)
+
+    def use_xy_offsets(self, use_offsets: bool) -> None:
+        """The points are places of the probe rather than of the nozzle."""
+        self.use_offsets = use_offsets
+
+    def get_lift_speed(self) -> float:
+        """mm/s, of the last run."""
+        return self.lift_speed
+
+    # -- running --
+
+    def start_probe(self, gcmd: Any) -> None:
+        """Go over the points; METHOD=manual or no probe: the user probes each by paper."""
+        manual_probe.verify_no_manual_probe(self.printer)
+        probe = self.printer.lookup_object("probe", None)
+        method = gcmd.get("METHOD", "automatic").lower()
+        if method not in ("automatic", "manual"):
+            raise gcmd.error(f"METHOD is '{method}'; it can be automatic or manual")
+        self.horizontal_move_z = gcmd.get_float("HORIZONTAL_MOVE_Z", self.default_horizontal_move_z)
+        self._require_homed(gcmd)
+        if probe is None or method == "manual":
+            self._offsets, self.lift_speed = NO_OFFSETS, self.speed
+            self._manual_places = []
+            self._next_by_hand(gcmd)
+            return
+        self.lift_speed = min(self.speed, probe.get_lift_speed(gcmd))
+        self._offsets = probe.get_offsets(gcmd)
+        if self.horizontal_move_z < self._offsets[2]:
+            raise gcmd.error("horizontal_move_z can't be less than probe's z_offset")
+        self._probe_all(probe, gcmd)
+
+    def _require_homed(self, gcmd: Any) -> None:
+        toolhead = self.printer.lookup_object("toolhead")
+        homed = toolhead.get_status(self.printer.get_reactor().monotonic())["homed_axes"]
+        if not set("xyz") <= set(homed):
+            raise gcmd.error("Must home before probe: G28 first")
+
+    def _probe_all(self, probe: Any, gcmd: Any) -> None:
+        lift_speed = self.speed  # the first lift: nothing hangs on it
+        while True:
+            places: list[list[float]] = []
+            probe.multi_probe_begin()
+            for number in range(len(self.probe_points or ())):
+                self._travel(number, lift_speed)
+                lift_speed = self.lift_speed
+                places.append(probe.run_probe(gcmd))
+            probe.multi_probe_end()
+            if self._finish(places) != "retry":
+                return
+
+    def _travel(self, number: int, lift_speed: float) -> None:
+        """Up, and over to a point."""
+        toolhead = self.printer.lookup_object("toolhead")
+        toolhead.manual_move([None, None, self.horizontal_move_z], lift_speed)
+        x, y = (self.probe_points or ())[number]
+        if self.use_offsets:
+            x, y = x - self._offsets[0], y - self._offsets[1]
+        toolhead.manual_move([x, y], self.speed)
+
+    def _finish(self, places: list[list[float]]) -> Any:
+        toolhead = self.printer.lookup_object("toolhead")
+        toolhead.manual_move([None, None, self.horizontal_move_z], self.lift_speed)
+        toolhead.get_last_move_time()
+        return self.finalize_callback(self._offsets, places)
+
+    def _next_by_hand(self, gcmd: Any) -> None:
+        """The paper test at the next point, or the end."""
+        if len(self._manual_places) == len(self.probe_points or ()):
+            places, self._manual_places = self._manual_places, []
+            if self._finish(places) == "retry":
+                self._next_by_hand(gcmd)
+            return
+        self._travel(len(self._manual_places), self.speed)
+
+        def finalize(place: Sequence[float] | None) -> None:
+            if place is None:
+                self._manual_places = []
+                return
+            self._manual_places.append(list(place))
+            self._next_by_hand(gcmd)
+
+        manual_probe.ManualProbeHelper(self.printer, gcmd, finalize)

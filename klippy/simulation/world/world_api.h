@@ -1,0 +1,165 @@
+/* The simulated world as its owner (Python, or a test) sees it.
+ *
+ * Read by a C compiler and, with the lines that begin with '#' left out, by cffi: declarations
+ * only, no macros. README.md in this folder tells who owns time and in which order things happen.
+ *
+ * Units: seconds, mm, degrees Celsius. `now` is world time; it begins at the `start_s` given to world_new().
+ * Functions returning int give an index or 0 on success, -1 on failure with the reason in world_error().
+ */
+#ifndef FERRITE_WORLD_API_H
+#define FERRITE_WORLD_API_H
+#include <stdint.h>
+
+struct world;
+
+/* One line between host and MCU. Probabilities are per byte, for each direction. */
+struct world_link_options {
+    double baud;          /* bits per second, 10 per byte; 0 = bytes take no time */
+    double latency_s;     /* added to every chunk */
+    double jitter_s;      /* plus a uniformly random part up to this */
+    double corrupt, drop, duplicate;
+};
+
+/* A pin of one MCU; mcu < 0 means not connected. */
+struct world_pin {
+    int mcu, pin, inverted;
+};
+
+/* A thermocouple on the skin of nozzle `nozzle`; its amplifier gives volt_per_k from 0 degC on. */
+struct world_reference_options {
+    int nozzle;
+    double gain, tau_s, volt_per_k, adc_volt, noise_lsb;
+};
+
+enum { WORLD_PROBE_MOTORS = 4 };
+
+/* Height of the bed over x and y (mm, in the coordinates of the axes): a plane and one bump of Gauss' shape. */
+struct world_bed {
+    double height_mm, tilt_x, tilt_y;
+    double bump_mm, bump_x_mm, bump_y_mm, bump_radius_mm;
+};
+
+/* A switch that closes where nozzle and bed, below the probe, are trigger_mm apart. z_shares: of each Z motor's place in the
+ * height at x, y: [0] + [1] x + [2] y. With a control pin it is a BLTouch; `stuck`: its pin does not come out. */
+struct world_probe_options {
+    struct world_pin pin, control;
+    int x_axis, y_axis, z_count, stuck;
+    int z_axes[4];
+    double z_shares[4][3];
+    double x_offset_mm, y_offset_mm, trigger_mm, noise_mm;
+    struct world_bed bed;
+};
+
+enum world_axis_role { WORLD_AXIS_X, WORLD_AXIS_Y, WORLD_AXIS_Z, WORLD_AXIS_E, WORLD_AXIS_OTHER };
+
+struct world_axis_options {
+    int role;                       /* enum world_axis_role: its column in the trace */
+    int both_edges;                 /* 1: the driver steps on both edges of its step pin */
+    int limited;                    /* 1: hard stops at min_mm and max_mm */
+    int endstop_at_max;             /* 1: switch closed at and above endstop_mm, else at and below */
+    struct world_pin step, dir, endstop;
+    double mm_per_step;
+    double start_mm, min_mm, max_mm, endstop_mm;
+};
+
+/* Where melt comes from: the axis that pushes the filament, -1 for none. */
+struct world_feed {
+    int axis;
+    double filament_area_mm2;
+};
+
+struct world_axis_state {
+    double position_mm;
+    int64_t steps_forward, steps_backward;
+    int64_t steps_lost;             /* against a hard stop */
+};
+
+struct world_link_state {
+    uint64_t bytes_down, bytes_up;                  /* offered to the line: to the MCU, from the MCU */
+    uint64_t corrupted, dropped, duplicated;        /* bytes, both directions */
+    uint64_t overflowed;                            /* chunks lost: more waiting than a line can hold */
+};
+
+/* What the heater did under one target; written by the trace at its rate. */
+struct world_target_epoch {
+    double start_s;                 /* after world start */
+    double from_c, target_c;
+    double reach_s;                 /* until within band of the target, -1 never */
+    double settle_s;                /* until within band for 2 s on end, -1 never */
+    double overshoot_c;             /* beyond the target in the direction of travel, within 15 s of reaching it */
+    double settled_seconds;         /* time observed after settling */
+    double max_error_c;             /* |true - target| after settling */
+    double error_sum;               /* sum of (true - target) * dt after settling */
+    double square_error_sum;        /* sum of (true - target)^2 * dt after settling */
+    double estimate_max_error_c;    /* |estimate - true| after settling */
+};
+
+struct world_figures {
+    double peak_c, peak_power_w, energy_j, extruded_mm3, peak_flow_mm3_s;
+    uint64_t rows;
+};
+
+enum world_channel { WORLD_TARGET_C, WORLD_ESTIMATE_C, WORLD_BED_TARGET_C, WORLD_CHANNELS };
+
+struct world *world_new(double start_s, uint64_t seed);
+void world_free(struct world *w);
+const char *world_error(const struct world *w);
+double world_now(const struct world *w);
+
+/* Building the machine; all of it before the first world_advance(). */
+int world_add_mcu(struct world *w, const char *library, double clock_hz, double clock_ppm,
+                  const struct world_link_options *link);
+/* What the chip's own sensor feels; 25 degC unless told, at any time. */
+int world_set_chip_temperature(struct world *w, int mcu, double temp_c);
+/* The image an emulator runs (klippy/simulation/emulator/emulator.h); once, before the first world_advance(). */
+int world_load_image(struct world *w, int mcu, const char *image);
+int world_add_axis(struct world *w, const struct world_axis_options *options);
+int world_add_probe(struct world *w, const struct world_probe_options *options);
+double world_bed_height(const struct world *w, int probe, double x, double y);
+/* The carriage of `axis` goes own_share of its motor's way plus partner_share of that of the motor of `partner`. */
+int world_couple_axes(struct world *w, int axis, int partner, double own_share, double partner_share);
+int world_add_fan(struct world *w, struct world_pin pin, double spin_up_s);
+int world_add_nozzle(struct world *w, int mcu, const double *parameters, struct world_feed feed, int fan);
+int world_add_load(struct world *w, const double *parameters, int is_bed, struct world_pin heater,
+                   struct world_pin sensor, struct world_feed feed, int fan);
+int world_add_reference(struct world *w, const struct world_reference_options *options, struct world_pin pin);
+double world_nozzle_temperature(const struct world *w, int nozzle);
+double world_load_temperature(const struct world *w, int load);
+double world_fan_speed(const struct world *w, int fan);
+
+/* A parameter changes while the machine runs: faults, drift, disturbances. Indices as in world_parameter(). */
+void world_set_nozzle_parameter(struct world *w, int nozzle, int index, double value);
+void world_set_load_parameter(struct world *w, int load, int index, double value);
+
+/* The parameters of a nozzle (table 0) and of a load (table 1): 0 when index is past the end.
+ * values: preset reference or hotend, preset strong or bed, least, most. */
+int world_parameter(int table, int index, const char **name, const char **unit, const char **doc, double *values);
+
+/* Host side of a link: a serial queue (addresses of serialqueue, serialqueue_receive and
+ * serialqueue_transmit of chelper/link/serialqueue.h), or none and bytes by feed and drain. */
+int world_attach(struct world *w, int mcu, uintptr_t queue, uintptr_t receive, uintptr_t transmit);
+void world_detach(struct world *w, int mcu);
+void world_feed(struct world *w, int mcu, const uint8_t *data, uint32_t length);
+uint32_t world_drain(struct world *w, int mcu, uint8_t *data, uint32_t capacity);
+
+/* Let time pass up to `until_s`. Returns a bit per MCU (1 << index) whose host queue holds messages;
+ * when any is set `now` may be earlier than asked for. */
+uint32_t world_advance(struct world *w, double until_s);
+
+/* 1 if the model of an emulated chip has objected to what its firmware did: that MCU stands still, and world_error() tells
+ * why. */
+int world_failed(const struct world *w);
+/* Address of a function of the library of one MCU, 0 if it has none of that name. */
+uintptr_t world_symbol(struct world *w, int mcu, const char *name);
+
+/* CSV at `rate_hz`; path may be NULL: figures only. world_trace_close() flushes; -1 if the disc was full. */
+int world_trace_open(struct world *w, const char *path, double rate_hz);
+int world_trace_close(struct world *w);
+void world_set_channel(struct world *w, int channel, double value);
+
+void world_axis(const struct world *w, int axis, struct world_axis_state *out);
+void world_link(const struct world *w, int mcu, struct world_link_state *out);
+void world_figures(const struct world *w, struct world_figures *out);
+int world_epoch(const struct world *w, int index, struct world_target_epoch *out);
+
+#endif

@@ -1,0 +1,148 @@
+"""Watts to bridge phase and back.
+
+Drive law (fit to source 000, its inverse is exact):
+
+    P = P_full sin(phi/2)^n (Vdc/V0)^n,    phi = pi phase/phase_max
+
+Measuring needs excitation: below `phase_low_ticks` the coil says nothing. A request under the power of that
+phase (about 1.5 W) is met by pulses at that phase against bridge off, so that the mean power is right and
+every pulse is long enough to give a whole measured block. Even a request of zero gives one pulse each
+`sense_interval_s`, so that the temperature stays known; that surplus is carried as a debt and taken off later
+requests.
+
+    request ->  |‾‾|______|‾‾|______|‾‾‾‾‾|___    pulses of pulse_s at phase_low, mean = request
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import chelper
+from thermal.records import PHASE_MAX_TICKS, PhaseCommand
+from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
+
+from .control_api import Planned
+
+
+@dataclass(frozen=True, slots=True)
+class DriveLaw:
+    """Heat in the nozzle as a function of phase and supply voltage."""
+
+    power_full_w: float = 81.3  # at 180 degrees and vdc_reference_v
+    exponent: float = 1.5
+    vdc_v: float = 24.0
+    vdc_reference_v: float = 24.0
+    phase_max_ticks: int = PHASE_MAX_TICKS
+
+    @property
+    def power_max_w(self) -> float:
+        """Heat at full phase with the present supply."""
+        return self.power_full_w * (self.vdc_v / self.vdc_reference_v) ** self.exponent
+
+    def power_w(self, phase_ticks: float) -> float:
+        """Heat at this phase."""
+        lib = chelper.get_ffi()[1]
+        return float(lib.drive_power_w(self.power_max_w, self.exponent, self.phase_max_ticks, phase_ticks))
+
+    def phase_ticks(self, power_w: float) -> float:
+        """Phase (not yet whole ticks) that gives this heat; limited to 0..full."""
+        if power_w <= 0.0:
+            return 0.0
+        amplitude = min(1.0, power_w / self.power_max_w) ** (1.0 / self.exponent)
+        return 2.0 * math.asin(amplitude) / math.pi * self.phase_max_ticks
+
+
+@dataclass(frozen=True, slots=True)
+class ActuatorParameters:
+    """Drive law and the timing of sensing pulses."""
+
+    law: DriveLaw
+    pulse_s: float  # settling plus one whole block
+    sense_interval_s: float = 0.1  # longest time without a pulse while a target is set
+    idle_interval_s: float = 0.5  # the same with the heater off, if heard: 1.5 W * 8.9 ms / 0.5 s = 27 mW
+    phase_low_ticks: int = SENSING_PHASE_TICKS
+    pulses_max: int = 2  # in one piece: as many as fill the time until the next command
+
+    @property
+    def power_low_w(self) -> float:
+        """Heat at the least useful phase."""
+        return self.law.power_w(self.phase_low_ticks)
+
+
+@dataclass(slots=True)
+class ActuatorState:
+    """What was delivered against what was asked."""
+
+    last_s: float = -math.inf  # start of the interval the last request holds for
+    request_w: float = 0.0  # request in force since last_s
+    owed_j: float = 0.0  # asked minus delivered
+    last_excited_s: float = -math.inf  # end of the last pulse or continuous drive
+    driving: bool = False  # continuous drive (phase above the least one) since last_s
+
+
+def _account(parameters: ActuatorParameters, state: ActuatorState, time_s: float) -> None:
+    """Book the request of the interval that ends now. Continuous drive delivers what is asked."""
+    if state.driving:
+        state.last_excited_s = time_s
+        state.owed_j = 0.0
+    elif state.last_s > -math.inf:
+        state.owed_j += state.request_w * (time_s - state.last_s)
+    limit_j = 2.0 * parameters.pulses_max * parameters.power_low_w * parameters.pulse_s
+    state.owed_j = min(limit_j, max(-limit_j, state.owed_j))
+
+
+def actuate(
+    parameters: ActuatorParameters, state: ActuatorState, power_w: float, time_s: float, idle: bool = False
+) -> list[PhaseCommand]:
+    """Commands that start meeting `power_w` at `time_s`; in order of time, the first at `time_s` if any.
+
+    An empty list means: leave the bridge as it is (off, between pulses). The last command of a pulse turns
+    the bridge off, so a host that dies in between leaves nothing running. `idle`: no target, sense rarely.
+    """
+    _account(parameters, state, time_s)
+    was_driving = state.driving
+    state.last_s = time_s
+    state.request_w = max(0.0, power_w)
+    law = parameters.law
+    phase = round(law.phase_ticks(power_w))
+    if phase >= parameters.phase_low_ticks:
+        state.driving = True
+        return [PhaseCommand(time_s, phase, law.power_w(phase))]
+    state.driving = False
+    pulse_j = parameters.power_low_w * parameters.pulse_s
+    interval_s = parameters.idle_interval_s if idle else parameters.sense_interval_s
+    pulses = min(parameters.pulses_max, math.floor(state.owed_j / pulse_j + 0.5))
+    if pulses < 1 and time_s - state.last_excited_s >= interval_s:
+        pulses = 1
+    if pulses < 1:
+        return [PhaseCommand(time_s, 0, 0.0)] if was_driving else []
+    end_s = time_s + pulses * parameters.pulse_s
+    state.owed_j -= pulses * pulse_j
+    state.last_excited_s = end_s
+    return [
+        PhaseCommand(time_s, parameters.phase_low_ticks, parameters.power_low_w),
+        PhaseCommand(end_s, 0, 0.0),
+    ]
+
+
+def ahead(
+    parameters: ActuatorParameters, first: PhaseCommand, horizon: Sequence[Planned]
+) -> list[PhaseCommand]:
+    """Commands after `first` that follow a law's horizon; told for the case that nothing newer arrives.
+
+    Below the least useful phase the bridge is off or at that phase, whichever is nearer: pulses are booked only
+    when they are sure to come.
+    """
+    law, low_w = parameters.law, parameters.power_low_w
+    commands, before = [], first
+    for planned in horizon:
+        phase = round(law.phase_ticks(planned.value))
+        if phase < parameters.phase_low_ticks:
+            phase = parameters.phase_low_ticks if planned.value > 0.5 * low_w else 0
+        if phase == before.phase_ticks or planned.time_s <= before.time_s:
+            continue
+        before = PhaseCommand(planned.time_s, phase, law.power_w(phase))
+        commands.append(before)
+    return commands

@@ -1,0 +1,133 @@
+"""`control: model`: what the filter knows, carried forward to when an output holds, and the output that fits.
+
+    samples ─► observe (model_filter) ─► state at time_s ─► predict through what is pending ─► state at apply_s
+                                                                                             │
+         reference, flow, fan ahead ──────────────────────────────────────────────────► choose ─► output, horizon
+
+Prediction takes the delays out: measuring, link, command lead and heater element are behind us when the choice
+is made. The choice is one number u for the time from t on: with u held the controlled node shall be at
+`aim` a horizon H later. The model is linear in u as near as matters, so two runs (u = 0 and u = most) give it:
+
+    T(t+H | u) = T0 + u/most (T1 - T0)  =  aim        aim = r(t+H) - e(H)
+
+    e(H) = e exp(-H/fade) for small deviations e = r - T;  no more than the knee's for large ones
+
+so a large deviation is run down at the limit of the power and its last degrees fade. Losses, fan, melt of the
+planned flow and the learned disturbance are in T0: that is the feed-forward. Limits are exact: the output is
+cut to 0..most, to the step's limit, to the slew rate, and the next choice starts from what will be, not from
+what was wished. Nothing is integrated but the disturbance, in the filter: nothing winds up.
+
+The horizon: the same choice again from the predicted state, `ahead` times, should the host be late. What one
+unit of output does within H is known from the two runs above, so each further choice takes one run: with the
+output before it, and by how much that misses its aim.
+
+All of it is thermal/control/predictive.c; here it is given its input, and its output is taken from it.
+"""
+
+from __future__ import annotations
+
+import struct
+from functools import cache, partial
+
+import chelper
+from thermal.models.heater_model import ModelParameters
+
+from .control_api import ControlInput, ControlOutput, Law, Planned
+from .predictive_filter import ModelState
+from .samples import Samples
+
+__all__ = ["MODEL", "ModelParameters", "ModelState", "model_follow", "model_step"]
+
+PENDING_ROOM = 32  # decided before and not in force yet; more are taken, too
+
+_FIGURES = struct.Struct("=8d4i")  # head of struct model_inputs
+_OUTPUT = struct.Struct("=7di4x")  # head of struct model_output
+_PLANNED = struct.Struct("=2d")
+_new_output = partial(tuple.__new__, ControlOutput)
+_new_planned = partial(tuple.__new__, Planned)
+
+
+class _Desk:
+    """Where a step's input and output lie in C: one for all heaters, one step after another."""
+
+    def __init__(self) -> None:
+        self.ffi, self.lib = chelper.get_ffi()
+        self.state_type = self.ffi.typeof("struct model_state *")
+        self.given = self.ffi.new("struct model_inputs *")
+        self.found = self.ffi.new("struct model_output *")
+        self._figures = self.ffi.buffer(self.given)
+        self._found = self.ffi.buffer(self.found)
+        self._room = 0
+        self._make_room(PENDING_ROOM)
+
+    def _make_room(self, count: int) -> None:
+        self._room = count
+        self._pending = self.ffi.new("struct model_planned[]", count)
+        self._pending_bytes = self.ffi.buffer(self._pending)
+        self.given.pending = self._pending
+
+    def put(self, inputs: ControlInput, time_s: float, samples: Samples) -> None:
+        """Lay out the input; its samples, reference, flow and fan are pointed to."""
+        given, pending = self.given, inputs.pending or ()
+        count = len(pending)
+        if count > self._room:
+            self._make_room(2 * count)
+        for i, planned in enumerate(pending):
+            _PLANNED.pack_into(self._pending_bytes, i * _PLANNED.size, *planned)
+        _FIGURES.pack_into(
+            self._figures,
+            0,
+            time_s,
+            inputs.reference_c,
+            inputs.measured_c,
+            inputs.limit,
+            inputs.sigma_c,
+            inputs.applied,
+            inputs.apply_s,
+            inputs.hold_s,
+            inputs.rebased,
+            inputs.pending is None,
+            samples.size,
+            count,
+        )
+        given.samples = samples.raw
+        given.flow, given.fan = inputs.flow_mm3_s.packed(), inputs.fan.packed()
+        given.reference = inputs.reference.packed() if inputs.reference is not None else self.ffi.NULL
+
+    def output(self) -> ControlOutput:
+        """What the step has found."""
+        *figures, count = _OUTPUT.unpack_from(self._found)
+        horizon: tuple[Planned, ...] = ()
+        if count:
+            rows = self._found[_OUTPUT.size : _OUTPUT.size + count * _PLANNED.size]
+            horizon = tuple(map(_new_planned, _PLANNED.iter_unpack(rows)))
+        return _new_output((*figures, horizon))
+
+
+_desk = cache(_Desk)
+
+
+def model_step(
+    p: ModelParameters, state: ModelState, inputs: ControlInput, time_s: float
+) -> tuple[ControlOutput, ModelState]:
+    """One step with the measurements up to `time_s`; the output is meant from apply_s on."""
+    desk, samples = _desk(), Samples.of(inputs.samples)
+    desk.put(inputs, time_s, samples)
+    after = desk.ffi.new(desk.state_type)
+    desk.lib.model_step(p.packed(), state.raw, desk.given, after, desk.found)
+    return desk.output(), ModelState(after)
+
+
+def model_follow(p: ModelParameters, state: ModelState, inputs: ControlInput, output: float) -> ModelState:
+    """Somebody else's output: noted, so that prediction and slew rate start from it.
+
+    A filter that knows nothing yet begins at the newest of `inputs.samples`, with `output` as what holds it there.
+    """
+    ffi, lib = chelper.get_ffi()
+    seen, raw = Samples.of(inputs.samples), state.copied()
+    newest = seen.raw + (seen.size - 1) if seen.size else ffi.NULL
+    lib.model_follow(p.packed(), raw, newest, inputs.flow_mm3_s.packed(), inputs.fan.packed(), output)
+    return ModelState(raw)
+
+
+MODEL: Law[ModelParameters, ModelState] = Law("model", model_step, ModelState(), model_follow)

@@ -1,0 +1,93 @@
+#ifndef CHELPER_MODELFILTER_H
+#define CHELPER_MODELFILTER_H
+// Kalman filter around the model of heater_model.h: temperatures, disturbance power, gain of the drive.
+// Its equations: klippy/thermal/control/predictive_filter.py. What tunes every heater's filter alike stands here; what differs from
+// heater to heater is in struct model_params.
+
+#include "reference_line.h"
+#include "thermal/models/heater_model.h"
+
+#define GAIN_LEAST 0.1
+#define GAIN_MOST 10.0
+// Samples of one innovation at most, about those of a message: one of a long lot would dilute what the newest say.
+#define TOGETHER_MOST 7
+// An innovation whose square is so many times its variance: the disturbance is taken to have changed ...
+#define SURPRISE 14.0
+#define SURPRISED_W 3.0 // ... by about this much at once.
+// Innovations that lean one way: their sum, each in its own sigma and fading so fast a message, is 1.5 by chance.
+#define LEAN_KEEP 0.75
+#define LEAN_MOST 4.0  // nearly three times that: the disturbance moves ...
+#define LEAN_SHARE 0.5 // ... by about this much of disturbance_start_w a message.
+// Farther off than this within a message no heat goes: the thermometer jumped, by about JUMPED_C.
+#define JUMP_C 3.0
+#define JUMP_SIGMA 6.0
+#define JUMPED_C 10.0
+#define REBASED_SIGMA 10.0 // a step of the drive may move the sensing law by this many of a sample's sigma
+// Beyond this it has, and the reading is put right as long as the drive stays ...
+#define OFFSET_C 1.0
+#define OFFSET_SIGMA 4.0
+#define OFFSET_SHARE 0.5 // ... above this share of what it was seen at: little drive is the truth.
+// 1 sigma of nodes, share of the gain's doubt after taking over from another law.
+#define TAKEN_C 1.0
+#define TAKEN_GAIN 0.2
+// The reading's slant with the drive walks by so much within a second, degC at full drive; what counts as usual drive,
+// where the reading is taken for the truth, follows within this time.
+#define SLANT_WALK_C 0.3
+#define SLANT_USUAL_S 0.2
+#define SECOND_MARGIN_C 20.0 // the second mass lies between air and the hottest node, give or take this
+
+enum {
+    MODEL_PLACES = 7, // of the covariance at most, see struct model_places
+    MODEL_SENT = 32,  // own outputs remembered; the oldest go
+};
+
+// control_api.Sample
+struct model_sample {
+    double time_s, end_s, temp_c, sigma_c, output;
+    uint8_t is_rebased;
+};
+
+// control_api.Planned
+struct model_planned {
+    double time_s, value;
+};
+
+// model_filter.ModelState
+struct model_state {
+    double time_s;              // what the nodes belong to; NaN: nothing known yet
+    struct model_nodes nodes;
+    double disturbance_w, gain;
+    double innovation_c;        // newest: measured minus expected
+    double heard_s;             // newest measurement
+    double output;              // newest output decided
+    double driven;              // output in force at the newest measurement
+    double offset_c;            // taken off the readings ...
+    double offset_output;       // ... since the output stepped to this
+    double lean;                // fading sum of innovations, each over its sigma
+    double slant_c;             // what full drive by itself adds to the reading
+    double usual;               // share of full drive at which the reading is taken for the truth
+    double covariance[MODEL_PLACES][MODEL_PLACES];  // of the nodes there are, see model_layout
+    int32_t size;               // so many places are used
+    int32_t nodes_known;        // which ones they are: those of another model say nothing
+    int32_t sent_count;
+    struct model_planned sent[MODEL_SENT];          // own outputs, where the caller does not tell what is pending
+};
+
+// Places in the covariance; -1: no such node.
+struct model_places {
+    int element, temp, second, sensor, disturbance, gain, slant, size, measured;
+    int nodes;  // which there are, as bits
+};
+
+struct model_places model_layout(const struct model_params *p);
+// Nothing known yet.
+void model_reset(struct model_state *s);
+// Know one temperature; the drive's gain is kept, if it is known.
+void model_begin(const struct model_params *p, struct model_state *s, double temp_c, double time_s);
+// Just begun, and told the disturbance: what was doubt about it, gain and second mass is mostly in it.
+void model_taken_over(const struct model_params *p, struct model_state *s, double disturbance_w);
+// After these samples, in order of time; many are taken in pieces.
+void model_observe(const struct model_params *p, struct model_state *s, const struct model_sample *samples, int count,
+                   const struct model_line *flow, const struct model_line *fan);
+
+#endif

@@ -1,0 +1,346 @@
+"""From the recording of a calibration run (sweep.py) to laws with their figures. Offline code: numpy.
+
+    python -m thermal.fit_sweep TRACE.csv [--gain 1.0] [--power-full 81.3] ...      the result as JSON
+
+The printer runs it as a process of its own: a fit of seconds must not hold up the host.
+
+1. Lag. The reference is taken as a first-order lag (tau) behind the skin, gain g about 25 degC (source 000,
+   Table 6). The
+   error at the least phase is a smooth, steep function of the skin's temperature, T = poly(error). Low-pass
+   filtered with
+   tau it must give the readings, heating and cooling alike: linear least squares for the polynomial at each tau, the
+   best tau wins. tau is well told (the run heats fast and cools slowly). The gain is not: a sensor that reads 6 % too
+   little fits just as well with a law that is 6 % off, and the one equilibrium of a run, its start, is near 25 degC
+   where the gain does nothing. It has to be known (Table 6: 1.0 at half height, 0.94 and 0.86 at the ends).
+2. Points. Each visit to a power lies between two stretches at the least phase; its temperature is theirs, interpolated.
+3. Laws. eq5, exp and tank are fitted to two thirds of the points and judged on the last third.
+4. Heat. Capacity and losses of the two-node model follow from the heat that went in and the temperatures that came out.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy import optimize
+
+from thermal.control import actuator
+from thermal.models import heat_loss
+from thermal.sensing import heat_balance_monitor
+from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
+
+from . import fit_sensing
+from .fit_data import SWEEP_COLUMNS, read_columns
+from .fit_sensing import Array, FitError, Points
+from .sweep import Recording
+
+GAIN_CENTRE_C = 25.0  # Table 6's gains are about this
+GRID_S = 0.02
+POLY_ORDER, POLY_ORDER_FEW = 4, 3
+READINGS_MIN, READINGS_FEW = 12, 40  # a person types some twenty, a sensor gives hundreds
+LAG_LIMITS_S = (0.02, 12.0)
+WORKING_POWER = 0.2015
+HELD_OUT = 3  # every third point
+
+
+@dataclass(frozen=True, slots=True)
+class Lag:
+    """The reference's behaviour as far as the run tells it."""
+
+    tau_s: float
+    gain: float  # as given, see the module's text
+    residual_c: float  # readings against the lagged polynomial, rms
+
+
+@dataclass(frozen=True, slots=True)
+class LawFigures:
+    """One law, fitted to the whole recording; the figures are of points a fit without them was judged on."""
+
+    regression: fit_sensing.Regression
+    held_out_max_c: float  # up to 20 % power, 50-350 degC
+    held_out_rms_c: float
+    all_powers_max_c: float
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """Result of one run."""
+
+    lag: Lag
+    points: Points
+    laws: dict[str, LawFigures]
+    best: str
+    capacity_j_k: float  # at 25 degC, in heat of the drive law
+    loss_factor: float
+    second_factor: float  # second mass over the reference nozzle's
+    ambient_c: float
+    heat_residual_c: float
+
+
+def _low_rows(recording: Recording) -> tuple[Array, Array]:
+    rows = np.array([(t, e) for t, e, phase, _, _ in recording.blocks if phase == SENSING_PHASE_TICKS])
+    if len(rows) < 200:
+        raise FitError("the recording holds too few blocks at the least phase")
+    return rows[:, 0], rows[:, 1]
+
+
+def _lagged(values: Array, tau_s: float) -> Array:
+    """First-order lag on the grid, exact for straight lines between its points; starts settled."""
+    decay = np.exp(-GRID_S / tau_s)
+    share = tau_s / GRID_S * (1.0 - decay)
+    out = np.empty_like(values)
+    out[0] = state = values[0]
+    for i in range(1, len(values)):
+        state = decay * state + (share - decay) * values[i - 1] + (1.0 - share) * values[i]
+        out[i] = state
+    return out
+
+
+def estimate_lag(recording: Recording, gain: float) -> tuple[Lag, Array, float, float]:
+    """(lag, polynomial coefficients, centre and half span of the error it takes). Raises FitError."""
+    time_s, error = _low_rows(recording)
+    reference = np.array(recording.reference)
+    inside = (reference[:, 0] > time_s[0]) & (reference[:, 0] < time_s[-1])
+    reference = reference[inside]
+    if len(reference) < READINGS_MIN or np.ptp(reference[:, 1]) < 80.0:
+        raise FitError("the reference's readings are too few or span less than 80 C")
+    grid_s = np.arange(time_s[0], time_s[-1], GRID_S)
+    on_grid = np.interp(grid_s, time_s, error)
+    centre, half = 0.5 * (error.max() + error.min()), 0.5 * np.ptp(error)
+    x = (on_grid - centre) / half
+    wanted = GAIN_CENTRE_C + (reference[:, 1] - GAIN_CENTRE_C) / gain
+
+    order = POLY_ORDER if len(reference) >= READINGS_FEW else POLY_ORDER_FEW
+
+    def solve(log_tau: float) -> tuple[float, Array]:
+        tau_s = float(np.exp(log_tau))
+        columns = [_lagged(x**k, tau_s) for k in range(order + 1)]
+        design = np.column_stack([np.interp(reference[:, 0], grid_s, c) for c in columns])
+        beta = np.linalg.lstsq(design, wanted, rcond=None)[0]
+        return float(np.sqrt(np.mean((design @ beta - wanted) ** 2))), beta
+
+    coarse = np.linspace(float(np.log(LAG_LIMITS_S[0])), float(np.log(LAG_LIMITS_S[1])), 16)
+    costs = [solve(v)[0] for v in coarse]
+    at = int(np.argmin(costs))
+    low, high = coarse[max(0, at - 1)], coarse[min(len(coarse) - 1, at + 1)]
+    best = optimize.minimize_scalar(
+        lambda v: solve(v)[0], bounds=(low, high), method="bounded", options={"xatol": 1e-3}
+    )
+    cost, beta = solve(float(best.x))
+    return Lag(float(np.exp(best.x)), gain, cost), beta, float(centre), float(half)
+
+
+def _visits(recording: Recording) -> list[tuple[float, float, int]]:
+    """(time, error, phase) of each visit to a higher power: the mean of its blocks."""
+    out: list[tuple[float, float, int]] = []
+    held: list[tuple[float, float, int, int, float]] = []
+
+    def close() -> None:
+        count = sum(row[3] for row in held)
+        if count >= 300:
+            time_s = sum(row[0] * row[3] for row in held) / count
+            out.append((time_s, sum(row[1] * row[3] for row in held) / count, held[0][2]))
+        held.clear()
+
+    for row in recording.blocks:
+        if held and (row[2] != held[0][2] or row[0] - held[-1][0] > 0.005):
+            close()
+        if row[2] not in (0, SENSING_PHASE_TICKS):
+            held.append(row)
+    close()
+    return out
+
+
+def points_of(recording: Recording, beta: Array, centre: float, half: float, bin_c: float = 4.0) -> Points:
+    """Calibration points: every visit, and the least phase in bins of temperature."""
+    time_s, error = _low_rows(recording)
+    skin_c = np.polynomial.polynomial.polyval((error - centre) / half, beta)
+    rows = [
+        (float(np.interp(at_s, time_s, skin_c)), float(phase), value)
+        for at_s, value, phase in _visits(recording)
+    ]
+    if len(rows) < 40:
+        raise FitError(f"the recording holds only {len(rows)} visits to higher powers")
+    bins = np.floor(skin_c / bin_c)
+    for index in np.unique(bins):
+        mask = bins == index
+        rows.append((float(skin_c[mask].mean()), float(SENSING_PHASE_TICKS), float(error[mask].mean())))
+    return Points(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+def judge(law: str, points: Points) -> LawFigures:
+    """Fit a law to two thirds of the points for the figures, and to all of them for use."""
+    index = np.arange(len(points))
+    train, test = points.where(index % HELD_OUT != 0), points.where(index % HELD_OUT == 0)
+    trial = fit_sensing.FITTERS[law](train)
+    residual = fit_sensing.temperature_residuals(law, trial.values(), test)
+    usable = np.where(np.isfinite(residual), residual, 1e3)
+    inside = (test.temp_c >= 50.0) & (test.temp_c <= 350.0)
+    work = usable[inside & (test.power <= WORKING_POWER)]
+    if not work.size:
+        raise FitError("the recording holds no points at up to 20 % power between 50 and 350 C")
+    return LawFigures(
+        fit_sensing.FITTERS[law](points),
+        float(np.abs(work).max()),
+        float(np.sqrt(np.mean(work**2))),
+        float(np.abs(usable[inside]).max()),
+    )
+
+
+def _mean_power(recording: Recording, law: actuator.DriveLaw, grid_s: Array) -> Array:
+    """Heat in each grid cell, W."""
+    edges = np.append(grid_s, grid_s[-1] + (grid_s[1] - grid_s[0]))
+    rows = np.array(recording.blocks)
+    # What lies between two blocks is the settling after the step to the second one's phase.
+    end = rows[:, 0] + 0.5 * rows[:, 4]
+    times = np.concatenate([[rows[0, 0] - 0.5 * rows[0, 4]], end])
+    watts = {phase: law.power_w(phase) for phase in np.unique(rows[:, 2])}
+    power = np.array([watts[phase] for phase in rows[:, 2]])
+    energy_at = np.concatenate([[0.0], np.cumsum(power * np.diff(times))])
+    return np.asarray(np.diff(np.interp(edges, times, energy_at)) / np.diff(edges))
+
+
+def fit_heat(
+    recording: Recording, law: actuator.DriveLaw, beta: Array, centre: float, half: float
+) -> tuple[float, float, float, float, float]:
+    """(capacity at 25 degC, loss factor, second mass factor, ambient, rms residual in degC) of the two-node model."""
+    time_s, error = _low_rows(recording)
+    skin_c = np.polynomial.polynomial.polyval((error - centre) / half, beta)
+    step_s = 0.1
+    grid_s = np.arange(time_s[0], time_s[-1] - step_s, step_s)
+    wanted = np.interp(grid_s, time_s, skin_c)
+    power_w = _mean_power(recording, law, grid_s)
+    ambient_c = float(np.mean(skin_c[: max(4, int(np.sum(time_s < time_s[0] + 2.0)))]))
+
+    def run(x: Array) -> Array:
+        heat, loss = (
+            heat_loss.HeatCapacity(float(x[0])),
+            heat_balance_monitor.scaled(float(x[1]), ambient_c, float(x[2])),
+        )
+        skin, second = float(wanted[0]), ambient_c
+        out = np.empty_like(wanted)
+        for i, watts in enumerate(power_w):
+            out[i] = skin
+            rate = (watts - loss.skin_out_w(skin, second)) / heat.at(skin)
+            second_rate = loss.second_rate(skin, second)
+            middle, middle2 = skin + 0.5 * step_s * rate, second + 0.5 * step_s * second_rate
+            skin += step_s * (watts - loss.skin_out_w(middle, middle2)) / heat.at(middle)
+            second += step_s * loss.second_rate(middle, middle2)
+        return np.asarray(out - wanted)
+
+    limits = ([0.05, 0.1, 0.1], [8.0, 10.0, 10.0])
+    solution = optimize.least_squares(run, [0.414, 1.0, 1.0], bounds=limits, diff_step=1e-3)
+    residual = float(np.sqrt(np.mean(solution.fun**2)))
+    capacity, loss_factor, second = (float(v) for v in solution.x)
+    return capacity, loss_factor, second, ambient_c, residual
+
+
+REFERENCE_EVERY_S = 0.1
+READING_MARK = "# reference,"  # a reading as it came, before the table
+
+
+def read_recording(path: Path) -> Recording:
+    """The recording back from a trace file. Raises FitError."""
+    columns = read_columns(path)
+    missing = [name for name in SWEEP_COLUMNS if name not in columns]
+    if missing:
+        raise FitError(f"{path}: not the trace of a calibration run, it has no {', '.join(missing)}")
+    time_s, reference_c, error, phase, count, duration = (columns[name] for name in SWEEP_COLUMNS)
+    recording = Recording()
+    recording.blocks = [
+        (float(t), float(e), int(n), int(c), float(d))
+        for t, e, n, c, d in zip(time_s, error, phase, count, duration, strict=True)
+    ]
+    ticks = np.arange(time_s[0], time_s[-1], REFERENCE_EVERY_S)
+    readings = np.interp(ticks, time_s, reference_c)
+    recording.reference = [(float(t), float(c)) for t, c in zip(ticks, readings, strict=True)]
+    with path.open(encoding="utf-8") as stream:
+        marked = [line[len(READING_MARK) :].split(",") for line in stream if line.startswith(READING_MARK)]
+    if marked:
+        recording.reference = [(float(t), float(c)) for t, c in marked]
+    return recording
+
+
+def analyse(recording: Recording, drive: actuator.DriveLaw, gain: float = 1.0) -> Calibration:
+    """The whole way. Raises FitError with a text for people."""
+    lag, beta, centre, half = estimate_lag(recording, gain)
+    points = points_of(recording, beta, centre, half)
+    laws = {name: judge(name, points) for name in fit_sensing.FITTERS}
+    best = min(laws, key=lambda name: laws[name].held_out_rms_c)
+    capacity, loss_factor, second, ambient_c, residual = fit_heat(recording, drive, beta, centre, half)
+    return Calibration(lag, points, laws, best, capacity, loss_factor, second, ambient_c, residual)
+
+
+def report(result: Calibration) -> list[str]:
+    """Lines for people."""
+    points, lag = result.points, result.lag
+    lines = [
+        f"{len(points)} points, {points.temp_c.min():.0f} to {points.temp_c.max():.0f} C,"
+        f" {np.unique(points.phase_ticks).size} powers",
+        f"reference: lag {lag.tau_s:.2f} s (readings within {lag.residual_c:.2f} C rms of it),"
+        f" gain {lag.gain:.3f} as given: a run cannot tell it",
+        "held-out points, 50-350 C:   up to 20 % power          any power",
+    ]
+    for name, figures in sorted(result.laws.items(), key=lambda item: item[1].held_out_rms_c):
+        mark = " <- chosen" if name == result.best else ""
+        lines.append(
+            f"  {name:<6} max {figures.held_out_max_c:6.2f} C  rms {figures.held_out_rms_c:5.2f} C"
+            f"   max {figures.all_powers_max_c:6.2f} C{mark}"
+        )
+    chosen = result.laws[result.best].regression
+    residual = fit_sensing.temperature_residuals(chosen.law, chosen.values(), points)
+    for ticks in np.unique(points.phase_ticks):
+        mask = points.phase_ticks == ticks
+        lines.append(
+            f"  {100 * float(fit_sensing.power_of_ticks(ticks)):5.1f} %: rms {np.sqrt(np.mean(residual[mask] ** 2)):.2f} C,"
+            f" max {np.abs(residual[mask]).max():.2f} C"
+        )
+    lines.append(
+        f"heat: capacity {result.capacity_j_k:.3f} J/K, losses {result.loss_factor:.2f} times the reference"
+        f" nozzle's (model within {result.heat_residual_c:.1f} C rms)"
+    )
+    return lines
+
+
+def summary(result: Calibration) -> dict[str, Any]:
+    """The result as plain values."""
+    chosen = result.laws[result.best].regression
+    return {
+        "law": chosen.law,
+        "coefficients": chosen.values(),
+        "residual_units": max(0.02, chosen.residual_sd),
+        "capacity_j_k": result.capacity_j_k,
+        "loss_factor": result.loss_factor,
+        "second_factor": result.second_factor,
+        "ambient_c": result.ambient_c,
+        "lag_s": result.lag.tau_s,
+        "held_out_max_c": {name: figures.held_out_max_c for name, figures in result.laws.items()},
+        "report": report(result),
+    }
+
+
+def main(argv: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
+    parser.add_argument("trace", type=Path)
+    default = actuator.DriveLaw()
+    parser.add_argument("--gain", type=float, default=1.0, help="of the reference sensor (Table 6)")
+    parser.add_argument("--power-full", type=float, default=default.power_full_w, help="W at full phase")
+    parser.add_argument("--exponent", type=float, default=default.exponent)
+    options = parser.parse_args(argv)
+    drive = actuator.DriveLaw(options.power_full, options.exponent)
+    try:
+        result = analyse(read_recording(options.trace), drive, options.gain)
+    except (FitError, OSError, ValueError) as error:
+        print(f"fit_sweep: {error}", file=sys.stderr)
+        return 2
+    print(json.dumps(summary(result)))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

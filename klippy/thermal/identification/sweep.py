@@ -1,0 +1,227 @@
+"""The calibration run: which phase when, what is recorded, and when to stop. Pure; decides, does not act.
+
+Temperature cannot jump, the drive can: while the nozzle slowly heats, the bridge visits one power after
+another for a few
+milliseconds each, with stretches at the least phase in between. So every power sees every temperature, and the
+temperature at a visit lies between those of the stretches before and after it:
+
+    phase  ___|‾‾|______|‾‾|______|‾‾|______      visits: 10, 20 ... 100 %, then again
+            low  10 %  low  20 %  low  30 %       stretches are as long as makes the mean power right
+
+Then it cools with the bridge off, short looks at the least phase and a visit now and then: cooling against heating
+tells the reference sensor's lag (calibrate.py).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+from thermal.control import actuator
+from thermal.models import heat_loss
+from thermal.records import PHASE_MAX_TICKS, PhaseCommand
+from thermal.sensing import features
+from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
+from thermal.sensing.blocks import Blocks
+
+POWERS_PERCENT = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0)
+
+
+def ticks_of_percent(percent: float) -> int:
+    return round(PHASE_MAX_TICKS * math.sqrt(percent / 100.0))
+
+
+@dataclass(frozen=True, slots=True)
+class SweepParameters:
+    """One run; powers are those of the drive law in use, only roughly right before a calibration."""
+
+    front: features.FeatureParameters
+    law: actuator.DriveLaw
+    temp_max_c: float  # of the reference, its lag allowed for
+    powers_percent: tuple[float, ...] = POWERS_PERCENT
+    heat_w: float = 14.0  # mean: 10-30 K/s on the reference nozzle
+    rest_s: float = 4.0  # at the start: a look at the nozzle as it is
+    heat_s: float = 90.0  # at most
+    cool_to_c: float = 60.0
+    cool_s: float = 75.0  # at most
+    lag_s: float = 1.5  # of the reference, until it is known: stop heating so much ahead
+    visit_s: float = 0.0062  # settling and some 700 samples
+    look_s: float = 0.0038
+    pause_s: float = 0.045  # bridge off between looks while cooling
+    lead_s: float = 0.015
+    ahead_s: float = 0.035  # commands are sent this far ahead at most
+    refresh_s: float = 0.030  # longest phase without a new command
+    silence_s: float = 0.5
+    reference_s: float = 3.0  # longest silence of the reference
+    contact_s: float = 6.0  # within this time of heating the reference must rise ...
+    contact_c: float = 8.0  # ... by this much, or the heat goes elsewhere
+    balance_share: float = 0.6  # unless this share of the heat is what the nozzle loses anyway
+
+
+@dataclass(slots=True)
+class Recording:
+    """What a run brought: blocks as (centre s, error units, phase, count, duration s) and (s, degC) of the reference.
+
+    Blocks with the bridge off are there too, with error 0: they tell how long it was off.
+    """
+
+    blocks: list[tuple[float, float, int, int, float]] = field(default_factory=list)
+    reference: list[tuple[float, float]] = field(default_factory=list)
+
+
+class Sweep:
+    """One run. Feed it blocks, reference readings and time; it gives commands until `stage` is "done"."""
+
+    def __init__(self, parameters: SweepParameters, now_s: float) -> None:
+        self.parameters = parameters
+        self.recording = Recording()
+        self.stage = "rest"
+        self.fault = ""
+        self.started_s = self.stage_s = now_s
+        self._heard_s = now_s
+        self._next_s = now_s + parameters.lead_s
+        self._plan: Iterator[tuple[int, float]] = self._rest()
+        self._rise = (now_s, -math.inf)  # when the reference had risen enough, and to what
+        self._levels = itertools.cycle([ticks_of_percent(p) for p in parameters.powers_percent])
+
+    @property
+    def over(self) -> bool:
+        return self.stage in ("done", "aborted")
+
+    def abort(self, reason: str) -> None:
+        """The next commands switch the bridge off."""
+        if not self.over:
+            self.fault = reason
+            self.stage = "aborted"
+
+    # Input
+
+    def reference(self, time_s: float, temp_c: float) -> None:
+        """A reading of the reference sensor, with the time it was taken."""
+        self.recording.reference.append((time_s, temp_c))
+
+    def on_blocks(self, blocks: Blocks, now_s: float) -> list[PhaseCommand]:
+        record = self.recording
+        if blocks:
+            self._heard_s = now_s
+        for seen, block in zip(features.extract(self.parameters.front, blocks), blocks, strict=True):
+            if self.over:
+                break
+            if seen.phase_ticks and seen.fault:
+                self.abort(f"{seen.fault} at {100.0 * seen.power_fraction:.1f} % power")
+                break
+            error = seen.error_units if seen.phase_ticks else 0.0
+            record.blocks.append((seen.time_s, error, seen.phase_ticks, seen.count, block.duration_s))
+        return self.on_timer(now_s)
+
+    def on_timer(self, now_s: float) -> list[PhaseCommand]:
+        """Watch, change stage, and send what is due."""
+        self._watch(now_s)
+        if self.over:
+            return self._off(now_s)
+        commands = []
+        while self._next_s < now_s + self.parameters.lead_s + self.parameters.ahead_s:
+            start_s = max(self._next_s, now_s + self.parameters.lead_s)
+            phase, duration_s = next(self._plan)
+            commands.append(PhaseCommand(start_s, phase, self.parameters.law.power_w(phase)))
+            self._next_s = start_s + duration_s
+        return commands
+
+    def _off(self, now_s: float) -> list[PhaseCommand]:
+        if self._next_s == math.inf:
+            return []
+        at_s = max(self._next_s, now_s + self.parameters.lead_s)
+        self._next_s = math.inf
+        return [PhaseCommand(at_s, 0, 0.0)]
+
+    # Deciding
+
+    def _slope_c_s(self) -> float:
+        readings = self.recording.reference[-4:]
+        if len(readings) < 2 or readings[-1][0] <= readings[0][0]:
+            return 0.0
+        return (readings[-1][1] - readings[0][1]) / (readings[-1][0] - readings[0][0])
+
+    def _enter(self, stage: str, plan: Iterator[tuple[int, float]], now_s: float) -> None:
+        self.stage, self.stage_s, self._plan = stage, now_s, plan
+
+    def _watch(self, now_s: float) -> None:
+        p, record = self.parameters, self.recording
+        if self.over:
+            return
+        if now_s - self._heard_s > p.silence_s:
+            self.abort("no samples from the induction unit")
+            return
+        heard_s = record.reference[-1][0] if record.reference else self.started_s
+        if now_s - heard_s > p.reference_s:
+            self.abort(f"the reference sensor has not been heard for {now_s - heard_s:.1f} s")
+            return
+        if not record.reference:
+            return
+        self._change_stage(now_s, record.reference[-1][1])
+
+    def _change_stage(self, now_s: float, temp_c: float) -> None:
+        p = self.parameters
+        since_s = now_s - self.stage_s
+        if temp_c > p.temp_max_c + 60.0:
+            self.abort(f"the reference reads {temp_c:.0f} C, far above the limit of this run")
+        elif self.stage == "rest" and since_s >= p.rest_s:
+            self._rise = (now_s, temp_c)
+            self._enter("heat", self._heat(), now_s)
+        elif self.stage == "heat":
+            if self._stalled(now_s, temp_c):
+                lost_w = heat_loss.loss_w(heat_loss.LossLaw(), temp_c)
+                if lost_w > p.balance_share * p.heat_w:
+                    self._enter("cool", self._cool(), now_s)  # as hot as this power makes it
+                    return
+                self.abort(
+                    f"the reference rose by only {temp_c - self._rise[1]:.1f} C in {p.contact_s:.0f} s of heating:"
+                    " does it touch the nozzle, and is the nozzle in the coil?"
+                )
+            elif temp_c + p.lag_s * self._slope_c_s() >= p.temp_max_c or since_s >= p.heat_s:
+                self._enter("cool", self._cool(), now_s)
+        elif self.stage == "cool" and (temp_c <= p.cool_to_c or since_s >= p.cool_s):
+            self.stage = "done"
+
+    def _stalled(self, now_s: float, temp_c: float) -> bool:
+        """Has the reference stopped rising?"""
+        if temp_c >= self._rise[1] + self.parameters.contact_c:
+            self._rise = (now_s, temp_c)
+        return now_s - self._rise[0] > self.parameters.contact_s
+
+    # Phases over time: (phase, duration)
+
+    def _stretch(self, phase: int, duration_s: float) -> Iterator[tuple[int, float]]:
+        """One phase for long, told again often enough for the bridge's watchdog."""
+        while duration_s > 0.0:
+            part_s = min(duration_s, self.parameters.refresh_s)
+            yield phase, part_s
+            duration_s -= part_s
+
+    def _rest(self) -> Iterator[tuple[int, float]]:
+        """Short looks with long pauses: the nozzle stays as it is."""
+        while True:
+            yield SENSING_PHASE_TICKS, self.parameters.look_s
+            yield 0, self.parameters.pause_s
+
+    def _heat(self) -> Iterator[tuple[int, float]]:
+        p = self.parameters
+        low_w = p.law.power_w(SENSING_PHASE_TICKS)
+        while True:
+            phase = next(self._levels)
+            surplus_j = (p.law.power_w(phase) - p.heat_w) * p.visit_s
+            yield from self._stretch(SENSING_PHASE_TICKS, max(0.006, surplus_j / max(1.0, p.heat_w - low_w)))
+            yield phase, p.visit_s
+
+    def _cool(self) -> Iterator[tuple[int, float]]:
+        p = self.parameters
+        while True:
+            for _ in range(20):
+                yield SENSING_PHASE_TICKS, p.look_s
+                yield 0, p.pause_s
+            yield SENSING_PHASE_TICKS, p.look_s
+            yield next(self._levels), p.visit_s
+            yield SENSING_PHASE_TICKS, p.look_s
+            yield 0, p.pause_s

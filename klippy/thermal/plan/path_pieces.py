@@ -1,0 +1,103 @@
+"""Planned moves to pieces of path for the temperature plan, in the C helper (thermal/plan/path_pieces.h).
+
+look-ahead ─► note (a copy, nothing else) ... the plan's timer ─► feed: what is asked for by name, a stretch of path
+                                                                  at a time ─► split pieces ─► tempplan
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import chelper
+
+
+class Asked(NamedTuple):
+    """What is asked for by name, true for all moves that begin before `until_s`; melt, nozzle degC, layer height mm.
+
+    `by_place`: it depends on layer and height as well, and is asked for again where another layer begins.
+    """
+
+    wish_c: float = math.nan
+    base_c: float = 0.0
+    height_mm: float = math.nan  # told by the slicer; NaN: it is seen from the path
+    pace: float = 1.0
+    until_s: float = math.inf
+    by_place: bool = False
+
+
+NO_MEMORY = "no memory for the temperature plan"
+# (print time of a move's start, layer, z) -> Asked
+Asker = Callable[[float, int, float], Asked]
+# (struct tempplan_path *, struct path_wish *) -> moves that still wait; below 0: no memory
+Taker = Callable[[Any, Any], int]
+
+
+class PathPieces:
+    """Moves that wait for the plan, and layers as the extruding path shows them."""
+
+    def __init__(self, filament_area_mm2: float, longest_mm: float = 10.0) -> None:
+        self._ffi, self._lib = chelper.get_ffi()
+        path = self._lib.tempplan_path_alloc(filament_area_mm2, longest_mm)
+        if path == self._ffi.NULL:
+            raise MemoryError(NO_MEMORY)
+        self.handle = self._ffi.gc(path, self._lib.tempplan_path_free)
+        self.wish = self._ffi.new("struct path_wish *")  # what was asked for last
+        self._facts = self._ffi.new("struct path_facts *")
+        self._note_planned = self._lib.tempplan_path_note_planned
+        self.forget()
+
+    def note_planned(self, row: Any, count: int, print_time: float, fan: float, planned_s: float) -> bool:
+        """The first `count` moves of the look-ahead's row; the first begins at `print_time`.
+
+        True: with them so much waits beyond `planned_s` that it is worth another plan.
+        """
+        due = self._note_planned(self.handle, row, count, print_time, fan, planned_s)
+        if due < 0:
+            raise MemoryError(NO_MEMORY)
+        return due > 0
+
+    def note(self, moves: Sequence[Any], fan: float = 0.0) -> None:
+        """Move objects (lookahead.Move) that have their print_time. Moves of the extruder alone lay nothing."""
+        rows = self._ffi.new("struct path_move[]", len(moves))
+        for row, move in zip(rows, moves, strict=True):
+            row.start_s, row.distance_mm, row.fan = move.print_time, move.move_d, fan
+            row.accel_s, row.cruise_s, row.decel_s = move.accel_t, move.cruise_t, move.decel_t
+            row.start_v, row.cruise_v, row.end_v = move.start_v, move.cruise_v, move.end_v
+            row.start_pos, row.end_pos = move.start_pos[:3], move.end_pos[:3]
+            dx, dy, _, de = move.axes_d
+            row.filament_mm = de if move.is_kinematic_move and de > 0.0 and (dx or dy) else 0.0
+        self.check(self._lib.tempplan_path_note(self.handle, rows, len(moves)))
+
+    def forget(self, until_s: float = -math.inf) -> None:
+        """What was asked for last holds up to then only."""
+        self.wish.until_s = min(self.wish.until_s, until_s)
+
+    def inquire(self, ask: Asker) -> None:
+        """Ask what holds for the first move that waits."""
+        facts, wish = self.facts(), self.wish
+        asked = ask(facts.next_s, int(facts.layer), facts.z_mm)
+        wish.wish_c, wish.base_c, wish.height_mm, wish.pace, wish.until_s, wish.by_place = asked
+
+    def feed(self, ask: Asker, take: Taker) -> None:
+        """All that waits, as pieces, to `take`; all is asked for anew."""
+        self.forget()
+        while self.check(take(self.handle, self.wish)):
+            self.inquire(ask)
+
+    def drop(self, until_s: float = math.inf) -> None:
+        """Forget what waits and ends by then."""
+        self._lib.tempplan_path_drop(self.handle, until_s)
+
+    def facts(self) -> Any:
+        """struct path_facts as it is now: next_s, end_s, layer, z_mm, height_mm, waiting, laid."""
+        self._lib.tempplan_path_facts(self.handle, self._facts)
+        return self._facts
+
+    @staticmethod
+    def check(status: int) -> int:
+        """The status of a C call, unless it says that there is no memory."""
+        if status < 0:
+            raise MemoryError(NO_MEMORY)
+        return status

@@ -1,0 +1,142 @@
+"""Sensing laws: error units at a bridge phase to temperature and back, all inverted in closed form.
+
+`ExpLaw` (default without a calibration), fitted to Table 1 of source 000 with p = (phase/45000)^2:
+
+    error = a T exp(-b p) + c + d p          =>  T = (error - c - d p) / (a exp(-b p))
+
+`Eq5Law`, eq 5 of source 000 with the coefficients of its Table 2, i = phase in ticks:
+
+    error = A T + B i + AB T i + BB i^2 + ABB T i^2 + C
+                                             =>  T = (error - C - B i - BB i^2) / (A + AB i + ABB i^2)
+
+`TankLaw`, the phase psi of the coil current in an LCL tank (what INDUCTION_CALIBRATE fits). The tank's reactance is
+linear in the coil's inductance, that in temperature; the steel saturates with the coil's field, which goes with
+the drive s = sin(phi/2) and with cos(psi):
+
+    error = g psi + c + d exp(-m p)          tan(psi) = [(T - t0) S(u) + delta] / w
+    S(u)  = exp(-b u - q u^4)                u = (s cos(psi) V/V0)^2
+                                             =>  T = t0 + (w tan(psi) - delta) / S(u)
+
+psi comes straight from the error, so u is known when T is asked for: no iteration on that side. `delta` is the detuning
+(in degC): what a drifting capacitor or crystal moves, and what a one-point re-zero corrects.
+
+`supply` is the bridge's voltage over the one the law was taken at; the field, and with it the saturation, goes with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from functools import lru_cache
+from typing import Any, ClassVar, Self
+
+import chelper
+from thermal.records import PHASE_MAX_TICKS
+
+PSI_MAX_RAD = 1.35  # of the tank law, as in thermal/sensing/laws.c; the fits keep inside, too
+
+
+class Law:
+    """A sensing law, monotone in temperature at each phase. A frozen record of coefficients; the sums are C's."""
+
+    __slots__ = ()
+    KIND: ClassVar[int]  # thermal/sensing/laws.h's enum sensing_kind
+    DRIFTING: ClassVar[str]  # the one number a one-point correction changes
+    residual_units: float  # standard deviation of the fit, error units; the last field
+
+    def error(self, temp_c: float, phase_ticks: float, supply: float = 1.0) -> float:
+        """Forwards: error units at a temperature and phase."""
+        law, lib = packed(self)
+        return float(lib.sensing_error(law, temp_c, phase_ticks, supply))
+
+    def invert(self, error: float, phase_ticks: float, supply: float = 1.0) -> tuple[float, float]:
+        """(temperature in degC, dT/derror in degC per unit); two NaNs where the law has no answer."""
+        law, lib = packed(self)
+        found = lib.sensing_invert(law, error, phase_ticks, supply)
+        return found.temp_c, found.c_per_unit
+
+    def rezeroed(self, temp_c: float, error: float, phase_ticks: float, supply: float = 1.0) -> Self:
+        """This law with its one drifting number changed so that `error` at this phase reads `temp_c`."""
+        law, lib = packed(self)
+        value = lib.sensing_rezeroed(law, temp_c, error, phase_ticks, supply)
+        return replace(self, **{self.DRIFTING: value})  # type: ignore[type-var]
+
+
+@lru_cache(maxsize=64)
+def packed(law: Law) -> tuple[Any, Any]:
+    """(C's struct sensing_law, the C helper)."""
+    ffi, lib = chelper.get_ffi()
+    values = [getattr(law, field.name) for field in fields(law)]  # type: ignore[arg-type]
+    made = ffi.new(
+        "struct sensing_law *", {"kind": law.KIND, "phase_max_ticks": PHASE_MAX_TICKS, "k": values[:-1]}
+    )
+    return made, lib
+
+
+@dataclass(frozen=True, slots=True)
+class ExpLaw(Law):
+    """error = a T exp(-b p) + c + d p. Coefficients: four-parameter fit of Table 1, s = 0.975 units."""
+
+    KIND = 0
+    DRIFTING = "c"
+    a: float = 0.801361
+    b: float = 1.058014
+    c: float = 1.397019
+    d: float = 5.139702
+    residual_units: float = 0.975
+
+
+@dataclass(frozen=True, slots=True)
+class Eq5Law(Law):
+    """Eq 5 of source 000, coefficients of Table 2. Residual 4.5-4.8 units, hence 6 degC at low power at best."""
+
+    KIND = 1
+    DRIFTING = "c"
+    a: float = 0.825
+    b: float = 0.0001081
+    ab: float = -7.085e-06
+    bb: float = 4.951e-10
+    abb: float = -1.207e-10
+    c: float = 0.797
+    residual_units: float = 4.65
+
+
+@dataclass(frozen=True, slots=True)
+class TankLaw(Law):
+    """The phasor law. Defaults: its fit to Table 1 of source 000 (28 points, s = 1.03 units); see docs/Induction.md."""
+
+    KIND = 2
+    DRIFTING = "delta"
+    g: float = 1228.15  # units per radian of psi
+    t0: float = 413.799  # degC of resonance
+    w: float = 1510.08  # degC: series resistance over what a degree moves the reactance
+    delta: float = -4.92667  # degC of detuning
+    b: float = 0.4952  # saturation
+    q: float = 0.592254
+    c: float = 14.0704  # offset, units
+    d: float = 323.045
+    m: float = 1.06507
+    residual_units: float = 1.03
+
+
+# By the name the config and the fits use.
+LAWS: dict[str, type[ExpLaw] | type[Eq5Law] | type[TankLaw]] = {"exp": ExpLaw, "eq5": Eq5Law, "tank": TankLaw}
+
+
+def law_of(name: str, coefficients: Mapping[str, float], residual_units: float | None = None) -> Law:
+    """The law `name` with fitted coefficients (any letter case); a missing one keeps its default."""
+    kind = LAWS[name]
+    known = {field.name for field in fields(kind)}
+    values = {key.lower(): float(value) for key, value in coefficients.items() if key.lower() in known}
+    if residual_units is not None:
+        values["residual_units"] = residual_units
+    return kind(**values)
+
+
+def coefficients_of(law: Law) -> tuple[str, dict[str, float]]:
+    """(name, coefficients) of a law, the reverse of `law_of`; the residual is left out."""
+    for name, kind in LAWS.items():
+        if isinstance(law, kind):
+            values = {f.name: float(getattr(law, f.name)) for f in fields(kind) if f.name != "residual_units"}
+            return name, values
+    raise TypeError(f"not a sensing law: {law!r}")

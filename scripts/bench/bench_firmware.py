@@ -1,0 +1,200 @@
+#!/usr/bin/env python3
+"""What the firmware costs on each chip, measured on its image: sampling, interrupts, steps, commands, stack, memory.
+
+    make bench-firmware            (or scripts/bench/bench_firmware.py [--json FILE] [--quick])
+
+Instructions are counted and exact. On the STM32F334 times and rates assume the emulator's two cycles an instruction
+(docs/Emulation.md); the ATmega2560's cycles are those of its datasheet. Steps and commands are measured by the
+procedure of Klipper's Benchmarks page (https://www.klipper3d.org/Benchmarks.html), and its figures for a like chip,
+which were taken on hardware or in simulavr, stand beside them.
+"""
+
+from __future__ import annotations
+
+import in_venv  # noqa: F401  # isort: skip
+
+import argparse
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+for folder in ("klippy", "test", "test/firmware"):
+    sys.path.insert(0, str(ROOT / folder))
+
+import full_load  # type: ignore[import-not-found]  # noqa: E402
+import measure  # type: ignore[import-not-found]  # noqa: E402
+import rates  # type: ignore[import-not-found]  # noqa: E402
+from chip_rig import FREQ, Firmware  # type: ignore[import-not-found]  # noqa: E402
+
+SAMPLES_IRQ, TIMER_IRQ = 16 + 11, 16 + 28
+STEPPERS = (1, 3)  # as on Klipper's page
+QUICK_STEPS = 20000
+
+
+def memory(chip: Firmware) -> dict[str, int]:
+    """Flash and static RAM of the image, B."""
+    out = subprocess.run(
+        ["arm-none-eabi-size", str(chip.image)], capture_output=True, text=True, check=True
+    ).stdout.splitlines()[1]
+    text, data, bss = (int(word) for word in out.split()[:3])
+    return {"flash_bytes": text + data, "static_ram_bytes": data + bss}
+
+
+def sampling(seconds: float) -> dict[str, Any]:
+    """The bridge sampled at 120 kHz while an axis steps at 50,000 steps a second, the phase changing."""
+    began = time.perf_counter()
+    run = measure.run_sampling(seconds)
+    wall = time.perf_counter() - began
+    after = run.after
+    awake = 1.0 - (after["idle_ticks"] - run.before["idle_ticks"]) / (after["ticks"] - run.before["ticks"])
+    counters = run.chip.chip.counters()
+    return {
+        "seconds": seconds,
+        "samples": run.samples,
+        "samples_lost": after["samples_lost"] + sum(row.lost for _, row in run.records),
+        "steps_asked": run.steps_asked,
+        "steps_made": run.steps_made,
+        "sampling_instructions_per_sample": round(run.spent(SAMPLES_IRQ) / run.samples, 3),
+        "longest_sampling_interrupt_us": round(after["longest_ticks"][SAMPLES_IRQ] / FREQ * 1e6, 1),
+        "longest_timer_interrupt_us": round(after["longest_ticks"][TIMER_IRQ] / FREQ * 1e6, 1),
+        "longest_wait_of_an_interrupt_us": round(after["worst_latency_ticks"] / FREQ * 1e6, 1),
+        "processor_awake_percent": round(100.0 * awake, 1),
+        "stack_used_bytes": counters["stack_top"] - counters["stack_low"],
+        "stack_bytes": counters["stack_top"] - counters["stack_limit"],
+        "emulator_times_real": round(seconds / wall, 2),
+        **memory(run.chip),
+    }
+
+
+def printing(seconds: float) -> dict[str, Any]:
+    """A print in closed loop, sampled, and one more axis at 50,000 steps a second."""
+    with tempfile.TemporaryDirectory() as folder:
+        load = full_load.play(Path(folder), seconds)
+    blocks = full_load.check_blocks(load)
+    full_load.check_continuity(load)
+    longest = load.counters["longest_ticks"]
+    return {
+        "print_seconds": seconds,
+        "print_blocks_exact": blocks,
+        "print_phases_as_commanded": full_load.check_phases(load),
+        "print_samples_lost": load.counters["samples_lost"],
+        "print_longest_interrupt_us": round(max(longest.values()) / FREQ * 1e6, 1),
+        "print_stack_used_bytes": load.counters["stack_top"] - load.counters["stack_low"],
+    }
+
+
+def idle_speed() -> float:
+    """Simulated seconds a second of a chip that sleeps."""
+    chip = Firmware()
+    began = time.perf_counter()
+    chip.run(20.0)
+    return 20.0 / (time.perf_counter() - began)
+
+
+def speed(bench: rates.Bench, steps: int) -> dict[str, Any]:
+    """Steps and commands of one chip."""
+    result: dict[str, Any] = {}
+    for steppers in STEPPERS:
+        cost = rates.step_cost(bench, steppers)
+        interval = rates.shortest_interval(bench, steppers, steps)
+        result[f"step_instructions_{steppers}"] = round(cost.instructions, 1)
+        result[f"step_cycles_{steppers}"] = round(cost.cycles, 1)
+        result[f"step_interval_ticks_{steppers}"] = interval
+        result[f"steps_per_s_{steppers}"] = round(steppers * bench.clock_hz / interval)
+        pulse_ticks = bench.published.pulse_ticks
+        if pulse_ticks:
+            interval = rates.shortest_interval(bench, steppers, steps, pulse_ticks)
+            result[f"pulses_per_s_{steppers}"] = round(steppers * bench.clock_hz / interval)
+    command = rates.command_cost(bench)
+    result["command_instructions"] = round(command.instructions, 1)
+    result["command_cycles"] = round(command.cycles, 1)
+    result["commands_per_s"] = round(bench.clock_hz / command.cycles)
+    return result
+
+
+def line(text: str, value: object, note: str = "") -> None:
+    print(f"  {text:<46} {value!s:>12}  {note}")
+
+
+def tell_sampling(f: dict[str, Any]) -> None:
+    print("STM32F334 image on the emulator, bridge sampled (2 cycles an instruction assumed for all times)")
+    line("flash, B", f["flash_bytes"], "of 57344 allowed")
+    line("static RAM, B", f["static_ram_bytes"], "the rest up to 11264 is objects, moves and stack")
+    line("stack used, B", f["stack_used_bytes"], f"of {f['stack_bytes']}")
+    line("samples", f["samples"], f"in {f['seconds']:g} s, {f['samples_lost']} lost")
+    line("steps beside it", f["steps_made"], f"of {f['steps_asked']} asked for, 50,000 a second")
+    line("instructions a sample", f["sampling_instructions_per_sample"], "whole interrupt, blocks and guard")
+    line("longest sampling interrupt, us", f["longest_sampling_interrupt_us"])
+    line("longest timer interrupt, us", f["longest_timer_interrupt_us"], "with what preempts it: nothing")
+    line("longest wait of an interrupt, us", f["longest_wait_of_an_interrupt_us"])
+    line("processor awake, %", f["processor_awake_percent"])
+    if "print_seconds" in f:
+        print(
+            f"  {f['print_seconds']:g} s of a print in closed loop, and an axis at 50,000 steps/s beside it"
+        )
+        line("samples lost", f["print_samples_lost"], f"{f['print_blocks_exact']} blocks, every sum exact")
+        line("changes of phase as commanded", f["print_phases_as_commanded"], "by the compare registers")
+        line("longest interrupt, us", f["print_longest_interrupt_us"])
+        line("stack used, B", f["print_stack_used_bytes"])
+    line("emulator, times real: asleep", f["emulator_idle_times_real"])
+    line("emulator, times real: this load", f["emulator_times_real"])
+
+
+def tell_speed(bench: rates.Bench, f: dict[str, Any]) -> None:
+    known = bench.published
+    how = f"{bench.cycles_per_instruction} cycles an instruction assumed"
+    exact = "cycles as in the datasheet"
+    print(
+        f"{bench.name} image at {bench.clock_hz // 10**6} MHz; {how if bench.cycles_per_instruction else exact}"
+    )
+    for n in STEPPERS:
+        many = f"{n} stepper{'s' * (n > 1)}"
+        line(f"instructions a step, {many}", f[f"step_instructions_{n}"], f"{f[f'step_cycles_{n}']} cycles")
+        there = f"{known.steps_per_s(n):,.0f} (every {known.ticks[n]})"
+        line(
+            f"steps a second, {many}",
+            f"{f[f'steps_per_s_{n}']:,}",
+            f"one every {f[f'step_interval_ticks_{n}']} ticks; Klipper, {known.chip}: {there}",
+        )
+        if known.pulse_ticks:
+            pulses = f"{f[f'pulses_per_s_{n}']:,}"
+            line(f"  as pulses of {known.pulse_ticks} ticks, like Klipper's", pulses)
+    line("instructions a command", f["command_instructions"], f"{f['command_cycles']} cycles")
+    line(
+        "commands a second",
+        f"{f['commands_per_s']:,}",
+        f"computed; Klipper, {known.chip}: {known.commands_per_s:,}",
+    )
+
+
+def main(argv: Sequence[str]) -> int:
+    parser = argparse.ArgumentParser(description="Measure the firmware on the image for a chip.")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="the figures")
+    parser.add_argument("--quick", action="store_true", help="one second instead of ten, fewer steps")
+    options = parser.parse_args(argv)
+    figures = sampling(1.0 if options.quick else 10.0)
+    if not options.quick:
+        figures |= printing(10.0)
+    figures["emulator_idle_times_real"] = round(idle_speed(), 1)
+    tell_sampling(figures)
+    for bench in rates.BENCHES.values():
+        figures[bench.name] = speed(bench, QUICK_STEPS if options.quick else rates.STEPS)
+        tell_speed(bench, figures[bench.name])
+    if options.json is not None:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(figures, indent=2) + "\n")
+    held = (
+        figures["samples_lost"] == figures.get("print_samples_lost", 0) == 0
+        and figures["steps_made"] == figures["steps_asked"]
+    )
+    return 0 if held else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,75 @@
+"""Random lists of moves on every machine for as long as you like: each step against the analytic path, every limit.
+
+The short form is test/unit/test_motion_properties.py. A fault names machine and seed:
+`--machine NAME --seed N --runs 1` makes it again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[2]
+LISTS_PER_RUN = 20
+
+
+def load(name: str) -> Any:
+    """A module of the tests, which are no package."""
+    for folder in ("klippy", "test/unit"):
+        if str(ROOT / folder) not in sys.path:
+            sys.path.insert(0, str(ROOT / folder))
+    return importlib.import_module(name)
+
+
+def check(name: str, seed: int) -> tuple[Any, list[str]]:
+    """(tally, faults) of one run."""
+    oracle, limits, lists = load("motion_oracle"), load("motion_limits"), load("motion_lists")
+    with tempfile.TemporaryDirectory() as folder:
+        gcode = lists.gcode_of(name, seed, LISTS_PER_RUN)
+        run = oracle.run_batch(Path(folder), gcode, lists.config_of(name))
+        tally = oracle.check_motors(run, seed=seed)
+        faults = tally.faults + limits.plan_faults(run)
+        if name.replace("-", "_") in load("motion_exact").LINEAR:
+            faults += limits.step_faults(run, seed)[1]
+    return tally, faults
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seconds", type=float, default=600.0, help="stop after this time (default: 600)")
+    parser.add_argument(
+        "--runs", type=int, default=0, help=f"stop after so many runs of {LISTS_PER_RUN} lists"
+    )
+    parser.add_argument("--machine", action="append", help="only this one; may be given again")
+    parser.add_argument("--seed", type=int, default=1000, help="of the first round")
+    args = parser.parse_args()
+    names = args.machine or list(load("motion_lists").BOXES)
+    end, total, runs, bad = time.monotonic() + args.seconds, load("motion_oracle").Tally(), 0, 0
+    while time.monotonic() < end and not (args.runs and runs >= args.runs):
+        name, seed = names[runs % len(names)], args.seed + runs // len(names)
+        try:
+            tally, faults = check(name, seed)
+            total.add(tally)
+        except AssertionError as problem:
+            faults = [f"refused: {problem}"]
+        runs += 1
+        if faults:
+            bad += 1
+            print(f"{name}, seed {seed}:", *faults[:5], sep="\n    ", flush=True)
+    print(
+        f"{runs * LISTS_PER_RUN} lists on {len(names)} machines, {total.moves} moves, {total.steps} steps: "
+        f"{bad} runs with faults; a step at most {total.earliest_s * 1e6:.3f} us before its time, "
+        f"{total.latest_s * 1e6:.3f} us after (clock ticks)"
+    )
+    return 1 if bad else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
