@@ -45,10 +45,10 @@ setup-test:
 fuzz: setup-test
 
 # The firmware's rules (any port, simulator included) and the simulated world's.
--include src/build.mk
--include src/ports.mk
--include klippy/simulation/world/world.mk
--include klippy/simulation/emulator/emulator.mk
+include src/build.mk
+include src/ports.mk
+include klippy/simulation/world/world.mk
+include klippy/simulation/emulator/emulator.mk
 
 # --- build ---------------------------------------------------------------------------------------
 # src/build.mk makes libferrite_mcu.so and ferrite.dict, world.mk (SIM_TARGETS) the machine around them.

@@ -25,7 +25,7 @@ def _explain(kind: type[BaseException], error: BaseException, trace: TracebackTy
 
 def _enter() -> None:
     # not an installed command, not a test that imports a program
-    if Path(sys.argv[0]).resolve().parent != Path(__file__).resolve().parent:
+    if Path(__file__).resolve().parent not in Path(sys.argv[0]).resolve().parents:
         return
     if sys.prefix == sys.base_prefix and PYTHON.exists():
         os.execv(PYTHON, [str(PYTHON), *sys.orig_argv[1:]])

@@ -1,5 +1,6 @@
-"""The C helper: compiles klippy/chelper/*.c into one shared library when stale and loads it through cffi.
+"""The C helper: compiles the host's C files into one shared library when stale and loads it through cffi.
 
+The C files of motion and link are below this folder, those of the thermal chain beside their Python in klippy/thermal/.
 Every C file NAME.c may come with NAME.cdef, the declarations Python may use; all of them are concatenated, so rooms
 can add files without touching each other's. The library is named after a hash of everything that goes into it, so an
 unchanged tree never compiles and two trees never mix.
@@ -18,8 +19,9 @@ from typing import Any
 
 import cffi
 
-SOURCE_DIR = Path(__file__).resolve().parent
-BUILD_DIR = SOURCE_DIR.parent.parent / "out" / "chelper"
+HOST_DIR = Path(__file__).resolve().parents[1]
+SOURCE_DIRS = (HOST_DIR / "chelper", HOST_DIR / "thermal")
+BUILD_DIR = HOST_DIR.parent / "out" / "chelper"
 # -fno-math-errno: sqrt() inline in the step solver. Kept strict otherwise: results must not depend on the machine.
 COMPILE_FLAGS = (
     "-std=gnu11",
@@ -40,13 +42,13 @@ class HelperError(Exception):
 
 
 def _files(*suffixes: str) -> list[Path]:
-    return sorted(p for p in SOURCE_DIR.iterdir() if p.suffix in suffixes)
+    return sorted(p for folder in SOURCE_DIRS for p in folder.rglob("*") if p.suffix in suffixes)
 
 
 def _content_hash() -> str:
     digest = hashlib.sha256(" ".join(COMPILE_FLAGS + LINK_FLAGS).encode())
     for path in _files(".c", ".h", ".cdef"):
-        digest.update(path.name.encode() + b"\0" + path.read_bytes() + b"\0")
+        digest.update(str(path.relative_to(HOST_DIR)).encode() + b"\0" + path.read_bytes() + b"\0")
     return digest.hexdigest()[:16]
 
 
@@ -69,11 +71,19 @@ def _compile(target: Path) -> None:
     handle, scratch_name = tempfile.mkstemp(suffix=".so", dir=target.parent)
     os.close(handle)
     scratch = Path(scratch_name)
-    command = [compiler, *COMPILE_FLAGS, "-o", str(scratch), *map(str, _files(".c")), *LINK_FLAGS]
+    command = [
+        compiler,
+        *COMPILE_FLAGS,
+        f"-I{HOST_DIR}",
+        "-o",
+        str(scratch),
+        *map(str, _files(".c")),
+        *LINK_FLAGS,
+    ]
     try:
         result = subprocess.run(command, capture_output=True, text=True, check=False)
         if result.returncode:
-            raise HelperError(f"The C helper in {SOURCE_DIR} does not compile:\n{result.stderr.strip()}")
+            raise HelperError(f"The C helper in {HOST_DIR} does not compile:\n{result.stderr.strip()}")
         scratch.chmod(0o755)
         scratch.replace(target)
     except FileNotFoundError:

@@ -227,7 +227,7 @@ class ModelCalibrate:
         if path is None:
             return
         session.say("The run is over. Fitting ...")
-        command = [sys.executable, "-m", "thermal.fit_load", str(path)]
+        command = [sys.executable, "-m", "thermal.identification.fit_load", str(path)]
         command += ["--power", f"{power_w:g}", "--ambient", f"{ambient_c:.2f}"]
         command += ["--nozzle"] if session.induction else []
         self._fitting = True

@@ -11,6 +11,8 @@ host shut down, a client was dropped, memory grew or a figure misses its limit.
 
 from __future__ import annotations
 
+from bench_paths import ROOT  # isort: skip
+
 import argparse
 import json
 import os
@@ -25,7 +27,6 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
 END = b"\x03"
 START_TIMEOUT_S = 60.0
 BASE_S = 60.0  # at most this long without clients

@@ -11,7 +11,7 @@ status 1 if `model` misses a limit.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+from bench_paths import ROOT  # isort: skip
 
 import argparse
 import json
@@ -26,19 +26,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import bench_api
 from rich.console import Console
 from rich.table import Table
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "klippy"))
-sys.path.insert(0, str(ROOT / "test"))
-
-import control_bench as bench  # type: ignore[import-not-found]  # noqa: E402
-import hotend_bench as hotend  # noqa: E402
-
-from thermal.control.control_api import Schedule  # noqa: E402
-from thermal.control.predictive import MODEL  # noqa: E402
+import bench_api
+import control_bench as bench
+import hotend_bench as hotend
+from thermal.control.control_api import Schedule
+from thermal.control.predictive import MODEL
 
 # What `model` must reach: name, figure, limit on the reference plant, limit on every other.
 LIMITS: tuple[tuple[str, Callable[[Any], float], float, float], ...] = (

@@ -11,8 +11,6 @@ which were taken on hardware or in simulavr, stand beside them.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
-
 import argparse
 import json
 import subprocess
@@ -23,14 +21,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
-for folder in ("klippy", "test", "test/firmware"):
-    sys.path.insert(0, str(ROOT / folder))
-
-import full_load  # type: ignore[import-not-found]  # noqa: E402
-import measure  # type: ignore[import-not-found]  # noqa: E402
-import rates  # type: ignore[import-not-found]  # noqa: E402
-from chip_rig import FREQ, Firmware  # type: ignore[import-not-found]  # noqa: E402
+import full_load
+import measure
+import rates
+from chip_rig import FREQ, Firmware
 
 SAMPLES_IRQ, TIMER_IRQ = 16 + 11, 16 + 28
 STEPPERS = (1, 3)  # as on Klipper's page

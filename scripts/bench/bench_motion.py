@@ -15,6 +15,8 @@ dictionary has gets the file after -d itself. Goal: three times the peer's moves
 
 from __future__ import annotations
 
+from bench_paths import ROOT  # isort: skip
+
 import argparse
 import json
 import math
@@ -31,7 +33,6 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-ROOT = Path(__file__).resolve().parents[2]
 MAX_MEMORY_MB = 75.0
 CHORD_MM = 0.5
 FILAMENT_PER_MM = 0.0333  # 0.4 x 0.2 mm lines of 1.75 mm filament

@@ -20,7 +20,7 @@ follows the flow of single corners.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+from bench_paths import ROOT  # isort: skip
 
 import argparse
 import json
@@ -35,16 +35,12 @@ from typing import Any
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "klippy"))
-
 import bench_plan_cost
-
 import plan_temperature
 from extras import temperature_plan
 from simulation import gcode_path, plan_offline
 from simulation.report import plan as plan_report
 
-ROOT = Path(__file__).resolve().parents[2]
 FILES = {  # kind, file of pyGCodeDecode's examples
     "Benchy": "benchy.gcode",
     "thin tower, tiny layers": "cubhelix.gcode",

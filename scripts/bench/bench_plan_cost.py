@@ -17,7 +17,7 @@ hands to the heater. Not counted are look-ahead and reading of the file, which a
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+from bench_paths import ROOT  # isort: skip
 
 import argparse
 import itertools
@@ -34,19 +34,15 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / "klippy"), str(ROOT / "scripts")]
-
-import bench_steady  # noqa: E402  (the paths above come first)
-
-import configtext  # noqa: E402
-from configfile import ConfigWrapper  # noqa: E402
-from extras import temperature_plan  # noqa: E402
-from extras.induction import settings as induction_settings  # noqa: E402
-from lookahead import LookAheadQueue  # noqa: E402
-from simulation import gcode_path  # noqa: E402
-from thermal.control.control_api import Reference  # noqa: E402
-from thermal.plan.requests import Wishes  # noqa: E402
+import bench_steady
+import configtext
+from configfile import ConfigWrapper
+from extras import temperature_plan
+from extras.induction import settings as induction_settings
+from lookahead import LookAheadQueue
+from simulation import gcode_path
+from thermal.control.control_api import Reference
+from thermal.plan.requests import Wishes
 
 AHEAD_S = 2.0  # toolhead.BUFFER_FULL_S
 NOZZLE_C = 245.0

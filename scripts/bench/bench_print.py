@@ -8,6 +8,8 @@ Exit status 1 if a limit is missed.
 
 from __future__ import annotations
 
+from bench_paths import ROOT  # isort: skip
+
 import argparse
 import json
 import os
@@ -22,8 +24,6 @@ from rich.console import Console
 from rich.table import Table
 
 from sample_gcode import SampleMissing, sample_path
-
-ROOT = Path(__file__).resolve().parents[2]
 
 MIN_RATIO = 20.0  # simulated seconds per wall second, on two cores
 MAX_MEMORY_MB = 300.0

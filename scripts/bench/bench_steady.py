@@ -13,6 +13,8 @@ Exit status 1 if the print stalled or stopped, or if ten hours need more memory 
 
 from __future__ import annotations
 
+from bench_paths import ROOT  # isort: skip
+
 import argparse
 import multiprocessing
 import os
@@ -28,11 +30,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-
-import bench_api  # noqa: E402
-import bench_motion  # noqa: E402
+import bench_api
+import bench_motion
 
 BUSY_SHARE = 0.6
 BUSY_CYCLE_S = 0.010

@@ -12,7 +12,7 @@ bytes one after the other beside the stepper commands. Exit status 1 if a figure
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+from bench_paths import ROOT  # isort: skip
 
 import argparse
 import csv
@@ -26,17 +26,12 @@ from pathlib import Path
 
 import numpy as np
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "klippy"))
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "test"))
-
 import published_chain
-from induction_rig import Plant, Rig, default_parameters  # type: ignore[import-not-found]
-
+from induction_rig import Plant, Rig, default_parameters
 from thermal.identification import fit_sensing
 from thermal.records import SampleBlock, TempEstimate
 from thermal.sensing import features, laws
 
-ROOT = Path(__file__).resolve().parents[2]
 TARGET_C = 270.0
 FLOWS_MM3_S = (60.0, 0.0, 50.0, 60.0)
 FAN = 1.0  # with these flows 5 % power on average at 270 degC: the conditions the promise names
@@ -68,7 +63,7 @@ def sweep(**plant: float) -> fit_sensing.Points:
     for percent in SWEEP_PERCENT:
         phase = round(float(fit_sensing.ticks_of_power(np.array(percent / 100))))
         for temp in np.arange(25.0, 401.0, 25.0):
-            nozzle = Plant(1, start_c=float(temp), heat_w=0.0, **plant)
+            nozzle = Plant(1, "reference", **{**plant, "start_c": float(temp), "heat_w": 0.0})
             nozzle.set_phase(phase)
             for _ in range(4):
                 nozzle.run(32)

@@ -13,8 +13,6 @@ Exit status 0 the same, 1 not, 2 bad input.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
-
 import argparse
 import math
 import sys
@@ -22,10 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / "scripts"), str(ROOT / "klippy")]
-
-import motion_plot  # noqa: E402
+import motion_plot
 
 Motors = dict[str, motion_plot.Motor]
 HEADER = f"{'step pin':>12} {'steps':>19} {'net':>17} {'first, s':>21} {'last, s':>21} {'widest':>11}"

@@ -7,35 +7,29 @@ The short form is test/unit/test_motion_properties.py. A fault names machine and
 from __future__ import annotations
 
 import argparse
-import importlib
 import sys
 import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[2]
+import motion_exact
+import motion_limits
+import motion_lists
+import motion_oracle
+
 LISTS_PER_RUN = 20
-
-
-def load(name: str) -> Any:
-    """A module of the tests, which are no package."""
-    for folder in ("klippy", "test/unit"):
-        if str(ROOT / folder) not in sys.path:
-            sys.path.insert(0, str(ROOT / folder))
-    return importlib.import_module(name)
 
 
 def check(name: str, seed: int) -> tuple[Any, list[str]]:
     """(tally, faults) of one run."""
-    oracle, limits, lists = load("motion_oracle"), load("motion_limits"), load("motion_lists")
     with tempfile.TemporaryDirectory() as folder:
-        gcode = lists.gcode_of(name, seed, LISTS_PER_RUN)
-        run = oracle.run_batch(Path(folder), gcode, lists.config_of(name))
-        tally = oracle.check_motors(run, seed=seed)
-        faults = tally.faults + limits.plan_faults(run)
-        if name.replace("-", "_") in load("motion_exact").LINEAR:
-            faults += limits.step_faults(run, seed)[1]
+        gcode = motion_lists.gcode_of(name, seed, LISTS_PER_RUN)
+        run = motion_oracle.run_batch(Path(folder), gcode, motion_lists.config_of(name))
+        tally = motion_oracle.check_motors(run, seed=seed)
+        faults = tally.faults + motion_limits.plan_faults(run)
+        if name.replace("-", "_") in motion_exact.LINEAR:
+            faults += motion_limits.step_faults(run, seed)[1]
     return tally, faults
 
 
@@ -50,8 +44,8 @@ def main() -> int:
     parser.add_argument("--machine", action="append", help="only this one; may be given again")
     parser.add_argument("--seed", type=int, default=1000, help="of the first round")
     args = parser.parse_args()
-    names = args.machine or list(load("motion_lists").BOXES)
-    end, total, runs, bad = time.monotonic() + args.seconds, load("motion_oracle").Tally(), 0, 0
+    names = args.machine or list(motion_lists.BOXES)
+    end, total, runs, bad = time.monotonic() + args.seconds, motion_oracle.Tally(), 0, 0
     while time.monotonic() < end and not (args.runs and runs >= args.runs):
         name, seed = names[runs % len(names)], args.seed + runs // len(names)
         try:

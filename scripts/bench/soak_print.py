@@ -10,6 +10,8 @@ Exit status 0: no growth worth the name; 1: it leaks; 2: the print did not last.
 
 from __future__ import annotations
 
+from bench_paths import ROOT  # isort: skip
+
 import argparse
 import collections
 import gc
@@ -20,10 +22,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "klippy"))
-
-from simulation.runner import PRINTED, Progress, RunOptions, Simulation  # noqa: E402
+from simulation.runner import PRINTED, Progress, RunOptions, Simulation
 
 WARM_UP_S = 1800.0  # look-up windows, statistics and the allocator's free lists are full by then
 STEP_S = 300.0

@@ -30,10 +30,10 @@ SANITIZERS = {
 
 INDUCTION_SOURCES = ("filters.c", "oversample.c", "phase.c", "guard.c", "attention.c")
 PLANT_SOURCES = (
-    "simulation/plant/plant.c",
-    "simulation/plant/plant_tank.c",
-    "simulation/plant/plant_noise.c",
-    "simulation/plant/thermal_load.c",
+    "../klippy/simulation/plant/plant.c",
+    "../klippy/simulation/plant/plant_tank.c",
+    "../klippy/simulation/plant/plant_noise.c",
+    "../klippy/simulation/plant/thermal_load.c",
 )
 
 PLANT_CDEF = """

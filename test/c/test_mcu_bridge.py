@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 import pytest
+
 from mcu_harness import FREQ, Mcu
 
 PERIOD = 600

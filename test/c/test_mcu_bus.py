@@ -6,6 +6,7 @@ import itertools
 from typing import Any
 
 import pytest
+
 from mcu_harness import Mcu
 
 CS, MISO, MOSI, SCLK = 20, 21, 22, 23

@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
+
 from mcu_harness import FREQ, Mcu
 
 MS = FREQ // 1000

@@ -6,6 +6,7 @@ import subprocess
 from itertools import pairwise
 
 import pytest
+
 from mcu_harness import FREQ, SIM_DIR, Mcu, library_path, make_block
 
 PA0, PA1, PA2 = 0, 1, 2

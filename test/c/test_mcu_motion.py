@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from mcu_harness import FREQ, Mcu
 
 STEP, DIR, ENDSTOP = 3, 4, 5

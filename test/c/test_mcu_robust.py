@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from fuzz_seeds import seed_inputs
+
 from mcu_harness import ROOT, SIM_DIR, make
 
 FUZZER = ROOT / "out" / "fuzz" / "fuzz_command"

@@ -6,6 +6,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+
 from mcu_harness import ROOT, Dictionary
 
 REASONS = {text: number for number, text in Dictionary.built().shutdown_texts.items()}

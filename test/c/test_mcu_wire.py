@@ -7,6 +7,7 @@ import json
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from mcu_harness import SIM_DIR, Mcu, crc16, make_block, take_vlq, vlq
 
 IDENTIFY_0_40 = bytes.fromhex("08100100285e9f7e")

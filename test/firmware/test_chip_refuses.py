@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from chip_rig import FREQ, Firmware
 from measure import PERIOD, clock_offset
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from chip_rig import FREQ
 from measure import PERIOD, TRAVEL, Sampling, everything_cost, run_sampling
 

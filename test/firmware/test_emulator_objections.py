@@ -8,8 +8,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from chip_rig import Tiny, make_emulator
 
+from chip_rig import Tiny, make_emulator
 from simulation import world as world_module
 from simulation.builds import SIMULATOR, Build
 from simulation.world import World, WorldError

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from chip_rig import FREQ
 from full_load import TARGET_C, TRAVEL_HZ, Load, check_blocks, check_continuity, check_phases, play
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
+
 from mega_rig import BOTH_EDGES, MEGA_HZ, STEP_PINS, Mega, run_steps, stepping
 
 PF0, PF3, PB4, PH6, PL0, PE4, PK5, PK6 = 40, 43, 12, 62, 80, 36, 77, 78

@@ -8,12 +8,12 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from chip_rig import make_build
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
+from chip_rig import make_build
 from mcu_harness import make_block
 from mega_rig import MEGA_HZ, Mega, stepping
-
 from simulation.runner import BAD_INPUT, RunOptions, Simulation
 
 ROOT = Path(__file__).resolve().parents[2]

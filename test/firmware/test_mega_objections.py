@@ -6,8 +6,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from chip_rig import Chip
 
+from chip_rig import Chip
 from simulation import builds
 
 AVR = ["avr-gcc", "-std=gnu11", "-mmcu=atmega2560", "-DF_CPU=16000000UL", "-Os", "-Wall", "-Werror"]

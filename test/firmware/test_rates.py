@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+
 from rates import BENCHES, command_cost, completes, step_cost
 
 # chip: instructions a step with one and with three steppers, a command, and intervals in ticks at which steps are made:

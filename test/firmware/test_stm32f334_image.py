@@ -11,17 +11,16 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import chip_rig
 import pytest
-from chip_rig import Firmware, Tiny
 
+import chip_rig
+from chip_rig import Firmware, Tiny
 from simulation.builds import Build, make_build
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "scripts"))
 
 import check_registers  # noqa: E402
-
 import firmware_size  # noqa: E402
 import seal_firmware  # noqa: E402
 

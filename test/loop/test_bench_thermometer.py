@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import bench_thermometer
 import pytest
+
+import bench_thermometer
 
 
 @pytest.mark.parametrize("units", [1.0, 6.4])

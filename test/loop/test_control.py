@@ -1,4 +1,4 @@
-"""The control laws in closed loop with the C plants: the bench's figures (scripts/bench/bench_control.py) on some of them.
+"""The control laws in closed loop with the C plants: figures of scripts/bench/bench_control.py on some of them.
 
 Limits are the product's promises; what is measured stands in docs/Control.md and is a good deal better.
 """
@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from functools import cache
 
-import control_bench as bench
-import hotend_bench as hotend
 import numpy as np
 import pytest
-from induction_rig import PERIOD_S, Plant, Rig, default_parameters, true_law
 
+import control_bench as bench
+import hotend_bench as hotend
+from induction_rig import PERIOD_S, Plant, Rig, default_parameters, true_law
 from thermal.control.control_api import Reference
 from thermal.sensing.features import FeatureParameters
 

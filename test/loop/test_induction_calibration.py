@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from induction_rig import Plant, Rig, default_parameters
 
+from induction_rig import Plant, Rig, default_parameters
 from thermal.control import actuator
 from thermal.identification import fit_sweep, sweep
 from thermal.sensing import features, heat_balance_monitor, laws

@@ -6,9 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from induction_rig import Plant, Rig, default_parameters
 
 from extras.induction import supply as induction_supply
+from induction_rig import Plant, Rig, default_parameters
 from thermal.sensing import features, laws
 
 # The reference tank's components, as a calibration of the C plant finds them.

@@ -11,6 +11,7 @@ import random
 
 import numpy as np
 import pytest
+
 from induction_rig import (
     CALM_MESSAGES,
     CALM_RECORDS,
@@ -21,7 +22,6 @@ from induction_rig import (
     default_parameters,
     true_law,
 )
-
 from thermal.control.control_api import Schedule
 
 TARGET_C = 250.0

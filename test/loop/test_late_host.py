@@ -5,9 +5,10 @@ from __future__ import annotations
 import random
 from dataclasses import replace
 
-import control_bench as bench
 import numpy as np
 import pytest
+
+import control_bench as bench
 
 
 def test_a_host_late_by_up_to_50_ms_costs_less_than_half_as_much_again() -> None:

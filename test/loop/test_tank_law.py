@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from induction_rig import Plant
 
+from induction_rig import Plant
 from thermal.identification import fit_sensing
 
 SWEEP_PERCENT = (0.2, 10, 20, 30, 40, 50, 60, 70, 80, 90, 100)

@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass, field, replace
 
 import block_codec
-
 from thermal.control import actuator
 from thermal.control.control_api import Sample
 from thermal.models import heat_loss

@@ -5,10 +5,10 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-import bench_plan
 import numpy as np
 import pytest
 
+import bench_plan
 from system.conftest import CONFIG, Simulate, square
 from system.plan_rig import SECTION
 

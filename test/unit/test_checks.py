@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import pytest
+
 import check_formats
 import check_layers
 import check_paths
-import pytest
 
 
 def put(folder: Path, files: dict[str, str]) -> Path:

@@ -7,9 +7,9 @@ import struct
 from typing import Any
 
 import pytest
-from block_codec import Row, content, pack
 
 import chelper
+from block_codec import Row, content, pack
 from configtext import ConfigError
 from extras import heater_bed, heater_generic, heaters, induction_heater, temperature_sensor, verify_heater
 from thermal.sensing import laws

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from motion_rig import CLOCK_HZ, CONFIG, EXTRUDER, BatchResult, batch
 
 HOMED = "G28\n"

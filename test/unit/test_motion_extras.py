@@ -6,9 +6,9 @@ import math
 from pathlib import Path
 
 import pytest
-from motion_rig import CONFIG, EXTRUDER, BatchResult, batch
 
 from extras.gcode_arcs import PLANES, arc_points
+from motion_rig import CONFIG, EXTRUDER, BatchResult, batch
 
 
 @pytest.fixture

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from motion_rig import CLOCK_HZ, CONFIG, EXTRUDER, dictionary
 
 import g1path
+from motion_rig import CLOCK_HZ, CONFIG, EXTRUDER, dictionary
 from printer import Printer
 from reactor import Reactor
 

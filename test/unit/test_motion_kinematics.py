@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from motion_rig import FFI, LIB, MAX_ERROR_S, CStepper, batch
 
 CONFIGS = Path(__file__).resolve().parents[2] / "config"

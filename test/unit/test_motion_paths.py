@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from motion_rig import CLOCK_HZ, BatchResult, batch
 
 CONFIGS = Path(__file__).resolve().parents[2] / "config"

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from motion_exact import LINEAR, Filament, Ramps, head_epochs, published_pulses
 from motion_limits import plan_faults, step_faults
 from motion_lists import BOXES, SHAPERS, config_of, gcode_of

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from motion_rig import CONFIG, FFI, LIB, MAX_ERROR_S, CStepper, batch
 from test_motion_kinematics import MACHINES, Polyline, random_path
 
 from extras.input_shaper import SHAPERS, AxisShaper
+from motion_rig import CONFIG, FFI, LIB, MAX_ERROR_S, CStepper, batch
 
 TICK_S = 1.0 / 72e6
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
+
 from motion_rig import FFI, LIB, MAX_ERROR_S, CStepper, Trapezoid, from_rest, path
 
 # Clocks are whole numbers: a step may sit one tick beyond either end of its tolerance.

@@ -7,11 +7,11 @@ import random
 from dataclasses import replace
 from typing import Any
 
-import block_codec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import block_codec
 from reference import chain_reference
 from thermal.control import actuator
 from thermal.models import heat_loss

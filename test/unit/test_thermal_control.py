@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import pytest
 
-from thermal.control import pid
+from thermal.control import pid as control
 from thermal.models import heat_loss
 
 STEP_S = 0.017
@@ -32,18 +32,18 @@ class Lump:
         return self.temp_c
 
 
-GAINS = pid.PidParameters(5.0, 20.0, 0.15, 0.0, 81.3, 0.01)
+GAINS = control.PidParameters(5.0, 20.0, 0.15, 0.0, 81.3, 0.01)
 
 
 class Pid:
     """The law with its memory."""
 
-    def __init__(self, parameters: pid.PidParameters = GAINS) -> None:
+    def __init__(self, parameters: control.PidParameters = GAINS) -> None:
         self.parameters = parameters
-        self.state = pid.PID.start
+        self.state = control.PID.start
 
-    def step(self, inputs: pid.ControlInput, time_s: float) -> pid.ControlOutput:
-        output, self.state = pid.PID.step(self.parameters, self.state, inputs, time_s)
+    def step(self, inputs: control.ControlInput, time_s: float) -> control.ControlOutput:
+        output, self.state = control.PID.step(self.parameters, self.state, inputs, time_s)
         return output
 
 
@@ -51,7 +51,7 @@ def run(lump: Lump, target: float, steps: int, pid: Pid | None = None, start: in
     pid = pid or Pid()
     temps = []
     for n in range(start, start + steps):
-        out = pid.step(pid.ControlInput(target, lump.temp_c), n * STEP_S)
+        out = pid.step(control.ControlInput(target, lump.temp_c), n * STEP_S)
         assert 0.0 <= out.value <= 81.3
         temps.append(lump.step(out.value))
     return temps
@@ -84,68 +84,68 @@ def test_a_disturbance_is_taken_up_by_the_integral() -> None:
 
 def test_a_target_step_gives_no_derivative_kick() -> None:
     pid = Pid()
-    pid.step(pid.ControlInput(200.0, 200.0), 0.0)
-    out = pid.step(pid.ControlInput(250.0, 200.0), STEP_S)
+    pid.step(control.ControlInput(200.0, 200.0), 0.0)
+    out = pid.step(control.ControlInput(250.0, 200.0), STEP_S)
     assert out.derivative == 0.0
 
 
 def test_terms_add_up_to_the_unlimited_output() -> None:
     pid = Pid()
-    pid.step(pid.ControlInput(250.0, 240.0, 4.0), 0.0)
-    out = pid.step(pid.ControlInput(250.0, 241.0, 4.0), STEP_S)
+    pid.step(control.ControlInput(250.0, 240.0, 4.0), 0.0)
+    out = pid.step(control.ControlInput(250.0, 241.0, 4.0), STEP_S)
     assert out.unlimited == pytest.approx(out.proportional + out.integral + out.derivative + out.feedforward)
     assert out.derivative < 0.0 < out.integral
 
 
 def test_a_limit_of_the_step_holds_and_stops_the_integral() -> None:
     pid = Pid()
-    pid.step(pid.ControlInput(250.0, 240.0), 0.0)
-    out = pid.step(pid.ControlInput(250.0, 240.0, 0.0, 10.0), STEP_S)
+    pid.step(control.ControlInput(250.0, 240.0), 0.0)
+    out = pid.step(control.ControlInput(250.0, 240.0, 0.0, 10.0), STEP_S)
     assert (out.value, out.integral) == (10.0, 0.0)
 
 
 def test_a_jump_that_is_no_slope_leaves_the_derivative_alone() -> None:
     pid = Pid()
     for n in range(5):
-        pid.step(pid.ControlInput(250.0, 200.0 + n), n * STEP_S)
+        pid.step(control.ControlInput(250.0, 200.0 + n), n * STEP_S)
     slope = pid.state.slope_c_s
-    inputs = pid.ControlInput(250.0, 224.0, rebased=True)
+    inputs = control.ControlInput(250.0, 224.0, rebased=True)
     pid.step(inputs, 5 * STEP_S)
     assert pid.state.slope_c_s == slope
-    pid.step(pid.ControlInput(250.0, 225.0), 6 * STEP_S)
+    pid.step(control.ControlInput(250.0, 225.0), 6 * STEP_S)
     assert 0.0 < pid.state.slope_c_s < 100.0  # goes on from the new level
 
 
 def test_after_a_pause_slope_and_integral_start_afresh() -> None:
     pid = Pid()
-    pid.step(pid.ControlInput(250.0, 100.0), 0.0)
-    out = pid.step(pid.ControlInput(250.0, 240.0), 60.0)
+    pid.step(control.ControlInput(250.0, 100.0), 0.0)
+    out = pid.step(control.ControlInput(250.0, 240.0), 60.0)
     assert (out.derivative, out.integral) == (0.0, 0.0)
 
 
 def test_tracking_continues_from_the_output_of_somebody_else() -> None:
     pid = Pid()
-    inputs = pid.ControlInput(250.0, 249.0, 4.0)
+    inputs = control.ControlInput(250.0, 249.0, 4.0)
     pid.step(inputs, 0.0)
-    pid.state = pid.PID.follow(GAINS, pid.state, inputs, 17.0)
+    pid.state = control.PID.follow(GAINS, pid.state, inputs, 17.0)
     out = pid.step(inputs, 1e-6)
     assert out.value == pytest.approx(17.0, abs=1e-3)
 
 
 def test_klipper_gains_are_per_255() -> None:
-    pid = Pid(pid.klipper_pid(22.2, 1.08, 114.0, 1.0, 1.0))
-    pid.step(pid.ControlInput(200.0, 196.0), 0.0)
-    out = pid.step(pid.ControlInput(200.0, 196.0), 0.3)
+    pid = Pid(control.klipper_pid(22.2, 1.08, 114.0, 1.0, 1.0))
+    pid.step(control.ControlInput(200.0, 196.0), 0.0)
+    out = pid.step(control.ControlInput(200.0, 196.0), 0.3)
     assert out.proportional == pytest.approx(22.2 * 4.0 / 255.0)
     assert out.integral == pytest.approx(1.08 * 4.0 * 0.3 / 255.0)
 
 
 def test_watermark_switches_at_both_edges_and_keeps_between() -> None:
-    parameters, state = pid.WatermarkParameters(2.0, 0.8), pid.WatermarkState()
+    parameters, state = control.WatermarkParameters(2.0, 0.8), control.WatermarkState()
 
     def duty(temp: float) -> float:
         nonlocal state
-        out, state = pid.watermark_step(parameters, state, pid.ControlInput(100.0, temp), 0.0)
+        out, state = control.watermark_step(parameters, state, control.ControlInput(100.0, temp), 0.0)
         return out.value
 
     assert [duty(t) for t in (97.9, 99.0, 101.9, 102.0, 101.0, 98.1, 98.0)] == [0.8, 0.8, 0.8, 0, 0, 0, 0.8]
@@ -154,18 +154,18 @@ def test_watermark_switches_at_both_edges_and_keeps_between() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        lambda: pid.PidParameters(0.0, 1.0, 1.0, 0.0, 1.0, 0.1),
-        lambda: pid.PidParameters(-1.0, 1.0, 1.0, 0.0, 1.0, 0.1),
-        lambda: pid.PidParameters(math.nan, 1.0, 1.0, 0.0, 1.0, 0.1),
-        lambda: pid.PidParameters(1.0, -1.0, 1.0, 0.0, 1.0, 0.1),
-        lambda: pid.PidParameters(1.0, 1.0, 1.0, 1.0, 1.0, 0.1),
-        lambda: pid.klipper_pid(22.0, 1.0, -114.0, 1.0, 1.0),
-        lambda: pid.WatermarkParameters(0.0, 1.0),
-        lambda: pid.WatermarkParameters(2.0, -1.0),
+        lambda: control.PidParameters(0.0, 1.0, 1.0, 0.0, 1.0, 0.1),
+        lambda: control.PidParameters(-1.0, 1.0, 1.0, 0.0, 1.0, 0.1),
+        lambda: control.PidParameters(math.nan, 1.0, 1.0, 0.0, 1.0, 0.1),
+        lambda: control.PidParameters(1.0, -1.0, 1.0, 0.0, 1.0, 0.1),
+        lambda: control.PidParameters(1.0, 1.0, 1.0, 1.0, 1.0, 0.1),
+        lambda: control.klipper_pid(22.0, 1.0, -114.0, 1.0, 1.0),
+        lambda: control.WatermarkParameters(0.0, 1.0),
+        lambda: control.WatermarkParameters(2.0, -1.0),
     ],
 )
 def test_gains_with_which_nothing_can_work_are_refused(wrong: Callable[[], object]) -> None:
-    with pytest.raises(pid.ParameterError, match=r"must|room"):
+    with pytest.raises(control.ParameterError, match=r"must|room"):
         wrong()
 
 

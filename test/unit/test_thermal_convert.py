@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import pytest
-from block_codec import Row, content, pack, take
 from hypothesis import given
 from hypothesis import strategies as st
 
 import chelper
+from block_codec import Row, content, pack, take
 from thermal.records import SampleBlock
 from thermal.sensing import convert
 

@@ -6,7 +6,6 @@ import struct
 import subprocess
 from pathlib import Path
 
-from simulation import world as world_module
 from simulation.world import Pin, World
 
 HERE = Path(__file__).resolve().parent
@@ -16,7 +15,7 @@ FAKE_CLOCK_HZ = 72e6  # the fake counts at the rate the real one has
 def build_fake(folder: Path) -> Path:
     """Compile the fake MCU into `folder`."""
     library = folder / "fake_mcu.so"
-    include = world_module.ROOT / "src" / "simulator"
+    include = HERE.parents[1] / "src" / "simulator"
     flags = ["-std=c11", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared", f"-I{include}"]
     subprocess.run(["gcc", *flags, "-o", library, HERE / "fake_mcu.c"], check=True)
     return library

@@ -10,8 +10,8 @@ from typing import Any
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "c"))
 
 import greenlet
-from mcu_harness import make
 
+from mcu_harness import make
 from printer import Printer
 from reactor import Reactor
 from simulation.builds import make_build

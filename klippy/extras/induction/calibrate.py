@@ -215,7 +215,14 @@ class InductionCalibrate:
 
     def _fit(self, path: Path) -> None:
         drive = self.heater.parameters.actuator.law
-        command = [sys.executable, "-m", "thermal.fit_sweep", str(path), "--gain", str(self._gain)]
+        command = [
+            sys.executable,
+            "-m",
+            "thermal.identification.fit_sweep",
+            str(path),
+            "--gain",
+            str(self._gain),
+        ]
         command += ["--power-full", str(drive.power_max_w), "--exponent", str(drive.exponent)]
         self._fitting = True
         work = partial(subprocess.run, command, cwd=HOST_FOLDER, capture_output=True, text=True, check=False)

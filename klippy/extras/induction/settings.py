@@ -6,7 +6,8 @@ import math
 from dataclasses import fields, replace
 from typing import Any
 
-from thermal.control import actuator, control_api, loop, pid, predictive, two_period
+from thermal.control import actuator, control_api, loop, predictive, two_period
+from thermal.control import pid as pid_control
 from thermal.models import heat_loss, melt_exchange, nozzle_model
 from thermal.sensing import (
     block_temperature,
@@ -119,8 +120,8 @@ def _drive(config: Any, timing: loop.Timing, frequency_hz: float) -> actuator.Ac
     )
 
 
-def _pid(config: Any, power_max_w: float) -> pid.PidParameters:
-    return pid.PidParameters(
+def _pid(config: Any, power_max_w: float) -> pid_control.PidParameters:
+    return pid_control.PidParameters(
         config.getfloat("pid_kp_w_per_k", DEFAULT_KP_W_PER_K, above=0.0),
         config.getfloat("pid_ki_w_per_k_s", DEFAULT_KI_W_PER_K_S, minval=0.0),
         config.getfloat("pid_kd_w_s_per_k", DEFAULT_KD_W_S_PER_K, minval=0.0),
@@ -144,7 +145,7 @@ def _control(
     )
     power_max_w = config.getfloat("max_power_w", drive.power_max_w, above=0.0, maxval=drive.power_max_w)
     pid = _pid(config, power_max_w)
-    watermark = pid.WatermarkParameters(
+    watermark = pid_control.WatermarkParameters(
         config.getfloat("max_delta", 2.0, above=0.0, maxval=heater_laws.MAX_DELTA_MOST_C), power_max_w
     )
     table = heater_laws.read_practical(config, power_max_w)
@@ -154,9 +155,9 @@ def _control(
         where = config.where("heat_capacity_j_per_k")
         raise config.error(f"Section '{config.get_name()}': {e} (heat_capacity_j_per_k: {where}).") from None
     if choice == "pid":
-        return loop.Control(pid.PID, pid, power_max_w)
+        return loop.Control(pid_control.PID, pid, power_max_w)
     if choice == "watermark":
-        return loop.Control(pid.WATERMARK, watermark, power_max_w, cycle_c=watermark.max_delta_c)
+        return loop.Control(pid_control.WATERMARK, watermark, power_max_w, cycle_c=watermark.max_delta_c)
     if choice == "practical":
         cycle_c = heater_laws.PRACTICAL_BUSY_C
         return loop.Control(two_period.PRACTICAL, table, power_max_w, cycle_c=cycle_c)

@@ -1,17 +1,17 @@
-"""What an emulated chip offers beside the interface of a simulated MCU (klippy/simulation/emulator/emulator.h), for Python."""
+"""What an emulated chip offers beside the interface of a simulated MCU (emulator.h), for Python."""
 
 from __future__ import annotations
 
 import re
 from functools import lru_cache
+from pathlib import Path
 from typing import Any
 
 import cffi
 
-from ..builds import ROOT
 from ..world import World, WorldError
 
-_HEADER = ROOT / "src" / "emulator" / "emulator.h"
+_HEADER = Path(__file__).with_name("emulator.h")
 _FUNCTION = re.compile(r"^SIM_EXPORT (?P<type>.+?)\b(?P<name>emulator_\w+)\((?P<arguments>.*)\);", re.M)
 
 

@@ -5,7 +5,7 @@
 
 EMULATOR_DIR     := klippy/simulation/emulator
 EMULATOR_OUT     := $(OUT)/emulator
-EMULATOR_CFLAGS  := -std=gnu11 -O2 -g -fPIC -fvisibility=hidden -Wall -Wextra -Werror -Isrc -Isrc/simulator
+EMULATOR_CFLAGS  := -std=gnu11 -O2 -g -fPIC -fvisibility=hidden -Wall -Wextra -Werror -Isrc/simulator -Iklippy/simulation/world
 UNICORN          ?= $(firstword $(wildcard $(CURDIR)/.venv/lib/python3*/site-packages/unicorn))
 UNICORN_CFLAGS   := -isystem $(UNICORN)/include
 UNICORN_LIBS     := $(UNICORN)/lib/libunicorn.so.2 -Wl,-rpath,$(UNICORN)/lib
@@ -26,4 +26,4 @@ $(EMULATOR_STM32F334): $(EMULATOR_STM32F334_SOURCES) $(EMULATOR_HEADERS) $(EMULA
 	$(CC) $(EMULATOR_CFLAGS) $(UNICORN_CFLAGS) -flto -shared -Wl,-Bsymbolic -o $@.$$$$ $(EMULATOR_STM32F334_SOURCES) \
 		$(UNICORN_LIBS) && mv $@.$$$$ $@
 
--include $(EMULATOR_DIR)/atmega2560/atmega2560.mk
+include $(EMULATOR_DIR)/atmega2560/atmega2560.mk

@@ -25,7 +25,7 @@ from .png import draw_png
 
 __all__ = ["ReportError", "render_page", "write_report"]
 
-PAGE_FOLDER = Path(__file__).parent / "report_page"
+PAGE_FOLDER = Path(__file__).parent / "page"
 
 # Sizes for a page under 5 MB, in base64 (4/3): a bucket takes 8 bytes for each of 10 series: 2.2 MB;
 # a point of the path takes 8 bytes: 1.6 MB.

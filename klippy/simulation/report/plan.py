@@ -17,7 +17,7 @@ from thermal.plan.planner import Summary
 from ..plan_offline import OfflinePlan, PlannedMove
 from .data import LAYER_STEP_MM
 
-PAGE = Path(__file__).with_name("report_page") / "plan.html"
+PAGE = Path(__file__).parent / "page" / "plan.html"
 HUNDREDTH_MM = 100.0
 MOST_MOVES = 300_000  # above, neighbours are left out: the page stays under 5 MB
 

@@ -16,13 +16,13 @@ from typing import Any
 
 import cffi
 
-from ..builds import OUT, ROOT, SIMULATOR, Build, WorldError, make
+from ..builds import OUT, SIMULATOR, Build, WorldError, make
 
 BUILD_DIR = OUT / "simulator"
 WORLD_LIBRARY = BUILD_DIR / "libferrite_world.so"
 MCU_LIBRARY = SIMULATOR.library
 MCU_DICTIONARY = SIMULATOR.dictionary
-API_HEADER = ROOT / "src" / "simulator" / "world_api.h"
+API_HEADER = Path(__file__).with_name("world_api.h")
 
 
 @dataclass(frozen=True, slots=True)

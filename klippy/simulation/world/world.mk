@@ -1,21 +1,21 @@
 # The simulated world: plants, machine, links and the loop that owns time (see README.md in this folder).
 # Gives SIM_TARGETS its share; the firmware's part, libferrite_mcu.so, has its rule in src/build.mk.
 
-WORLD_DIR     := src/simulator
+WORLD_DIR     := klippy/simulation/world
+PLANT_DIR     := klippy/simulation/plant
 WORLD_LIB     := $(OUT)/simulator/libferrite_world.so
-WORLD_SOURCES := $(wildcard $(WORLD_DIR)/world*.c $(WORLD_DIR)/machine*.c $(WORLD_DIR)/plant*.c) \
-                 $(WORLD_DIR)/thermal_load.c
-WORLD_OBJECTS := $(WORLD_SOURCES:$(WORLD_DIR)/%.c=$(OUT)/simulator/world/%.o)
+WORLD_SOURCES := $(wildcard $(WORLD_DIR)/*.c $(PLANT_DIR)/*.c)
+WORLD_OBJECTS := $(WORLD_SOURCES:klippy/simulation/%.c=$(OUT)/simulator/%.o)
 # No -ffast-math: the same seed has to give the same trace with every compiler flag that is safe.
 WORLD_CFLAGS  := -std=c11 -D_GNU_SOURCE -O2 -g -fPIC -fno-math-errno -fvisibility=default -Wall -Wextra -Werror \
-                 -I$(WORLD_DIR) -Isrc
+                 -I$(WORLD_DIR) -I$(PLANT_DIR) -Isrc/simulator
 
 SIM_TARGETS += $(WORLD_LIB)
 
 .PHONY: world
 world: $(WORLD_LIB)
 
-$(OUT)/simulator/world/%.o: $(WORLD_DIR)/%.c $(WORLD_DIR)/world.mk
+$(WORLD_OBJECTS): $(OUT)/simulator/%.o: klippy/simulation/%.c $(WORLD_DIR)/world.mk
 	@mkdir -p $(@D)
 	$(CC) $(WORLD_CFLAGS) -MMD -MP -c $< -o $@
 

@@ -1,4 +1,4 @@
-"""Reading calibration recordings: CSV text -> Points for thermal.fit.
+"""Reading calibration recordings: CSV text -> Points for fit_sensing.py.
 
 Two kinds of file, told apart by their header:
 

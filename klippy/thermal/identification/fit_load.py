@@ -1,6 +1,6 @@
 """From the recording of MODEL_CALIBRATE (step_test.py) to a model with its uncertainty. Offline code: numpy, scipy.
 
-    python -m thermal.fit_load TRACE.csv --power W --ambient C [--nozzle]        the result as JSON
+    python -m thermal.identification.fit_load TRACE.csv --power W --ambient C [--nozzle]        the result as JSON
 
 The model is model_plant's own, run open loop from the first row with the recorded outputs; least squares finds
 

@@ -1,6 +1,6 @@
 """From the recording of a calibration run (sweep.py) to laws with their figures. Offline code: numpy.
 
-    python -m thermal.fit_sweep TRACE.csv [--gain 1.0] [--power-full 81.3] ...      the result as JSON
+    python -m thermal.identification.fit_sweep TRACE.csv [--gain 1.0] [--power-full 81.3] ...      the result as JSON
 
 The printer runs it as a process of its own: a fit of seconds must not hold up the host.
 
@@ -296,8 +296,9 @@ def report(result: Calibration) -> list[str]:
     residual = fit_sensing.temperature_residuals(chosen.law, chosen.values(), points)
     for ticks in np.unique(points.phase_ticks):
         mask = points.phase_ticks == ticks
+        power_pct = 100 * float(fit_sensing.power_of_ticks(ticks))
         lines.append(
-            f"  {100 * float(fit_sensing.power_of_ticks(ticks)):5.1f} %: rms {np.sqrt(np.mean(residual[mask] ** 2)):.2f} C,"
+            f"  {power_pct:5.1f} %: rms {np.sqrt(np.mean(residual[mask] ** 2)):.2f} C,"
             f" max {np.abs(residual[mask]).max():.2f} C"
         )
     lines.append(

@@ -1,4 +1,4 @@
-"""Blocks to error units: raw codes, phase to power fraction, and what makes a block unusable (thermal/sensing/pipeline.h).
+"""Blocks to error units: raw codes, phase to power fraction, and what makes a block unusable (pipeline.h).
 
     error = (mean - zero) units_per_lsb        noise = units_per_lsb sqrt((noise_lsb^2 + 1/12) / count + stuck)
 

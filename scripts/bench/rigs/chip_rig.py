@@ -8,18 +8,14 @@ from __future__ import annotations
 
 import json
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(HERE.parent / "c"))
+from mcu_harness import FREQ, Dictionary, Mcu, Reply, make_block
+from simulation.builds import Build, make_build
+from simulation.emulator import Emulator
 
-from mcu_harness import FREQ, Dictionary, Mcu, Reply, make_block  # noqa: E402
-
-from simulation.builds import Build, make_build  # noqa: E402
-from simulation.emulator import Emulator  # noqa: E402
-
+HERE = Path(__file__).resolve().parent
 ARM = [
     "arm-none-eabi-gcc",
     "-std=gnu11",

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+
 from induction_rig import PERIOD_S, Plant, Rig, default_parameters, true_law
 from peers import IndxLike, MpcLike, PeerRig
-
 from thermal.control.control_api import Schedule
 
 START_C, TARGET_C, STEP_C, FLOW_MM3_S = 25.0, 250.0, 25.0, 25.0

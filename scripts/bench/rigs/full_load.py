@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from block_codec import Row, unpack
 
+from block_codec import Row, unpack
 from extras.induction.mcu import BLOCK_FORMAT
 from simulation.emulator import Emulator, Recording
 from simulation.runner import Outcome, RunOptions, Simulation

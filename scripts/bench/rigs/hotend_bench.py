@@ -16,9 +16,9 @@ from typing import Any
 
 import cffi
 import numpy as np
+
 from control_bench import Result
 from induction_rig import ROOT
-
 from thermal.control import pid, predictive, two_period
 from thermal.control.control_api import ControlInput, Schedule
 from thermal.models.heater_model import ModelParameters
@@ -91,7 +91,7 @@ def _library() -> tuple[Any, Any]:
     """(ffi, lib) of the conventional load, built once per content of its sources."""
     global _loaded
     if _loaded is None:
-        folder = ROOT / "src" / "simulator"
+        folder = ROOT / "klippy" / "simulation" / "plant"
         files = [folder / "thermal_load.c", folder / "plant_noise.c"]
         digest = hashlib.sha256(b"".join(p.read_bytes() for p in (*files, folder / "thermal_load.h")))
         target = ROOT / "out" / "test" / f"load-{digest.hexdigest()[:16]}.so"

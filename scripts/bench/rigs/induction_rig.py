@@ -22,9 +22,10 @@ from typing import Any
 
 import cffi
 import numpy as np
-from block_codec import Row, pack, take
 
-from thermal.control import actuator, loop, pid, predictive, steady, two_period
+from block_codec import Row, pack, take
+from thermal.control import actuator, loop, predictive, steady, two_period
+from thermal.control import pid as pid_control
 from thermal.identification import sweep
 from thermal.models import heat_loss, nozzle_model
 from thermal.records import PhaseCommand
@@ -71,7 +72,7 @@ def plant_library() -> tuple[Any, Any]:
     """(ffi, lib) of the plant, built once per content of its sources."""
     global _loaded
     if _loaded is None:
-        folder = ROOT / "src" / "simulator"
+        folder = ROOT / "klippy" / "simulation" / "plant"
         digest = hashlib.sha256()
         for path in sorted(folder.glob("plant*")):
             digest.update(path.read_bytes())
@@ -199,7 +200,7 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
     return loop.LoopParameters(
         front,
         block_temperature.EstimatorParameters(law),
-        _control(choice, pid.PidParameters(**pid), heat, balance, drive, timing, held),
+        _control(choice, pid_control.PidParameters(**pid), heat, balance, drive, timing, held),
         loss,
         actuator.ActuatorParameters(
             drive, pulse_s, pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1
@@ -214,7 +215,7 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
 
 def _control(
     choice: str,
-    pid: pid.PidParameters,
+    pid: pid_control.PidParameters,
     heat: heat_loss.HeatCapacity,
     balance: heat_balance_monitor.TwoNodeLoss,
     drive: actuator.DriveLaw,
@@ -223,9 +224,9 @@ def _control(
 ) -> loop.Control:
     power_w = drive.power_max_w
     if choice == "pid":
-        return loop.Control(pid.PID, replace(pid, output_high=power_w), power_w)
+        return loop.Control(pid_control.PID, replace(pid, output_high=power_w), power_w)
     if choice == "watermark":
-        return loop.Control(pid.WATERMARK, pid.WatermarkParameters(2.0, power_w), power_w)
+        return loop.Control(pid_control.WATERMARK, pid_control.WatermarkParameters(2.0, power_w), power_w)
     if choice == "practical":
         return loop.Control(two_period.PRACTICAL, two_period.PracticalParameters(power_w), power_w)
     parameters = replace(nozzle_model.nozzle_model(heat, balance, power_w, timing), **held)

@@ -19,8 +19,8 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
-from induction_rig import CHUNK, PERIOD_S, Plant
 
+from induction_rig import CHUNK, PERIOD_S, Plant
 from thermal.control import actuator
 from thermal.models import heat_loss
 

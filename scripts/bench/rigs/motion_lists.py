@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-CONFIGS = Path(__file__).resolve().parents[2] / "config"
+CONFIGS = Path(__file__).resolve().parents[3] / "config"
 
 # x, y, z from .. to, within every machine's range and off the centre of the polar one
 BOXES: dict[str, tuple[tuple[float, float, float], tuple[float, float, float]]] = {

@@ -14,14 +14,15 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from motion_exact import Array, Epoch, Ramps, filament_epochs, geometry, head_epochs
-from motion_rig import CLOCK_HZ, MAX_ERROR_S, decode, dictionary
 
 import msgproto
+from motion_exact import Array, Epoch, Ramps, filament_epochs, geometry, head_epochs
+from motion_rig import CLOCK_HZ, MAX_ERROR_S, decode, dictionary
 from printer import Printer
 from reactor import Reactor
 
@@ -148,7 +149,7 @@ def run_batch(folder: Path, gcode: str, config: str, record: bool = True) -> Run
         (folder / name).write_text(text)
     (folder / "dict").write_bytes(dictionary())
     reactor = Reactor()
-    start_args = {
+    start_args: dict[str, Any] = {
         "config_file": str(folder / "printer.cfg"),
         "config_overrides": [],
         "apiserver": None,
@@ -324,6 +325,10 @@ def _borders(epochs: list[Any]) -> list[float]:
     return [-1.0, *np.maximum.accumulate(ends)[:-1], math.inf]
 
 
+def _head_position(position: Any, epoch: Epoch, t: Any) -> Any:
+    return position(epoch.head(t))
+
+
 def _follow_head(
     run: Run, name: str, stages: list[tuple[Epoch, float, float]], position: Any, period: float,
     rng: np.random.Generator, tally: Tally,
@@ -333,7 +338,7 @@ def _follow_head(
         if epoch.placed:
             here = position(epoch.path.start_place[None, :])[0]
             origin = float(here) - float(steps.count_at(begin)) * step_dist
-        follow = Follow(name, lambda t, e=epoch: position(e.head(t)), steps, step_dist, origin, period)
+        follow = Follow(name, partial(_head_position, position, epoch), steps, step_dist, origin, period)
         follow.check_times(begin, until, tally)
         times = _sample_times(epoch.path, rng)
         follow.check_places(times[(times >= begin) & (times < until)], tally)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
 from motion_exact import LINEAR, head_epochs
 from motion_oracle import Run
 from motion_rig import MAX_ERROR_S
@@ -80,7 +81,8 @@ def _extruder_alone_ok(run: Run, move: Any) -> bool:
         return True
     share = 4.0 * 0.4**2 / (math.pi * 0.25 * 1.75**2)
     options = run.options["printer"]
-    speed, accel = options.getfloat("max_velocity") * share, options.getfloat("max_accel") * share
+    speed = (options.getfloat("max_velocity") or 0.0) * share
+    accel = (options.getfloat("max_accel") or 0.0) * share
     return abs(e) * move.cruise_v <= speed * NEAR and abs(e) * move.accel <= accel * NEAR
 
 

@@ -273,9 +273,11 @@ def geometry(options: configparser.ConfigParser) -> dict[str, tuple[Callable[[Ar
         }
     assert kind == "winch"
     anchors = {n: np.array([get(f"stepper_{n}", f"anchor_{a}") for a in "xyz"]) for n in "abcd"}
-    return {
-        f"stepper_{n}": (lambda p, a=a: np.sqrt(((p - a) ** 2).sum(axis=1)), 0.0) for n, a in anchors.items()
-    }
+    return {f"stepper_{n}": (partial(_distance, a), 0.0) for n, a in anchors.items()}
+
+
+def _distance(anchor: Array, p: Array) -> Array:
+    return np.asarray(np.sqrt(((p - anchor) ** 2).sum(axis=1)))
 
 
 def _arms(kind: str, get: Callable[[str, str], float]) -> dict[str, tuple[Callable[[Array], Array], float]]:
@@ -293,10 +295,10 @@ def _arms(kind: str, get: Callable[[str, str], float]) -> dict[str, tuple[Callab
             for n, x in sides
         }
         return {**found, "stepper_y": (_mix(0, 1, 0), 0.0)}
-    size = [get("printer", "shoulder_radius"), get("printer", "shoulder_height")]
-    arms = [get("stepper_a", "upper_arm_length"), get("stepper_a", "lower_arm_length")]
+    radius, height = get("printer", "shoulder_radius"), get("printer", "shoulder_height")
+    upper, lower = get("stepper_a", "upper_arm_length"), get("stepper_a", "lower_arm_length")
     angles = np.radians([30.0, 150.0, 270.0])
     return {
-        f"stepper_{n}": (partial(_shoulder, *size, a, *arms), 2 * math.pi)
+        f"stepper_{n}": (partial(_shoulder, radius, height, a, upper, lower), 2 * math.pi)
         for n, a in zip("abc", angles, strict=True)
     }
