@@ -1,6 +1,6 @@
 """Random lists of moves on every machine for as long as you like: each step against the analytic path, every limit.
 
-The short form is test/unit/test_motion_properties.py. A fault names machine and seed:
+The short form is test/unit/motion/test_motion_properties.py. A fault names machine and seed:
 `--machine NAME --seed N --runs 1` makes it again.
 """
 

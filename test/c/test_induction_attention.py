@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from induction_cdef import CDEF
 from pure_harness import INDUCTION_SOURCES, load
 

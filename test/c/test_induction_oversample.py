@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from induction_cdef import CDEF
 from pure_harness import INDUCTION_SOURCES, load
 

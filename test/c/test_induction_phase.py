@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from induction_cdef import CDEF
 from pure_harness import INDUCTION_SOURCES, load
 

@@ -9,6 +9,7 @@ import subprocess
 from pathlib import Path
 
 import pytest
+
 from pure_harness import INDUCTION_SOURCES, SANITIZERS, SRC
 
 HERE = Path(__file__).resolve().parent

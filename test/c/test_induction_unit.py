@@ -7,10 +7,10 @@ import struct
 from dataclasses import dataclass
 
 import pytest
-from pure_harness import Plant
 
 from block_codec import unpack
 from mcu_harness import FREQ, Mcu
+from pure_harness import Plant
 
 PERIOD = 600  # ticks: 120 kHz
 MAX_DURATION = FREQ // 10

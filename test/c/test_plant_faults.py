@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from pure_harness import Plant
 
 NONE, NO_NOZZLE, COIL_BROKEN, BRIDGE_STUCK, SIGNAL_STUCK, SIGNAL_LOST = range(6)

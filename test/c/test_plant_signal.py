@@ -6,6 +6,7 @@ import subprocess
 
 import numpy as np
 import pytest
+
 from pure_harness import PLANT_SOURCES, SRC, Plant, compile_library
 
 COUNT = 1 << 20

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-import plant_tables as tables
 import pytest
+
+import plant_tables as tables
 from pure_harness import Plant
 
 

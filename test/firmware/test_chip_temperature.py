@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from scenario import ROOT
 
 from chip_rig import FREQ, Firmware
 from extras.temperature_mcu import Calibration, Line, McuTemperature
 from measure import PERIOD, clock_offset, code_at, records_of, sampling_unit
+from scenario import ROOT
 from simulation.runner import PRINTED, RunOptions, Simulation
 
 OID, SENSOR = 2, 254

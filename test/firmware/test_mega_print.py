@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 from scenario import ROOT, Case, play
-
 from simulation.runner import PRINTED, RunOptions, Simulation
 
 STACK_SHARE_MAX = 0.75

@@ -6,8 +6,8 @@ Another build joins by a line in CASES: the machine's config with that chip's pi
 from __future__ import annotations
 
 import pytest
-from scenario import Case, Story, play
 
+from scenario import Case, Story, play
 from simulation.builds import make_build
 
 # A chip takes time to compute, the simulator port does not: orders of the host reach the pins alike (they are

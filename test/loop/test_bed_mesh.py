@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from extras.probing.surface_fit import Surface
-from loop.probe_rig import FLAT, STEP_MM, bed, run
+from probe_rig import FLAT, STEP_MM, bed, run
 from simulation.runner import PRINTED
 
 ONE_SAMPLE = ("probe", "samples", "1")

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from loop.probe_rig import ROOT, STEP_MM, Option, Probed, bed, run
+from probe_rig import ROOT, STEP_MM, Option, Probed, bed, run
 from simulation.runner import BAD_INPUT, PRINTED
 
 QUIET = bed(noise=0.0, bump_height=0.0)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from loop.probe_rig import FLAT, STEP_MM, bed, run
+from probe_rig import FLAT, STEP_MM, bed, run
 from simulation.runner import BAD_INPUT, PRINTED
 
 # A trigger is seen up to one look (a step's time, 0.5 ms at 5 mm/s) after it happened, and told in whole steps.

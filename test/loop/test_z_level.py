@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from loop.probe_rig import FLAT, STEP_MM, Probed, bed, run
+from probe_rig import FLAT, STEP_MM, Probed, bed, run
 from simulation.runner import BAD_INPUT, PRINTED
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import itertools
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-
-from system.moonraker_rig import SimulatedPrinter
-from system.test_api_run_printer import connect
-
-sys.path.insert(0, str(Path(__file__).resolve().parent.parent / "unit"))
-
 from test_webhooks import Client
+
+from moonraker_rig import SimulatedPrinter
+from system.api.test_api_run_printer import connect
 
 HEADER = ["time", "phase", "count", "raw_mean", "raw_min", "raw_max", "temperature", "latency"]
 

@@ -5,19 +5,15 @@ from __future__ import annotations
 import itertools
 import logging
 import re
-import sys
 import zlib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from link_rig import LinkSession
-
 import serialhdl
 import serialport
+from link_rig import LinkSession
 from mcu import MCU
 
 PIN = {"chip_name": "mcu", "share_type": None, "invert": 0, "pullup": 0}

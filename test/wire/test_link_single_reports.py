@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from link_rig import LinkSession
 
+from link_rig import LinkSession
 from simulation import builds
 
 

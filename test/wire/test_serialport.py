@@ -6,7 +6,6 @@ import json
 import os
 import select
 import socket
-import sys
 import threading
 import time
 import zlib
@@ -16,14 +15,11 @@ from typing import Any
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from virtual_link import ReferenceMcu, blocks_of
-
 import msgproto
 import serialhdl
 import serialport
 from reactor import Reactor
+from virtual_link import ReferenceMcu, blocks_of
 
 TABLES = {
     "version": "test",

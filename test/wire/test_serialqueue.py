@@ -4,20 +4,15 @@ from __future__ import annotations
 
 import itertools
 import random
-import sys
 import time
-from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-sys.path.insert(0, str(Path(__file__).resolve().parent))
-
-from virtual_link import Damage, Line, ReferenceMcu, Rig, blocks_of
-
 import chelper
 import msgproto
+from virtual_link import Damage, Line, ReferenceMcu, Rig, blocks_of
 
 BYTE_S = 10 / 250_000  # 250 kBd
 

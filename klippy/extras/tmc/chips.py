@@ -1,7 +1,7 @@
 """What tells Trinamic's stepper drivers apart, as tables: registers, fields, options and their defaults, stalls.
 
 Addresses and fields of all five chips were compared, bit by bit, with the vendor's headers (Analog Devices' TMC-API);
-the masks found there are the data of test/unit/test_tmc_vendor.py, with their commits. Not in those headers and by the
+the masks found there are the data of test/unit/bus/test_tmc_vendor.py, with their commits. Not in those headers, by the
 datasheet of the TMC2209 only: the widths of TCOOLTHRS, SGTHRS and SG_RESULT, and spread_en in IOIN. Not compared with a
 document: which registers can only be read or written, the clocks of TMC2130, TMC5160 and TMC2240 (12 MHz of the others
 is in their headers), and the values of WAVE_OPTIONS. No chip has been connected. Defaults of driver_... options are

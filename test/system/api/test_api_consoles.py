@@ -1,0 +1,122 @@
+"""The consoles and the log reader, as people use them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from console import ConsoleError, evaluate
+from log_extract import extract, read_stats, story
+from moonraker_rig import ROOT, SimulatedPrinter
+from printer_data import PrinterData
+
+
+def run(script: str, *arguments: str | Path, text: str = "") -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, str(ROOT / "scripts" / script), *map(str, arguments)]
+    return subprocess.run(command, input=text, capture_output=True, text=True, timeout=60, check=False)
+
+
+# --- console.py ---
+def test_expressions_are_arithmetic_and_nothing_else() -> None:
+    assert evaluate("2 * (x + 1) // 3", {"x": 5}) == 4
+    assert evaluate("max(1, int(7 / 2)) | 4", {}) == 7
+    for text in ("__import__('os')", "x.__class__", "open", "[1]", "'a'", "1 +", "1 / 0", "9 ** 9"):
+        with pytest.raises(ConsoleError):
+            evaluate(text, {"x": 1})
+
+
+def test_the_mcu_console_talks_to_a_board(tmp_path: Path) -> None:
+    path = tmp_path / "tty"
+    simulator = subprocess.Popen(
+        [sys.executable, ROOT / "scripts" / "run_simulator.py", ROOT / "config" / "sim-induction.cfg",
+         "--pty", path, "--until", "30"],
+        stdout=subprocess.PIPE,
+    )  # fmt: skip
+    try:
+        assert simulator.stdout is not None
+        simulator.stdout.readline()
+        lines = [
+            "LIST uptime", "get_uptime", "SET x 5*3", "EVAL x + CLOCK_FREQ", "get_config", "no_such_command",
+            "get_clock extra=1", "EVAL nobody", "WAIT 0.3", "QUIET uptime", "get_uptime", "STATS", "HELP",
+            "QUIT", "get_uptime",
+        ]  # fmt: skip
+        done = run("console.py", path, text="\n".join(lines) + "\n")
+    finally:
+        simulator.terminate()
+        simulator.wait(10)
+    assert done.returncode == 0, done.stderr
+    assert "Connected to simulator" in done.stdout
+    assert "response  uptime high=%u clock=%u" in done.stdout
+    assert done.stdout.count(": uptime high=") == 1
+    assert "72000015" in done.stdout
+    assert "config is_config=0" in done.stdout
+    assert "Error: Unknown command: no_such_command" in done.stdout
+    assert "'nobody' is no constant" in done.stdout
+    assert "bytes_write=" in done.stdout
+    assert "Traceback" not in done.stderr
+
+
+def test_no_board_is_told_in_a_line(tmp_path: Path) -> None:
+    done = run("gcode_console.py", tmp_path / "none.sock")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "no host at" in done.stderr
+
+
+# --- gcode_console.py and log_extract.py ---
+def test_the_gcode_console_and_the_story_of_its_log(tmp_path: Path) -> None:
+    printer = SimulatedPrinter(tmp_path / "data", "--speed", "10", moonraker=False)
+    try:
+        printer.wait("ready", lambda: "ready:" in printer.output, 60.0)
+        done = run("gcode_console.py", printer.socket_path, text="M117 hi\nM104 S150\nG4 P3000\nG1 X5\n")
+        assert done.returncode == 1, "the last line fails: not homed"
+        assert "!! Must home axis first" in done.stdout
+        assert done.stdout.splitlines()[-1].startswith("ready | ")
+        assert "extruder 1" in done.stdout
+        done = run("gcode_console.py", printer.socket_path, text="M112\n")
+        assert "// Klipper state: Shutdown" in done.stdout
+        assert printer.stop() == 0
+    finally:
+        if printer.process.poll() is None:
+            printer.stop()
+    log = printer.data / "logs" / "klippy.log"
+    done = run("log_extract.py", log, "--config", tmp_path / "found", "--plot", tmp_path / "p.png")
+    assert done.returncode == 0, done.stderr
+    assert "ERROR     error: Transition to shutdown state: Shutdown due to M112" in done.stdout
+    assert "warning: Must home axis first" in done.stdout
+    assert "extruder.temp" in done.stdout
+    assert "[stepper_x]" in (tmp_path / "found" / "config-1.cfg").read_text()
+    assert (tmp_path / "p.png").stat().st_size > 10_000
+
+
+def test_statistics_are_read_by_group() -> None:
+    text = "gcodein=0 mcu: srtt=0.001 x=a extruder: target=200 temp=199.5 sd_pos=7 sysload=0.5"
+    assert dict(read_stats(text)) == {
+        "gcodein": 0.0, "mcu.srtt": 0.001, "extruder.target": 200.0, "extruder.temp": 199.5,
+        "sd_pos": 7.0, "sysload": 0.5,
+    }  # fmt: skip
+
+
+def test_the_story_counts_what_repeats() -> None:
+    found = extract(["Stats 5.0: a: temp=1\n", "warning: x\n", "warning: x\n", "noise\n", "error: y\n"])
+    text = story(found)
+    assert "warning: x (2 times)" in text
+    assert "error: y" in text
+    assert "noise" not in text
+
+
+# --- printer_data.py ---
+def test_a_config_with_includes_is_copied_with_its_own_paths(tmp_path: Path) -> None:
+    folder = PrinterData(tmp_path / "data", ROOT)
+    folder.prepare(ROOT / "config" / "sim-two-mcu.cfg")
+    main = folder.config.read_text()
+    included = (folder.config.parent / "sim-induction.cfg").read_text()
+    assert f"serial: {folder.root}/comms/mcu_heater" in main
+    assert f"serial: {folder.root}/comms/mcu\n" in included
+    assert f"path: {folder.gcodes}" in included
+    # all else is as it was written, comments too
+    original = (ROOT / "config" / "sim-induction.cfg").read_text().splitlines()
+    changed = [line for line, old in zip(included.splitlines(), original, strict=True) if line != old]
+    assert len(changed) == 2

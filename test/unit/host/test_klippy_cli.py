@@ -1,0 +1,91 @@
+"""The host as a program: exit status, messages, terminal, restart."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[3]
+PROGRAM = [sys.executable, str(ROOT / "klippy" / "klippy.py")]
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([*PROGRAM, *arguments], capture_output=True, text=True, timeout=30, check=False)
+
+
+def test_help_names_the_options() -> None:
+    answer = run("-h")
+    assert answer.returncode == 0
+    for option in ("-i", "-I", "-a", "-l", "-v", "-o", "-d"):
+        assert option in answer.stdout
+
+
+def test_batch_mode_with_a_broken_config_says_why_and_fails(tmp_path: Path) -> None:
+    config, source, log = tmp_path / "printer.cfg", tmp_path / "in.gcode", tmp_path / "log"
+    config.write_text("[display_status]\nx: 1\n[mcu\n")
+    source.write_text("G28\n")
+    answer = run(str(config), "-i", str(source), "-l", str(log))
+    assert answer.returncode == 255
+    assert "'[mcu' in the config (printer.cfg, line 3)" in answer.stderr
+    assert "Traceback" not in answer.stderr
+    assert "line 3" in log.read_text()
+
+
+def test_missing_files_are_named(tmp_path: Path) -> None:
+    answer = run(str(tmp_path / "none.cfg"), "-i", str(tmp_path / "none.gcode"))
+    assert answer.returncode == 255
+    assert f"No such file or directory: {tmp_path}/none.gcode" in answer.stderr
+    source = tmp_path / "in.gcode"
+    source.write_text("")
+    answer = run(str(tmp_path / "none.cfg"), "-i", str(source))
+    assert answer.returncode == 255
+    assert f"Unable to open config file {tmp_path}/none.cfg" in answer.stderr
+    assert "Traceback" not in answer.stderr
+
+
+def read_until(fd: int, wanted: bytes, limit_s: float = 20.0) -> bytes:
+    """What comes from the terminal until `wanted` was seen."""
+    got = b""
+    end = time.monotonic() + limit_s
+    while wanted not in got:
+        assert time.monotonic() < end, f"no {wanted!r} in {got!r}"
+        try:
+            got += os.read(fd, 4096)
+        except BlockingIOError:
+            time.sleep(0.02)
+    return got
+
+
+def wait_for_text(path: Path, wanted: str, limit_s: float = 20.0) -> None:
+    end = time.monotonic() + limit_s
+    while not path.exists() or wanted not in path.read_text():
+        assert time.monotonic() < end, f"'{wanted}' did not appear in {path.name}"
+        time.sleep(0.02)
+
+
+def test_terminal_restart_and_end(tmp_path: Path) -> None:
+    config, log, terminal = tmp_path / "printer.cfg", tmp_path / "log", tmp_path / "tty"
+    config.write_text("[nonsense]\n")
+    program = subprocess.Popen(
+        [*PROGRAM, str(config), "-I", str(terminal), "-l", str(log)], stderr=subprocess.PIPE
+    )
+    try:
+        wait_for_text(log, "must be specified")  # [printer] is missing
+        fd = os.open(terminal, os.O_RDWR | os.O_NONBLOCK | os.O_NOCTTY)
+        os.write(fd, b"G28\n")
+        assert b"!! " in read_until(fd, b"ok\n")
+        config.write_text("[other nonsense]\nx\n")
+        os.write(fd, b"RESTART\n")
+        wait_for_text(log, "Unable to understand the line 'x'")
+        os.write(fd, b"M115\n")
+        assert b"FIRMWARE_NAME" in read_until(fd, b"FIRMWARE_NAME")
+        os.close(fd)
+        program.send_signal(signal.SIGTERM)
+        assert program.wait(10) == 0
+    finally:
+        program.kill()
+        program.communicate()

@@ -1,0 +1,76 @@
+"""Who has installed a list of packages can run what it is for."""
+
+from __future__ import annotations
+
+import ast
+import importlib.metadata
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+OWN = {path.stem for folder in ("klippy", "scripts", "test") for path in (ROOT / folder).rglob("*.py")}
+OWN |= {path.name for path in (ROOT / "klippy").iterdir()}
+
+
+def pinned(name: str) -> set[str]:
+    """Packages of a list and of those it includes, in small letters."""
+    found = set()
+    for line in (ROOT / name).read_text().splitlines():
+        if line.startswith("-r "):
+            found |= pinned(line[3:])
+        elif line and not line.startswith("#"):
+            found.add(re.split("==", line)[0].lower())
+    return found
+
+
+def needed(path: Path) -> Iterator[str]:
+    """Packages a file imports, wherever in it."""
+    where = importlib.metadata.packages_distributions()
+    for node in ast.walk(ast.parse(path.read_text())):
+        names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+        if isinstance(node, ast.ImportFrom) and not node.level:
+            names = [node.module or ""]
+        for name in (full.partition(".")[0] for full in names):
+            if name not in sys.stdlib_module_names and name not in OWN:
+                yield where[name][0].lower()
+
+
+HOST = [p for p in (ROOT / "klippy").rglob("*.py") if "simulation" not in p.parts]
+PROGRAMS = [*(ROOT / "klippy" / "simulation").rglob("*.py"), *(ROOT / "scripts").glob("*.py")]
+
+
+@pytest.mark.parametrize(
+    ("files", "known"),
+    [
+        # a printer never plots; the swarm is an offline tool's
+        ([p for p in HOST if p.name != "fit_thermistor.py"], "requirements.txt"),
+        ([*HOST, *PROGRAMS], "requirements-sim.txt"),
+    ],
+)
+def test_all_that_is_imported_is_on_the_list(files: list[Path], known: str) -> None:
+    lacking = {f"{path.relative_to(ROOT)}: {name}" for path in files for name in needed(path)} - {
+        f"{path.relative_to(ROOT)}: {name}" for path in files for name in pinned(known)
+    }
+    assert not lacking
+    assert len(files) > 100
+
+
+def test_a_program_names_the_package_it_lacks(tmp_path: Path) -> None:
+    for name in ("in_venv.py", "plan_temperature.py"):
+        (tmp_path / "scripts").mkdir(exist_ok=True)
+        shutil.copy(ROOT / "scripts" / name, tmp_path / "scripts")
+    program = [
+        sys.executable,
+        "-S",
+        tmp_path / "scripts" / "plan_temperature.py",
+        "--help",
+    ]  # -S: no packages
+    done = subprocess.run(list(map(str, program)), capture_output=True, text=True, check=False)
+    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert "Python package 'rich' is missing; `make setup` installs it" in done.stderr
