@@ -124,18 +124,24 @@ check-types:
 # system's headers would find the firmware's sched.h.)
 check-c:
 	for compiler in gcc clang; do \
-	    $$compiler $(STRICT_C) -Iklippy/chelper klippy/chelper/*.c && \
-	    $$compiler $(STRICT_C) -D_GNU_SOURCE -Isrc -Isrc/simulator src/simulator/*.c && \
-	    $$compiler $(STRICT_C) $(UNICORN_CFLAGS) -Isrc -Isrc/simulator $(EMULATOR_STM32F334_SOURCES) || exit 1; done
+	    $$compiler $(STRICT_C) -Iklippy $(HOST_C) && \
+	    $$compiler $(STRICT_C) -D_GNU_SOURCE -Isrc -Isrc/simulator $(SIM_PORT) && \
+	    $$compiler $(STRICT_C) -D_GNU_SOURCE $(WORLD_INCLUDES) $(WORLD_SOURCES) && \
+	    $$compiler $(STRICT_C) $(UNICORN_CFLAGS) $(EMULATOR_INCLUDES) $(EMULATOR_STM32F334_SOURCES) || exit 1; done
 	cppcheck --quiet --std=c11 --error-exitcode=1 --inline-suppr -j $(JOBS) \
 	    --enable=warning,performance,portability --suppress=missingIncludeSystem \
 	    -U DICTIONARY_PASS -U OVERSAMPLE_KERNEL '-D_Noreturn=__attribute__((noreturn))' \
-	    -I src -I src/simulator -I klippy/chelper src klippy/chelper
+	    -I src -I src/simulator -I klippy $(patsubst -I%,-I %,$(WORLD_INCLUDES)) \
+	    $$(git ls-files -co --exclude-standard 'src/*.c' 'klippy/*.c')
 
+# The host's helper, which klippy/chelper/__init__.py compiles.
+HOST_C   := $(shell find klippy/chelper klippy/thermal -name '*.c' 2>/dev/null)
 STRICT_C := -std=gnu11 -O2 -Wall -Wextra -Werror -fsyntax-only
 
 check-layers:
-	$(PYTHON) scripts/check/check_layers.py
+	$(PYTHON) scripts/check/check_layers.py $(sort $(HOST_C) $(SIM_SOURCES) $(CROSS_SOURCES) $(WORLD_SOURCES) \
+	    $(EMULATOR_STM32F334_SOURCES) $(EMULATOR_ATMEGA2560_SOURCES)) \
+	    $(foreach port,$(PORTS),$$($(MAKE) --no-print-directory PORT=$(port) list-sources))
 
 check-paths:
 	$(PYTHON) scripts/check/check_paths.py

@@ -9,6 +9,8 @@ Exit status 0 drawn, 2 the file is neither, or the picture cannot be written.
 
 from __future__ import annotations
 
+from thermal.models.drive_law import DriveLaw
+
 import in_venv  # noqa: F401  # isort: skip
 
 import argparse
@@ -22,7 +24,6 @@ from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
 
-from thermal.control import actuator
 from thermal.identification import fit_data, fit_sensing, fit_sweep
 from thermal.identification.fit_sensing import FitError
 
@@ -46,7 +47,7 @@ def draw_dump(columns: dict[str, fit_sensing.Array], figure: Figure) -> None:
 
 def draw_sweep(path: Path, figure: Figure) -> None:
     recording = fit_sweep.read_recording(path)
-    result = fit_sweep.analyse(recording, actuator.DriveLaw())
+    result = fit_sweep.analyse(recording, DriveLaw())
     left, middle, right = figure.subplots(1, 3)
     reference = np.array(recording.reference)
     left.plot(reference[:, 0] - reference[0, 0], reference[:, 1])

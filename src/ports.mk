@@ -22,7 +22,7 @@ PORTS := $(patsubst src/%/port.mk,%,$(wildcard src/*/port.mk))
 # The scripts used here need nothing but Python: a firmware can be built in a fresh checkout.
 PORT_PYTHON := $(firstword $(wildcard .venv/bin/python) python3)
 
-.PHONY: firmware firmware-simulator menuconfig flash size $(PORTS:%=firmware-%)
+.PHONY: firmware firmware-simulator menuconfig flash size list-sources $(PORTS:%=firmware-%)
 firmware-simulator: $(SIM_MCU_LIB)
 $(PORTS:%=firmware-%): firmware-%:
 	@$(MAKE) --no-print-directory PORT=$* OUT=$(OUT) firmware
@@ -61,6 +61,9 @@ PORT_FLAGS_STAMP := $(PORT_OUT)/obj/flags-$(firstword $(shell echo '$(PORT_CC) $
 
 firmware: $(PORT_ELF) $(PORT_IMAGES:%=$(PORT_OUT)/%)
 	@echo "$(PORT): $(PORT_IMAGES:%=$(PORT_OUT)/%)"
+# For the check that every C file is built by some rule.
+list-sources:
+	@echo $(PORT_ALL_SOURCES)
 flash: firmware
 	@$(PORT_PYTHON) scripts/flash_firmware.py $(if $(PORT_FLASH_DEVICE),--device $(PORT_FLASH_DEVICE)) $(PORT_FLASH_CMD)
 # KEEP=1 makes today's figures those of the last release.

@@ -96,3 +96,31 @@ class TempSegment(NamedTuple):
     end_s: float
     target_c: float
     feedforward_w: float
+
+
+class Sample(NamedTuple):
+    """One measurement, and the output in force from the end of the sample before until `end_s`."""
+
+    time_s: float  # the instant temp_c belongs to
+    end_s: float
+    temp_c: float  # NaN: nothing measured, the output still counts
+    sigma_c: float  # 1 sigma of its random part; 0: the parameters' own
+    output: float
+    rebased: bool = False  # the sensing law jumped here: no slope, nothing to learn from
+
+
+class Planned(NamedTuple):
+    """`value` (output units) from `time_s` on."""
+
+    time_s: float
+    value: float
+
+
+class ParameterError(ValueError):
+    """Parameters with which a controller cannot work; the text is for people."""
+
+
+def require(condition: bool, text: str) -> None:
+    """Raise ParameterError with this text unless the condition holds. NaN fails every comparison."""
+    if not condition:
+        raise ParameterError(text)

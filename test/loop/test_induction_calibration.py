@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 from induction_rig import Plant, Rig, default_parameters
-from thermal.control import actuator
 from thermal.identification import fit_sweep, sweep
+from thermal.models.drive_law import DriveLaw
 from thermal.sensing import features, heat_balance_monitor, laws
 
 REQUIRED_C = 2.0
@@ -45,9 +45,7 @@ class ReferenceRun:
 
     def __init__(self, seed: int = 3, tau_s: float = 0.6, gain: float = 1.0, **plant: float) -> None:
         self.rig = Rig(Plant(seed, **plant), default_parameters(), seed)
-        self.sweep = sweep.Sweep(
-            sweep.SweepParameters(features.FeatureParameters(), actuator.DriveLaw(), 350.0), 0.0
-        )
+        self.sweep = sweep.Sweep(sweep.SweepParameters(features.FeatureParameters(), DriveLaw(), 350.0), 0.0)
         self.rig.driver = self.sweep
         self.tau_s, self.gain = tau_s, gain
         self.reads_c = 25.0 + gain * (20.0 - 25.0)
@@ -88,7 +86,7 @@ def law_of(result: fit_sweep.Calibration) -> laws.Law:
 def calibrated() -> tuple[fit_sweep.Calibration, laws.Law]:
     run = ReferenceRun(**OFF_BY_TEN).run()
     assert (run.stage, run.fault) == ("done", "")
-    result = fit_sweep.analyse(run.recording, actuator.DriveLaw())
+    result = fit_sweep.analyse(run.recording, DriveLaw())
     return result, law_of(result)
 
 
@@ -108,7 +106,7 @@ def test_a_nozzle_off_by_ten_percent_is_calibrated_within_two_degrees(
 
 def test_off_the_other_way_too_and_with_a_slow_reference() -> None:
     run = ReferenceRun(tau_s=1.6, **OFF_THE_OTHER_WAY).run()
-    result = fit_sweep.analyse(run.recording, actuator.DriveLaw())
+    result = fit_sweep.analyse(run.recording, DriveLaw())
     assert result.lag.tau_s == pytest.approx(1.6, rel=0.05)
     assert np.abs(true_errors(law_of(result), **OFF_THE_OTHER_WAY)).max() < REQUIRED_C
 
@@ -124,7 +122,7 @@ def test_the_trace_file_holds_all_the_fit_needs(
         for time_s, error, phase, count, duration_s in run.recording.blocks:
             shown = np.interp(time_s, readings[:, 0], readings[:, 1])
             f.write(f"{time_s:.6f},{shown:.3f},{error:.4f},{phase},{count},{duration_s:.7f}\n")
-    again = fit_sweep.analyse(fit_sweep.read_recording(path), actuator.DriveLaw())
+    again = fit_sweep.analyse(fit_sweep.read_recording(path), DriveLaw())
     assert np.abs(true_errors(law_of(again), **OFF_BY_TEN)).max() < REQUIRED_C
     # Readings are interpolated in the file: that smooths half a reading interval into the lag.
     assert again.lag.tau_s == pytest.approx(0.6, rel=0.1)
@@ -141,9 +139,7 @@ def test_heat_capacity_and_losses_come_out_in_watts_of_the_drive_law(
 
 def test_a_wrong_gain_cannot_be_seen_and_makes_the_law_wrong_by_it() -> None:
     run = ReferenceRun(gain=0.94).run()  # Table 6, surface 10 %, taken for one at half height
-    told, untold = (
-        law_of(fit_sweep.analyse(run.recording, actuator.DriveLaw(), gain)) for gain in (0.94, 1.0)
-    )
+    told, untold = (law_of(fit_sweep.analyse(run.recording, DriveLaw(), gain)) for gain in (0.94, 1.0))
     assert np.abs(true_errors(told)).max() < REQUIRED_C
     assert true_errors(untold).min() == pytest.approx(-0.06 * 325.0, rel=0.1)
 
@@ -189,7 +185,7 @@ def test_readings_typed_by_hand_do_too() -> None:
         run.rig.run(0.5)
         run.sweep.reference(run.rig.now_s, shown)
     assert run.sweep.fault == ""
-    result = fit_sweep.analyse(run.sweep.recording, actuator.DriveLaw())
+    result = fit_sweep.analyse(run.sweep.recording, DriveLaw())
     # rounding alone is 0.3 degC rms, the late entry is taken for a lag; 20 readings make a law of it
     assert np.abs(true_errors(law_of(result), **OFF_BY_TEN)).max() < 4.0
 

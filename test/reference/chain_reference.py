@@ -10,10 +10,9 @@ import math
 from dataclasses import dataclass, field, replace
 
 import block_codec
-from thermal.control import actuator
-from thermal.control.control_api import Sample
 from thermal.models import heat_loss
-from thermal.records import PHASE_MAX_TICKS, SampleBlock, TempEstimate
+from thermal.models.drive_law import DriveLaw
+from thermal.records import PHASE_MAX_TICKS, Sample, SampleBlock, TempEstimate
 from thermal.sensing import block_temperature, features, laws, supervision, temperature_filter
 
 NAN = math.nan
@@ -123,7 +122,7 @@ class Chain:
     front: features.FeatureParameters
     estimator: block_temperature.EstimatorParameters
     supervise: supervision.SuperviseParameters
-    drive: actuator.DriveLaw
+    drive: DriveLaw
     track: temperature_filter.TrackParameters
     heard_s: float = math.inf
     believed_s: float = math.inf

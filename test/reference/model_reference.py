@@ -19,8 +19,9 @@ from reference.model_reference_filter import (
     schedule_at,
     taken_over,
 )
-from thermal.control.control_api import ControlInput, ControlOutput, Planned, Sample
+from thermal.control.control_api import ControlInput, ControlOutput
 from thermal.models.heater_model import ModelParameters, Nodes
+from thermal.records import Planned, Sample
 
 SAME_SHARE = 0.004  # outputs nearer than this (of the most) are one and the same step
 SETTLED_C = 0.25  # nearer than this to the reference, and not about to change: no horizon is worth sending

@@ -11,9 +11,10 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from thermal.control.control_api import IDLE, Planned, Reference, Sample, Schedule
+from thermal.control.control_api import IDLE, Reference, Schedule
 from thermal.models.heat_loss import STEFAN_BOLTZMANN, ZERO_CELSIUS_K
 from thermal.models.heater_model import ModelParameters, Nodes
+from thermal.records import Planned, Sample
 
 # Quantities over time
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import chelper
-from thermal.control import actuator
 from thermal.models import heat_loss
+from thermal.models.drive_law import DriveLaw
 from thermal.records import SampleBlock, TempEstimate
 from thermal.sensing import (
     block_temperature,
@@ -25,7 +25,7 @@ def new_chain(
     front: features.FeatureParameters | None = None,
     read: block_temperature.EstimatorParameters | None = None,
     watch: supervision.SuperviseParameters | None = None,
-    drive: actuator.DriveLaw | None = None,
+    drive: DriveLaw | None = None,
     filtered: temperature_filter.TrackParameters | None = None,
 ) -> pipeline.Chain:
     made = pipeline.Chain()
@@ -33,7 +33,7 @@ def new_chain(
         front or features.FeatureParameters(),
         read or block_temperature.EstimatorParameters(laws.ExpLaw()),
         watch or supervision.SuperviseParameters(0.0, 300.0),
-        drive or actuator.DriveLaw(),
+        drive or DriveLaw(),
         filtered or temperature_filter.TrackParameters(heat_loss.LossLaw()),
     )
     return made

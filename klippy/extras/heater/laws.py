@@ -13,6 +13,7 @@ from typing import Any
 
 from thermal.control import control_api, pid, predictive, two_period
 from thermal.models.heater_model import ModelParameters
+from thermal.records import ParameterError
 
 PID_BUSY_C = 1.0  # M109 returns when this near to the target ...
 PID_BUSY_SLOPE_C_S = 0.1  # ... and changing slower than this
@@ -252,7 +253,7 @@ def read_law(config: Any, max_power: float, smooth_time_s: float) -> HeaterLaw:
     reader, kind = LAWS[name]
     try:
         law, parameters = reader(config, max_power, smooth_time_s)
-    except control_api.ParameterError as e:
+    except ParameterError as e:
         written = [option for option in OPTIONS[name] if config.get(option, None) is not None]
         lines = "; ".join(f"{option}: {config.where(option)}" for option in written)
         raise config.error(f"Section '{config.get_name()}': {e} ({lines}).") from None

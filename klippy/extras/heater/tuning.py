@@ -10,7 +10,8 @@ from typing import Any
 
 from configfile import ConfigWrapper, error
 from configtext import ConfigData, ConfigParser
-from thermal.control import control_api, pid, two_period
+from thermal.control import pid, two_period
+from thermal.records import ParameterError
 from thermal.sensing import heat_balance_monitor
 
 from ..induction import settings as induction_settings
@@ -149,7 +150,7 @@ def check(printer: Any, heater: Any, tuning: dict[str, str]) -> Any:
     """What the tuning means for this heater. Raises command_error in plain words on one that cannot be."""
     try:
         return read(heater, _as_config(printer, section_of(heater), tuning), tuning)
-    except (error, control_api.ParameterError) as e:
+    except (error, ParameterError) as e:
         raise printer.command_error(f"This tuning cannot be used for heater '{heater.name}': {e}") from None
 
 

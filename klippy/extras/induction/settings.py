@@ -6,9 +6,11 @@ import math
 from dataclasses import fields, replace
 from typing import Any
 
-from thermal.control import actuator, control_api, loop, predictive, two_period
+from thermal.control import actuator, loop, nozzle_model, predictive, two_period
 from thermal.control import pid as pid_control
-from thermal.models import heat_loss, melt_exchange, nozzle_model
+from thermal.models import heat_loss, melt_exchange
+from thermal.models.drive_law import DriveLaw
+from thermal.records import ParameterError
 from thermal.sensing import (
     block_temperature,
     features,
@@ -104,7 +106,7 @@ def _timing(config: Any, unit: UnitSettings) -> loop.Timing:
 
 def _drive(config: Any, timing: loop.Timing, frequency_hz: float) -> actuator.ActuatorParameters:
     vdc_v = config.getfloat("vdc", 24.0, above=0.0)
-    law = actuator.DriveLaw(
+    law = DriveLaw(
         config.getfloat("power_full_w", 81.3, above=0.0),
         config.getfloat("drive_exponent", 1.5, above=0.0),
         vdc_v,
@@ -133,7 +135,7 @@ def _pid(config: Any, power_max_w: float) -> pid_control.PidParameters:
 
 def _control(
     config: Any,
-    drive: actuator.DriveLaw,
+    drive: DriveLaw,
     heat: heat_loss.HeatCapacity,
     loss: heat_balance_monitor.TwoNodeLoss,
     timing: loop.Timing,
@@ -151,7 +153,7 @@ def _control(
     table = heater_laws.read_practical(config, power_max_w)
     try:
         held = nozzle_model.nozzle_model(heat, loss, power_max_w, timing, melt)
-    except control_api.ParameterError as e:
+    except ParameterError as e:
         where = config.where("heat_capacity_j_per_k")
         raise config.error(f"Section '{config.get_name()}': {e} (heat_capacity_j_per_k: {where}).") from None
     if choice == "pid":
@@ -176,13 +178,13 @@ def remodelled(parameters: loop.LoopParameters) -> loop.LoopParameters:
     return replace(parameters, control=replace(chosen, parameters=held))
 
 
-def approach_for(law: laws.Law, drive: actuator.DriveLaw) -> loop.Approach:
+def approach_for(law: laws.Law, drive: DriveLaw) -> loop.Approach:
     """How a nozzle with this law may arrive at its target."""
     default = CALIBRATED_APPROACH if isinstance(law, laws.TankLaw) else loop.Approach()
     return replace(default, power_w=min(default.power_w, drive.power_max_w))
 
 
-def _approach(config: Any, drive: actuator.DriveLaw, law: laws.Law) -> loop.Approach:
+def _approach(config: Any, drive: DriveLaw, law: laws.Law) -> loop.Approach:
     default = approach_for(law, drive)
     band_c = config.getfloat("approach_band", default.band_c, minval=10.0, maxval=300.0)
     power_w = config.getfloat("approach_power_w", default.power_w, above=0.0, maxval=drive.power_max_w)

@@ -5,7 +5,8 @@
 
 EMULATOR_DIR     := klippy/simulation/emulator
 EMULATOR_OUT     := $(OUT)/emulator
-EMULATOR_CFLAGS  := -std=gnu11 -O2 -g -fPIC -fvisibility=hidden -Wall -Wextra -Werror -Isrc/simulator -Iklippy/simulation/world
+EMULATOR_INCLUDES := -Isrc/simulator -Iklippy/simulation/world
+EMULATOR_CFLAGS  := -std=gnu11 -O2 -g -fPIC -fvisibility=hidden -Wall -Wextra -Werror $(EMULATOR_INCLUDES)
 UNICORN          ?= $(firstword $(wildcard $(CURDIR)/.venv/lib/python3*/site-packages/unicorn))
 UNICORN_CFLAGS   := -isystem $(UNICORN)/include
 UNICORN_LIBS     := $(UNICORN)/lib/libunicorn.so.2 -Wl,-rpath,$(UNICORN)/lib

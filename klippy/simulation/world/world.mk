@@ -5,10 +5,11 @@ WORLD_DIR     := klippy/simulation/world
 PLANT_DIR     := klippy/simulation/plant
 WORLD_LIB     := $(OUT)/simulator/libferrite_world.so
 WORLD_SOURCES := $(wildcard $(WORLD_DIR)/*.c $(PLANT_DIR)/*.c)
+WORLD_INCLUDES := -I$(WORLD_DIR) -I$(PLANT_DIR) -Isrc/simulator
 WORLD_OBJECTS := $(WORLD_SOURCES:klippy/simulation/%.c=$(OUT)/simulator/%.o)
 # No -ffast-math: the same seed has to give the same trace with every compiler flag that is safe.
 WORLD_CFLAGS  := -std=c11 -D_GNU_SOURCE -O2 -g -fPIC -fno-math-errno -fvisibility=default -Wall -Wextra -Werror \
-                 -I$(WORLD_DIR) -I$(PLANT_DIR) -Isrc/simulator
+                 $(WORLD_INCLUDES)
 
 SIM_TARGETS += $(WORLD_LIB)
 

@@ -19,39 +19,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import chelper
-from thermal.records import PHASE_MAX_TICKS, PhaseCommand
+from thermal.models.drive_law import DriveLaw
+from thermal.records import PhaseCommand, Planned
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
-
-from .control_api import Planned
-
-
-@dataclass(frozen=True, slots=True)
-class DriveLaw:
-    """Heat in the nozzle as a function of phase and supply voltage."""
-
-    power_full_w: float = 81.3  # at 180 degrees and vdc_reference_v
-    exponent: float = 1.5
-    vdc_v: float = 24.0
-    vdc_reference_v: float = 24.0
-    phase_max_ticks: int = PHASE_MAX_TICKS
-
-    @property
-    def power_max_w(self) -> float:
-        """Heat at full phase with the present supply."""
-        return self.power_full_w * (self.vdc_v / self.vdc_reference_v) ** self.exponent
-
-    def power_w(self, phase_ticks: float) -> float:
-        """Heat at this phase."""
-        lib = chelper.get_ffi()[1]
-        return float(lib.drive_power_w(self.power_max_w, self.exponent, self.phase_max_ticks, phase_ticks))
-
-    def phase_ticks(self, power_w: float) -> float:
-        """Phase (not yet whole ticks) that gives this heat; limited to 0..full."""
-        if power_w <= 0.0:
-            return 0.0
-        amplitude = min(1.0, power_w / self.power_max_w) ** (1.0 / self.exponent)
-        return 2.0 * math.asin(amplitude) / math.pi * self.phase_max_ticks
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,7 +27,7 @@ from typing import Any
 
 from thermal.models import heat_loss
 from thermal.models.melt_exchange import MeltExchange
-from thermal.records import PhaseCommand, PowerRequest, SampleBlock, TempEstimate
+from thermal.records import PhaseCommand, Planned, PowerRequest, Sample, SampleBlock, TempEstimate
 from thermal.sensing import block_temperature, features, heat_balance_monitor, supervision, temperature_filter
 from thermal.sensing.blocks import Blocks
 from thermal.sensing.pipeline import Chain
@@ -109,7 +109,7 @@ class LoopState:
     estimate: TempEstimate = NOT_MEASURED  # newest valid one
     request: PowerRequest = NO_REQUEST
     line: Timeline = field(default_factory=Timeline)  # commands sent
-    horizon: tuple[control_api.Planned, ...] = ()  # what the law means to do after its request
+    horizon: tuple[Planned, ...] = ()  # what the law means to do after its request
     decided_s: float = -math.inf  # last control step
     restless_s: float = -math.inf  # when something happened last that wants a quick host
     settled_s: float = math.inf  # since when the estimate has been near the target
@@ -217,7 +217,7 @@ class InductionLoop:
         # What the filter does not explain is whatever the law before had learned: melt, fan, a cold second mass.
         loss_w = heat_loss.loss_w(parameters.loss, news.temp_c)
         holding_w = loss_w - parameters.track.heat.at(news.temp_c) * self.chain.state.track.rate_k_s
-        seen = control_api.Sample(news.time_s, news.time_s, news.temp_c, 0.0, state.request.power_w)
+        seen = Sample(news.time_s, news.time_s, news.temp_c, 0.0, state.request.power_w)
         inputs = control_api.ControlInput(
             news.temp_c, news.temp_c, loss_w, samples=(seen,), flow_mm3_s=self.flow, fan=self.fan
         )
@@ -499,15 +499,13 @@ class InductionLoop:
         taken_s = state.line.newest.time_s + max(TIME_SLACK_S, apart_s - TIME_SLACK_S)
         return at_s if at_s > taken_s else None
 
-    def _improves(
-        self, taken: PhaseCommand, power_w: float, horizon: tuple[control_api.Planned, ...]
-    ) -> bool:
+    def _improves(self, taken: PhaseCommand, power_w: float, horizon: tuple[Planned, ...]) -> bool:
         """Is it worth a message to say anew what was said for this edge? Pulses are booked and stay."""
         parameters = self._parameters
         driving = self.state.actuator.driving and power_w >= parameters.actuator.power_low_w
         if not driving or not parameters.control.models or not taken.phase_ticks:
             return False
-        plan = (control_api.Planned(taken.time_s, power_w), *horizon)
+        plan = (Planned(taken.time_s, power_w), *horizon)
         return self.state.line.strays(plan, RESAY_SHARE * parameters.control.power_max_w)
 
     def _interval_s(self) -> float:

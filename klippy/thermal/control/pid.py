@@ -16,7 +16,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from .control_api import ControlInput, ControlOutput, Law, ParameterError, require
+from thermal.records import ParameterError, require
+
+from .control_api import ControlInput, ControlOutput, Law
 
 __all__ = [
     "PID",

@@ -31,10 +31,11 @@ from functools import cache, partial
 
 import chelper
 from thermal.models.heater_model import ModelParameters
+from thermal.records import Planned
+from thermal.sensing.samples import Samples
 
-from .control_api import ControlInput, ControlOutput, Law, Planned
+from .control_api import ControlInput, ControlOutput, Law
 from .predictive_filter import ModelState
-from .samples import Samples
 
 __all__ = ["MODEL", "ModelParameters", "ModelState", "model_follow", "model_step"]
 

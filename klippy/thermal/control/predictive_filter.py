@@ -34,9 +34,10 @@ from typing import Any
 
 import chelper
 from thermal.models.heater_model import ModelParameters, Nodes, nodes_of
+from thermal.records import Planned, Sample
+from thermal.sensing.samples import Samples
 
-from .control_api import IDLE, Planned, Sample, Schedule
-from .samples import Samples
+from .control_api import IDLE, Schedule
 
 
 class ModelState:

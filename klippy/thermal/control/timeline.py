@@ -13,9 +13,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from thermal.records import PhaseCommand
-
-from .control_api import Planned
+from thermal.records import PhaseCommand, Planned
 
 TIME_SLACK_S = 1e-7  # rounding of print times against clocks, far below a bridge period
 

@@ -18,7 +18,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from .control_api import ControlInput, ControlOutput, Law, require
+from thermal.records import require
+
+from .control_api import ControlInput, ControlOutput, Law
 
 # Table 2. (least T_e in degC, a of 255), T_e = target minus temperature; the last row has no lower end.
 FLYING: tuple[tuple[float, int], ...] = (

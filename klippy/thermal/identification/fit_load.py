@@ -29,11 +29,11 @@ from typing import Any
 import numpy as np
 from scipy import optimize
 
+from thermal.control.nozzle_model import nozzle_model
 from thermal.control.timeline import Timing
 from thermal.models.heat_loss import HeatCapacity
 from thermal.models.heater_model import ModelParameters, advance, at_rest, stepped
 from thermal.models.melt_exchange import MeltExchange
-from thermal.models.nozzle_model import nozzle_model
 from thermal.sensing.heat_balance_monitor import scaled
 
 from . import fit_melt

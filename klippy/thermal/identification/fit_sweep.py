@@ -29,8 +29,8 @@ from typing import Any
 import numpy as np
 from scipy import optimize
 
-from thermal.control import actuator
 from thermal.models import heat_loss
+from thermal.models.drive_law import DriveLaw
 from thermal.sensing import heat_balance_monitor
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 
@@ -192,7 +192,7 @@ def judge(law: str, points: Points) -> LawFigures:
     )
 
 
-def _mean_power(recording: Recording, law: actuator.DriveLaw, grid_s: Array) -> Array:
+def _mean_power(recording: Recording, law: DriveLaw, grid_s: Array) -> Array:
     """Heat in each grid cell, W."""
     edges = np.append(grid_s, grid_s[-1] + (grid_s[1] - grid_s[0]))
     rows = np.array(recording.blocks)
@@ -206,7 +206,7 @@ def _mean_power(recording: Recording, law: actuator.DriveLaw, grid_s: Array) -> 
 
 
 def fit_heat(
-    recording: Recording, law: actuator.DriveLaw, beta: Array, centre: float, half: float
+    recording: Recording, law: DriveLaw, beta: Array, centre: float, half: float
 ) -> tuple[float, float, float, float, float]:
     """(capacity at 25 degC, loss factor, second mass factor, ambient, rms residual in degC) of the two-node model."""
     time_s, error = _low_rows(recording)
@@ -266,7 +266,7 @@ def read_recording(path: Path) -> Recording:
     return recording
 
 
-def analyse(recording: Recording, drive: actuator.DriveLaw, gain: float = 1.0) -> Calibration:
+def analyse(recording: Recording, drive: DriveLaw, gain: float = 1.0) -> Calibration:
     """The whole way. Raises FitError with a text for people."""
     lag, beta, centre, half = estimate_lag(recording, gain)
     points = points_of(recording, beta, centre, half)
@@ -328,12 +328,12 @@ def summary(result: Calibration) -> dict[str, Any]:
 def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("trace", type=Path)
-    default = actuator.DriveLaw()
+    default = DriveLaw()
     parser.add_argument("--gain", type=float, default=1.0, help="of the reference sensor (Table 6)")
     parser.add_argument("--power-full", type=float, default=default.power_full_w, help="W at full phase")
     parser.add_argument("--exponent", type=float, default=default.exponent)
     options = parser.parse_args(argv)
-    drive = actuator.DriveLaw(options.power_full, options.exponent)
+    drive = DriveLaw(options.power_full, options.exponent)
     try:
         result = analyse(read_recording(options.trace), drive, options.gain)
     except (FitError, OSError, ValueError) as error:

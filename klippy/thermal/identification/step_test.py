@@ -17,7 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from thermal.control.control_api import Sample, Schedule
+from thermal.control.control_api import Schedule
+from thermal.records import Sample
 
 STAGES = ("heat", "hold", "fan", "flow", "cool", "validate", "coast")
 

@@ -19,8 +19,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 
-from thermal.control import actuator
 from thermal.models import heat_loss
+from thermal.models.drive_law import DriveLaw
 from thermal.records import PHASE_MAX_TICKS, PhaseCommand
 from thermal.sensing import features
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
@@ -38,7 +38,7 @@ class SweepParameters:
     """One run; powers are those of the drive law in use, only roughly right before a calibration."""
 
     front: features.FeatureParameters
-    law: actuator.DriveLaw
+    law: DriveLaw
     temp_max_c: float  # of the reference, its lag allowed for
     powers_percent: tuple[float, ...] = POWERS_PERCENT
     heat_w: float = 14.0  # mean: 10-30 K/s on the reference nozzle

@@ -25,7 +25,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 import chelper
-from thermal.control.control_api import require
+from thermal.records import require
 
 from .heat_loss import ZERO_CELSIUS_K
 

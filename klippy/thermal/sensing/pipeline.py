@@ -12,9 +12,9 @@ import math
 from typing import Any
 
 import chelper
-from thermal.control.actuator import DriveLaw
-from thermal.control.samples import Samples
+from thermal.models.drive_law import DriveLaw
 from thermal.records import TempEstimate
+from thermal.sensing.samples import Samples
 
 from . import features, laws
 from .block_temperature import EMPTY_MARGIN_C, EstimatorParameters

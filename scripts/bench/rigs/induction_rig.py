@@ -24,10 +24,11 @@ import cffi
 import numpy as np
 
 from block_codec import Row, pack, take
-from thermal.control import actuator, loop, predictive, steady, two_period
+from thermal.control import actuator, loop, nozzle_model, predictive, steady, two_period
 from thermal.control import pid as pid_control
 from thermal.identification import sweep
-from thermal.models import heat_loss, nozzle_model
+from thermal.models import heat_loss
+from thermal.models.drive_law import DriveLaw
 from thermal.records import PhaseCommand
 from thermal.sensing import (
     block_temperature,
@@ -188,7 +189,7 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
     law = changes.pop("law", laws.ExpLaw())
     choice = changes.pop("control", "model")
     front = changes.pop("front", features.FeatureParameters())
-    drive = actuator.DriveLaw(power_full_w=changes.pop("power_full_w", 81.3))
+    drive = DriveLaw(power_full_w=changes.pop("power_full_w", 81.3))
     pulse_s = block_s + settle_s + defaults.SETTLE_MARGIN_SAMPLES * PERIOD_S
     max_temp_c = changes.pop("max_temp_c", 350.0)
     loss_known = changes.pop("loss_uncertainty", 0.25)
@@ -218,7 +219,7 @@ def _control(
     pid: pid_control.PidParameters,
     heat: heat_loss.HeatCapacity,
     balance: heat_balance_monitor.TwoNodeLoss,
-    drive: actuator.DriveLaw,
+    drive: DriveLaw,
     timing: loop.Timing,
     held: dict[str, Any],
 ) -> loop.Control:

@@ -21,8 +21,8 @@ from typing import Protocol
 import numpy as np
 
 from induction_rig import CHUNK, PERIOD_S, Plant
-from thermal.control import actuator
 from thermal.models import heat_loss
+from thermal.models.drive_law import DriveLaw
 
 SENSOR_NOISE_C = 0.05
 COMMAND_S = 0.005  # a new target on its way to the heater, as ours (loop.PROMPT_S)
@@ -101,7 +101,7 @@ class PeerRig:
 
     def __init__(self, plant: Plant, peer: Peer, power_full_w: float, seed: int = 0) -> None:
         self.plant, self.peer = plant, peer
-        self.law = actuator.DriveLaw(power_full_w=power_full_w)
+        self.law = DriveLaw(power_full_w=power_full_w)
         self.random = random.Random(seed)
         self.period, self.next_s, self.target_c, self.flow = 0, 0.0, 0.0, 0.0
         self.t_s: list[float] = []

@@ -65,9 +65,9 @@ def test_thermal_may_use_the_standard_library_only(tmp_path: Path) -> None:
 def test_what_runs_in_the_printer_may_not_need_an_offline_fit(tmp_path: Path) -> None:
     files = {
         "thermal/identification/fit_sensing.py": "import numpy\n",
-        "thermal/models/heat_loss.py": "from thermal import fit\n",
-        "extras/calibrate.py": "import thermal.fit\n",
-        "thermal/control/pid.py": "from .fit import fit_line\n",
+        "thermal/models/heat_loss.py": "from thermal.identification import fit_sensing\n",
+        "extras/calibrate.py": "import thermal.identification.fit_sensing\n",
+        "thermal/control/pid.py": "from ..identification.fit_sensing import fit_line\n",
     }
     found = {o.path.name for o in check_layers.check_python(put(tmp_path, files))}
     assert found == {"heat_loss.py", "calibrate.py", "pid.py"}

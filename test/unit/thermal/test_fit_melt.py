@@ -10,11 +10,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from thermal.control.control_api import Sample, Schedule
+from thermal.control.control_api import Schedule
 from thermal.identification import fit_load, fit_melt, step_test
 from thermal.identification.fit_melt import Held, MeltFit, MeltFitError
 from thermal.identification.step_test import Row
 from thermal.models.melt_exchange import MeltExchange
+from thermal.records import Sample
 
 ROOM_C = 22.0
 TICK_S = 0.005

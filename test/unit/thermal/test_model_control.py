@@ -9,10 +9,11 @@ from dataclasses import replace
 import pytest
 
 from thermal.control import predictive_filter
-from thermal.control.control_api import ControlInput, ParameterError, Planned, Reference, Sample, Schedule
+from thermal.control.control_api import ControlInput, Reference, Schedule
 from thermal.control.predictive import MODEL, model_step
 from thermal.models import heater_model
 from thermal.models.heater_model import ModelParameters, advance, at_rest, hold_w
+from thermal.records import ParameterError, Planned, Sample
 
 BLOCK = ModelParameters(
     heat_j_k=15.0, loss_w_k=0.07, output_w=40.0, output_high=1.0, ambient_c=20.0, melt_ua_w_k=0.06

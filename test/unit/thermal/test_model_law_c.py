@@ -16,19 +16,12 @@ import chelper
 from reference import model_reference as reference
 from reference import model_reference_filter as plant
 from thermal.control import predictive_filter
-from thermal.control.control_api import (
-    IDLE,
-    ControlInput,
-    ParameterError,
-    Planned,
-    Reference,
-    Sample,
-    Schedule,
-)
+from thermal.control.control_api import IDLE, ControlInput, Reference, Schedule
 from thermal.control.predictive import MODEL, model_follow, model_step
-from thermal.control.samples import Samples
 from thermal.models import heater_model
 from thermal.models.heater_model import ModelParameters, Nodes
+from thermal.records import ParameterError, Planned, Sample
+from thermal.sensing.samples import Samples
 
 # Both do the same sums in the same order; squares and cubes may differ by the last bit (a product here, pow() there),
 # and some dozen steps of a filter carry that on.

@@ -10,9 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from thermal.control import actuator
+from thermal.models.drive_law import DriveLaw
 from thermal.records import PhaseCommand
 
-LAW = actuator.DriveLaw()
+LAW = DriveLaw()
 PULSE_S = (1024 + 20 + 4) / 120e3
 PARAMETERS = actuator.ActuatorParameters(LAW, PULSE_S)
 STEP_S = 2 * 1024 / 120e3
@@ -36,7 +37,7 @@ def test_drive_law_has_the_seeds_values() -> None:
 
 
 def test_supply_voltage_scales_the_power_with_the_drive_exponent() -> None:
-    weak = actuator.DriveLaw(vdc_v=12.0)
+    weak = DriveLaw(vdc_v=12.0)
     assert weak.power_max_w == pytest.approx(81.3 * 0.5**1.5)
     assert weak.power_w(20000) == pytest.approx(LAW.power_w(20000) * 0.5**1.5)
 

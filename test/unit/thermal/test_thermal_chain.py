@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 import block_codec
 from chain_rig import new_chain
 from reference import chain_reference
-from thermal.control import actuator
 from thermal.models import heat_loss
+from thermal.models.drive_law import DriveLaw
 from thermal.sensing import (
     block_temperature,
     blocks,
@@ -67,7 +67,7 @@ def parameters(law: laws.Law, rng: random.Random, supply: float) -> tuple[Any, .
         features.FeatureParameters(256.0, 1.0, rng.uniform(0.3, 2.0)),
         block_temperature.EstimatorParameters(law, supply=supply),
         supervision.SuperviseParameters(0.0, 245.0, limit_blocks=4, calibrated=rng.random() < 0.8),
-        actuator.DriveLaw(vdc_v=24.0 * supply),
+        DriveLaw(vdc_v=24.0 * supply),
         temperature_filter.TrackParameters(
             loss, heat_loss.HeatCapacity(0.414 * rng.uniform(0.6, 1.6)), outliers_max=3
         ),

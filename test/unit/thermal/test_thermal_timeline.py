@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from thermal.control.control_api import Planned
 from thermal.control.timeline import Timeline
-from thermal.records import PhaseCommand
+from thermal.records import PhaseCommand, Planned
 
 TOLD = ((1.00, 5.0), (1.02, 9.0), (1.05, 7.0))
 

@@ -11,8 +11,7 @@ from functools import partial
 from typing import Any, overload
 
 import chelper
-
-from .control_api import Sample
+from thermal.records import Sample
 
 _SAMPLE = struct.Struct("5d?7x")  # struct model_sample
 _new_sample = partial(tuple.__new__, Sample)  # Sample._make without a Python frame for each

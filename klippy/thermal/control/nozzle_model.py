@@ -6,12 +6,12 @@ from their options; nothing here is tuned twice.
 
 from __future__ import annotations
 
-from thermal.control.timeline import Timing
+from thermal.models.heat_loss import HeatCapacity
+from thermal.models.heater_model import ModelParameters
+from thermal.models.melt_exchange import MeltExchange
 from thermal.sensing.heat_balance_monitor import TwoNodeLoss
 
-from .heat_loss import HeatCapacity
-from .heater_model import ModelParameters
-from .melt_exchange import MeltExchange
+from .timeline import Timing
 
 FADE_S = 0.045  # five control intervals: noise of the estimate is not chased
 FAN_W_K = 5e-3
