@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from clockfit import ClockEstimator, ClockLine, ClockSample, fit_clock_line
+from link.clockfit import ClockEstimator, ClockLine, ClockSample, fit_clock_line
 from reactor import Reactor
 from serialhdl import SerialReader
 

@@ -9,10 +9,14 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
-if TYPE_CHECKING:
-    from gcode import GCodeDispatch
+
+class Dispatch(Protocol):
+    """Where answers go (klippy/gcode.py)."""
+
+    def respond_raw(self, msg: str) -> None: ...
+    def respond_info(self, msg: str, log: bool = True) -> None: ...
 
 
 class CommandError(Exception):
@@ -42,7 +46,7 @@ class GCodeCommand:
     error = CommandError
 
     def __init__(
-        self, dispatch: GCodeDispatch, command: str, commandline: str, params: dict[str, str], need_ack: bool
+        self, dispatch: Dispatch, command: str, commandline: str, params: dict[str, str], need_ack: bool
     ) -> None:
         self._dispatch = dispatch
         self._command = command

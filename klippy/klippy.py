@@ -13,8 +13,8 @@ import time
 from typing import Any
 
 import queuelogger
-import serialport
 import util
+from link import serialport
 from printer import Printer
 from reactor import Reactor
 

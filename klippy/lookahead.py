@@ -28,13 +28,10 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import chelper
 from gcode import Coord
-
-if TYPE_CHECKING:
-    from toolhead import ToolHead
 
 __all__ = ["Coord", "LookAheadQueue", "Move", "done_in_c", "is_done_in_c"]
 
@@ -49,6 +46,19 @@ _PLAIN_FIELDS = (
     "move_d", "min_move_t", "accel", "junction_deviation", "max_cruise_v2", "delta_v2", "smooth_delta_v2",
     "max_start_v2", "max_smoothed_v2",
 )  # fmt: skip
+
+
+class Limits(Protocol):
+    """What a move and the queue need of the toolhead (klippy/toolhead.py). mm, s."""
+
+    printer: Any
+    max_velocity: float
+    max_accel: float
+    max_accel_to_decel: float
+    junction_deviation: float
+    extra_axes: Any
+
+    def get_max_velocity(self) -> tuple[float, float]: ...
 
 
 class Move:
@@ -94,7 +104,7 @@ class Move:
     decel_t: float
 
     def __init__(
-        self, toolhead: ToolHead, start_pos: Sequence[float], end_pos: Sequence[float], speed: float
+        self, toolhead: Limits, start_pos: Sequence[float], end_pos: Sequence[float], speed: float
     ) -> None:
         self.toolhead = toolhead
         self.start_pos = (start_pos[0], start_pos[1], start_pos[2], start_pos[3])
@@ -131,7 +141,7 @@ class Move:
         self.smooth_delta_v2 = 2.0 * move_d * toolhead.max_accel_to_decel
 
     @classmethod
-    def from_record(cls, toolhead: ToolHead, record: Any) -> Move:
+    def from_record(cls, toolhead: Limits, record: Any) -> Move:
         """The object of a move the C helper has made (struct lookahead_move)."""
         move = cls.__new__(cls)
         move.toolhead = toolhead

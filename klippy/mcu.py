@@ -18,10 +18,10 @@ from typing import Any, NoReturn
 import msgproto
 import pins
 import serialhdl
-import serialport
 from clocksync import ClockSync, SecondarySync
-from mcu_io import MCU_adc, MCU_digital_out, MCU_endstop, MCU_pwm, MCU_trsync, TriggerDispatch
-from mcu_session import ConfigScript, TaskLoad, shutdown_help
+from link import serialport
+from link.mcu_io import MCU_adc, MCU_digital_out, MCU_endstop, MCU_pwm, MCU_trsync, TriggerDispatch
+from link.mcu_session import ConfigScript, TaskLoad, shutdown_help
 from serialhdl import CommandQueryWrapper, CommandWrapper
 
 __all__ = [

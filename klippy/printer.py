@@ -18,9 +18,9 @@ import gcode_io
 import msgproto
 import pins
 import serialhdl
-import serialport
 import stepper
 import webhooks
+from link import serialport
 from reactor import Reactor
 
 MESSAGE_READY = "Printer is ready"

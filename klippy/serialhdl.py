@@ -18,7 +18,7 @@ from typing import Any
 
 import chelper
 import msgproto
-import serialport
+from link import serialport
 from reactor import Reactor, ReactorCompletion
 
 Params = msgproto.Params

@@ -12,12 +12,9 @@ The C helper does the work (itersolve, stepcompress, steppersync); this module o
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import chelper
-
-if TYPE_CHECKING:
-    from stepper import MCU_stepper
 
 # Steps kept back while motion goes on; far above the 0.75 ms within which a step and its reversal cancel.
 HOLD_BACK_S = 0.050
@@ -34,18 +31,27 @@ END_OF_TIME_CLOCK = 2**63
 MIN_PLACES = 1
 
 
+class Stepper(Protocol):
+    """What a stream needs of a stepper (klippy/stepper.py); both are objects of the C helper, or None."""
+
+    def get_mcu(self) -> Any: ...
+    def get_stepcompress(self) -> Any: ...
+    def get_stepper_kinematics(self) -> Any: ...
+    def wake(self, print_time: float) -> bool: ...
+
+
 class StepStream:
     """The steppers of one MCU."""
 
     def __init__(self, mcu: Any) -> None:
         self.mcu = mcu
-        self.steppers: list[MCU_stepper] = []
+        self.steppers: list[Stepper] = []
         self._ffi, self._lib = chelper.get_ffi()
         self._sync: Any = None
         self._writer: Any = None
         self._failed = self._ffi.new("int *", -1)
 
-    def add_stepper(self, stepper: MCU_stepper) -> None:
+    def add_stepper(self, stepper: Stepper) -> None:
         self.steppers.append(stepper)
 
     def _open(self) -> None:
@@ -117,21 +123,21 @@ class StepStreams:
         self._reactor = reactor
         self.streams: dict[Any, StepStream] = {}
         self.generators: list[Callable[[float], None]] = []
-        self._waking: list[MCU_stepper] = []
+        self._waking: list[Stepper] = []
         self._done_time = 0.0
         self._ffi, self._lib = chelper.get_ffi()
         self._trapqs: list[Any] = []
 
-    def add_stepper(self, stepper: MCU_stepper) -> None:
+    def add_stepper(self, stepper: Stepper) -> None:
         mcu = stepper.get_mcu()
         if mcu not in self.streams:
             self.streams[mcu] = StepStream(mcu)
         self.streams[mcu].add_stepper(stepper)
 
-    def note_kinematics(self, stepper: MCU_stepper) -> None:
+    def note_kinematics(self, stepper: Stepper) -> None:
         self.streams[stepper.get_mcu()].sync_kinematics()
 
-    def note_active_callback(self, stepper: MCU_stepper) -> None:
+    def note_active_callback(self, stepper: Stepper) -> None:
         """The stepper wants to be told before its next step."""
         if stepper not in self._waking:
             self._waking.append(stepper)

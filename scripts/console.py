@@ -31,7 +31,7 @@ sys.path.insert(0, str(ROOT / "klippy"))
 import clocksync  # noqa: E402
 import msgproto  # noqa: E402
 import serialhdl  # noqa: E402
-import serialport  # noqa: E402
+from link import serialport  # noqa: E402
 from reactor import Reactor  # noqa: E402
 
 HISTORY = Path.home() / ".ferrite_console_history"

@@ -30,9 +30,9 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "klippy"))
 
 import klippy  # noqa: E402
+from link.serialport import PortError  # noqa: E402
 from printer import Printer  # noqa: E402
 from reactor import FdPoll, Reactor  # noqa: E402
-from serialport import PortError  # noqa: E402
 from simulation import world as world_module  # noqa: E402
 from simulation.machine import Machine, assemble  # noqa: E402
 from simulation.simport import SimPort  # noqa: E402

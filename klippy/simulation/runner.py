@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import reactor as reactor_module
+from link.serialport import PortError
 from printer import Printer
-from serialport import PortError
 
 from . import world as world_module
 from .machine import Machine, assemble

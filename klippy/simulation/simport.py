@@ -12,7 +12,7 @@ from .world import World
 
 
 class SimPort:
-    """One open connection to a simulated MCU (the `Port` contract of klippy/serialport.py)."""
+    """One open connection to a simulated MCU (the `Port` contract of klippy/link/serialport.py)."""
 
     def __init__(self, world: World, time: SimTime, mcu: int) -> None:
         self._world, self._time, self._mcu = world, time, mcu

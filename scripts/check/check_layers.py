@@ -30,7 +30,7 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
             "base",
             "util queuelogger reactor configtext configfile gcode_command gcode gcode_io pins msgproto",
         ),
-        ("link", "serialport serialhdl clockfit clocksync mcu mcu_io mcu_homing mcu_session"),
+        ("link", "link serialhdl clocksync mcu"),
         ("motion", "stepper stepstream kinematics lookahead g1path toolhead"),
         ("extras", "extras"),
         ("app", "webhooks printer klippy parsedump"),

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-import mcu_homing
+from link import mcu_homing
 from simulation.runner import BAD_INPUT, PRINTED, RunOptions, Simulation
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 import serialhdl
-import serialport
+from link import serialport
 from link_rig import LinkSession
 from mcu import MCU
 

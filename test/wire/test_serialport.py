@@ -17,7 +17,7 @@ import pytest
 
 import msgproto
 import serialhdl
-import serialport
+from link import serialport
 from reactor import Reactor
 from virtual_link import ReferenceMcu, blocks_of
 

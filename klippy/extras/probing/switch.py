@@ -11,7 +11,7 @@ from typing import Any
 
 
 class ProbeSwitch:
-    """The probe as an endstop (klippy/mcu_homing.py) that is brought out before and back after use.
+    """The probe as an endstop (klippy/link/mcu_homing.py) that is brought out before and back after use.
 
     A subclass with another way to do that overrides `raise_probe` and `lower_probe`.
     """

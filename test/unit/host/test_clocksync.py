@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from clockfit import widest_strip
 from clocksync import ClockEstimator, ClockLine, ClockSample, ClockSync, SecondarySync, fit_clock_line
+from link.clockfit import widest_strip
 from reactor import Reactor
 
 FREQ = 72e6

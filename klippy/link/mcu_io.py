@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pins
-from mcu_homing import MCU_endstop, MCU_trsync, TriggerDispatch
 
-if TYPE_CHECKING:
-    from mcu import MCU
+from .mcu_homing import MCU_endstop, MCU_trsync, TriggerDispatch
+from .roles import Mcu
 
 __all__ = ["MCU_adc", "MCU_digital_out", "MCU_endstop", "MCU_pwm", "MCU_trsync", "TriggerDispatch"]
 
@@ -38,7 +37,7 @@ QUERY_ANALOG_SINGLE_FILLED = (
 )
 
 
-def _duration_ticks(mcu: MCU, pin: str, duration_s: float) -> int:
+def _duration_ticks(mcu: Mcu, pin: str, duration_s: float) -> int:
     ticks = mcu.seconds_to_clock(duration_s)
     if ticks > MAX_TICKS:
         raise pins.error(
@@ -50,7 +49,7 @@ def _duration_ticks(mcu: MCU, pin: str, duration_s: float) -> int:
 class MCU_digital_out:
     """An on/off output. With a max_duration it falls back to its shutdown value (a shutdown) when not refreshed."""
 
-    def __init__(self, mcu: MCU, pin_params: dict[str, Any]) -> None:
+    def __init__(self, mcu: Mcu, pin_params: dict[str, Any]) -> None:
         self._mcu = mcu
         self._pin: str = pin_params["pin"]
         self._invert = int(pin_params["invert"])
@@ -61,7 +60,7 @@ class MCU_digital_out:
         self._set: Any = None
         mcu.register_config_callback(self._build_config)
 
-    def get_mcu(self) -> MCU:
+    def get_mcu(self) -> Mcu:
         return self._mcu
 
     def setup_max_duration(self, max_duration: float) -> None:
@@ -101,7 +100,7 @@ class MCU_digital_out:
 class MCU_pwm:
     """A duty cycle from 0 to 1, by the MCU's timer hardware or by its software."""
 
-    def __init__(self, mcu: MCU, pin_params: dict[str, Any]) -> None:
+    def __init__(self, mcu: Mcu, pin_params: dict[str, Any]) -> None:
         self._mcu = mcu
         self._pin: str = pin_params["pin"]
         self._invert = bool(pin_params["invert"])
@@ -116,7 +115,7 @@ class MCU_pwm:
         self._set: Any = None
         mcu.register_config_callback(self._build_config)
 
-    def get_mcu(self) -> MCU:
+    def get_mcu(self) -> Mcu:
         return self._mcu
 
     def setup_max_duration(self, max_duration: float) -> None:
@@ -208,7 +207,7 @@ class MCU_pwm:
 class MCU_adc:
     """An analog input: sums of `sample_count` conversions, reported every `report_time`."""
 
-    def __init__(self, mcu: MCU, pin_params: dict[str, Any]) -> None:
+    def __init__(self, mcu: Mcu, pin_params: dict[str, Any]) -> None:
         self._mcu = mcu
         self._pin: str = pin_params["pin"]
         self._oid = -1
@@ -223,7 +222,7 @@ class MCU_adc:
         self._last_state = (0.0, 0.0)
         mcu.register_config_callback(self._build_config)
 
-    def get_mcu(self) -> MCU:
+    def get_mcu(self) -> Mcu:
         return self._mcu
 
     def get_oid(self) -> int:

@@ -13,12 +13,11 @@ When a board falls silent the time-outs of the others are no longer put off and 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import pins
 
-if TYPE_CHECKING:
-    from mcu import MCU
+from .roles import Mcu
 
 # How long a board goes on unheard, and how often it reports meanwhile. By itself it may lose five reports in a row; one
 # of several that runs on while another has stopped goes 5 mm at 100 mm/s, and may lose two.
@@ -31,7 +30,7 @@ SILENCE_S = 0.5  # without a report: twice the longest time-out, so the board ha
 class Stepper(Protocol):
     """What homing needs of a stepper (klippy/stepper.py)."""
 
-    def get_mcu(self) -> MCU: ...
+    def get_mcu(self) -> Mcu: ...
     def get_oid(self) -> int: ...
     def note_homing_end(self) -> None: ...
 
@@ -44,7 +43,7 @@ class MCU_trsync:
     REASON_PAST_END_TIME = 3
     REASON_COMMS_TIMEOUT = 4
 
-    def __init__(self, mcu: MCU, dispatch: TriggerDispatch) -> None:
+    def __init__(self, mcu: Mcu, dispatch: TriggerDispatch) -> None:
         self._mcu = mcu
         self._dispatch = dispatch
         self._steppers: list[Stepper] = []
@@ -59,7 +58,7 @@ class MCU_trsync:
         self._trigger_query: Any = None
         mcu.register_config_callback(self._build_config)
 
-    def get_mcu(self) -> MCU:
+    def get_mcu(self) -> Mcu:
         return self._mcu
 
     def get_oid(self) -> int:
@@ -141,7 +140,7 @@ class MCU_trsync:
 class TriggerDispatch:
     """All boards that take part in stopping; the first one has the endstop."""
 
-    def __init__(self, mcu: MCU) -> None:
+    def __init__(self, mcu: Mcu) -> None:
         self._mcu = mcu
         self._reactor = mcu.get_printer().get_reactor()
         self._trsyncs = [MCU_trsync(mcu, self)]
@@ -243,7 +242,7 @@ class TriggerDispatch:
 class MCU_endstop:
     """A switch that ends a homing move."""
 
-    def __init__(self, mcu: MCU, pin_params: dict[str, Any]) -> None:
+    def __init__(self, mcu: Mcu, pin_params: dict[str, Any]) -> None:
         self._mcu = mcu
         self._pin: str = pin_params["pin"]
         self._pullup = int(pin_params["pullup"])
@@ -255,7 +254,7 @@ class MCU_endstop:
         self._dispatch = TriggerDispatch(mcu)
         mcu.register_config_callback(self._build_config)
 
-    def get_mcu(self) -> MCU:
+    def get_mcu(self) -> Mcu:
         return self._mcu
 
     def add_stepper(self, stepper: Stepper) -> None:
