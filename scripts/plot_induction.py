@@ -9,8 +9,6 @@ Exit status 0 drawn, 2 the file is neither, or the picture cannot be written.
 
 from __future__ import annotations
 
-from thermal.models.drive_law import DriveLaw
-
 import in_venv  # noqa: F401  # isort: skip
 
 import argparse
@@ -26,6 +24,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
 
 from thermal.identification import fit_data, fit_sensing, fit_sweep
 from thermal.identification.fit_sensing import FitError
+from thermal.models.drive_law import DriveLaw
 
 DUMP_COLUMNS = {"time", "phase", "count", "raw_mean", "raw_min", "raw_max"}
 ROWS_MAX = 20000  # more dots than a picture shows

@@ -1,6 +1,6 @@
 """The reactor's clock in a simulation: waiting makes the world move.
 
-Theory of operation: src/simulator/README.md, "Who owns virtual time".
+Theory of operation: klippy/simulation/README.md, "Who owns virtual time".
 """
 
 from __future__ import annotations

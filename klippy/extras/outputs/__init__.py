@@ -1,1 +1,1 @@
-"""TODO-ROOM"""
+"""What output sections share: values at print times."""

@@ -1,1 +1,1 @@
-"""TODO-ROOM"""
+"""What temperature sensors share: the table of their types, and the chips on I2C."""

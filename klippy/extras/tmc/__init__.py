@@ -1,1 +1,1 @@
-"""TODO-ROOM"""
+"""What the sections of the TMC stepper drivers (tmc2130.py ...) share: registers, buses, currents, commands."""

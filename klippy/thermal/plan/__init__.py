@@ -1,1 +1,4 @@
-"""TODO-ROOM"""
+"""The nozzle temperature along the path: what is requested, what is deposited, how it welds, what the nozzle can follow.
+
+`planner` is the C planner for Python; `deposit`, `weld`, `set_points`, `layer_time` explain its parts.
+"""
