@@ -25,8 +25,8 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
         ("thermal", "thermal"),
         (
             "base",
-            "util mathutil meshmath queuelogger reactor configtext configfile gcode_command gcode gcode_io pins"
-            " msgproto",
+            "util mathutil meshmath queuelogger reactor configtext configabsent configfile gcode_command gcode gcode_io"
+            " pins msgproto",
         ),
         ("link", "serialport serialhdl clockfit clocksync mcu mcu_io mcu_homing mcu_session"),
         ("motion", "stepper stepstream kinematics lookahead g1path toolhead tempplan pathpieces"),
