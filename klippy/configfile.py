@@ -8,8 +8,10 @@ import math
 import os
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
+import configabsent
 import configtext
 from configtext import ConfigData, ConfigError, Origin
 
@@ -303,10 +305,11 @@ def _suggestion(word: str, known: Iterable[str]) -> str:
 
 
 def _module_names() -> set[str]:
-    """Names a section may have because there is a module for it."""
-    folder = os.path.join(os.path.dirname(os.path.abspath(__file__)), "extras")
-    names = os.listdir(folder) if os.path.isdir(folder) else []
-    return {name.removesuffix(".py") for name in names if not name.startswith("_")}
+    """Names a section may have because there is a module for it; a module without a loader is a helper of others."""
+    folder = Path(__file__).with_name("extras")
+    modules = {path.stem: path for path in folder.glob("*.py")}
+    modules |= {path.parent.name: path for path in folder.glob("*/__init__.py")}
+    return {name for name, path in modules.items() if "load_config" in path.read_text(encoding="utf-8")}
 
 
 class PrinterConfig:
@@ -320,6 +323,7 @@ class PrinterConfig:
         self._pending: dict[str, dict[str, str] | None] = {}
         self._warnings: list[dict[str, Any]] = []
         self._settings: dict[str, dict[str, Any]] = {}
+        self._left_out: frozenset[str] = frozenset()
         printer.lookup_object("gcode").register_command(
             "SAVE_CONFIG", self.cmd_SAVE_CONFIG, desc="Overwrite config file and restart"
         )
@@ -341,21 +345,41 @@ class PrinterConfig:
         self._data = data
         return ConfigWrapper(self.printer, data, self._access, "printer")
 
+    def check_absent_sections(self, has_module: Callable[[str], bool]) -> list[str]:
+        """Before modules are loaded: refuse or leave out what Klipper has and we do not.
+
+        Returns the modules that sections left out would have loaded.
+        """
+        left_out = configabsent.find_left_out(self._data.sections, has_module)
+        self._left_out = frozenset(left_out)
+        if left_out:
+            text = configabsent.notice(left_out.values())
+            self.runtime_warning(text)
+            tell = self.printer.lookup_object("gcode").respond_info
+            self.printer.register_event_handler("klippy:ready", lambda: tell(text, log=False))
+        return [module for name, module in configabsent.BROUGHT_ALONG.items() if name in left_out]
+
     def check_unused_options(self, config: ConfigWrapper) -> None:
-        """Raise for the first section or option that no module asked for; then note all settings."""
+        """Raise for all sections and options that no module asked for; then note all settings."""
         known_sections = {section for section, _ in self._access}
         known_sections.update(name.lower() for name, _ in self.printer.lookup_objects())
+        problems: list[str] = []
         for name, section in self._data.sections.items():
+            if name in self._left_out:
+                continue
             if name.lower() not in known_sections:
                 hint = _suggestion(name, known_sections | _module_names())
-                raise ConfigError(f"Section '{name}' is not a valid config section ({section.origin}).{hint}")
+                problems.append(f"Section '{name}' is not a valid config section ({section.origin}).{hint}")
+                continue
             known_options = {option for sec, option in self._access if sec == name.lower()}
             for key, option in section.options.items():
                 if key not in known_options:
                     hint = _suggestion(key, known_options)
-                    raise ConfigError(
+                    problems.append(
                         f"Option '{key}' is not valid in section '{name}' ({option.origin}).{hint}"
                     )
+        if problems:
+            raise ConfigError("\n".join(problems))
         for (name, key), value in self._access.items():
             self._settings.setdefault(name, {})[key] = value
 

@@ -40,8 +40,22 @@ class Coord(NamedTuple):
     e: float
 
 
+# Commands that Klipper does not have. A config written for it may have a macro of that name, which then takes the place
+# of the command. Macros with the name of any other command need `rename_existing`, as in Klipper.
+OWN_COMMANDS = frozenset({
+    "DRY_RUN", "EXTRUSION_CALIBRATE", "HEATER_PROFILE", "INDUCTION_CALIBRATE", "INDUCTION_DUMP",
+    "INDUCTION_REFERENCE", "INDUCTION_STATUS", "INDUCTION_ZERO", "M104.1", "M17", "MODEL_CALIBRATE", "PRIME_OOZE",
+    "SET_SEGMENT_TEMPERATURE", "TEMPERATURE_PLAN",
+})  # fmt: skip
+MACRO_INSTEAD = "A macro has the name of the command %s and takes its place"
+_TOOL = re.compile(r"T\d+")
 _EXTENDED_NAME = re.compile(r"[A-Z_][A-Z0-9_]*[A-Z_][A-Z0-9_]*|[A-Z_]")
 _COMMAND_WORD = re.compile(r"[A-Z_][A-Z0-9_]*", re.IGNORECASE)
+
+
+def yields_to_macros(command: str) -> bool:
+    """Whether a macro of that name takes the place of our command."""
+    return command in OWN_COMMANDS or _TOOL.fullmatch(command) is not None
 
 
 class _MuxCommand:
@@ -77,6 +91,7 @@ class GCodeDispatch:
         self._handlers = self._base_handlers
         self._mux: dict[str, _MuxCommand] = {}
         self._help: dict[str, str] = {}
+        self._taken_by_macros: set[str] = set()
         self._comment_listeners: list[Callable[[str], None]] = []
         self._block_runner: BlockRunner | None = None
         self._status_commands: dict[str, dict[str, str]] = {}
@@ -104,8 +119,12 @@ class GCodeDispatch:
             old = self._ready_handlers.pop(cmd, None)
             self._base_handlers.pop(cmd, None)
             self._help.pop(cmd, None)
+            self._taken_by_macros.discard(cmd)
             self._note_commands()
             return old
+        if cmd in self._taken_by_macros:
+            logging.info(MACRO_INSTEAD, cmd)
+            return None
         if cmd in self._ready_handlers:
             raise self.printer.config_error(f"G-code command {cmd} is already registered")
         if not is_traditional(cmd) and not _EXTENDED_NAME.fullmatch(cmd):
@@ -120,6 +139,16 @@ class GCodeDispatch:
             self._help[cmd] = desc
         self._note_commands()
         return None
+
+    def register_macro(self, cmd: str, func: Callable[[GCodeCommand], Any], desc: str) -> None:
+        """Set the handler of a macro: it takes the place of a command that only we have, now and from now on."""
+        ours = yields_to_macros(cmd)
+        if ours and cmd not in self._taken_by_macros and self.register_command(cmd, None) is not None:
+            logging.info(MACRO_INSTEAD, cmd)
+        self._taken_by_macros.discard(cmd)
+        self.register_command(cmd, func, desc=desc)
+        if ours:
+            self._taken_by_macros.add(cmd)
 
     def register_mux_command(
         self,

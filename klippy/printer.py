@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import collections
 import importlib
-import importlib.util
 import logging
 import os
 from collections.abc import Callable
@@ -13,6 +12,7 @@ from typing import Any
 
 import chelper
 import configfile
+import extras
 import gcode
 import gcode_io
 import msgproto
@@ -44,6 +44,8 @@ _CONFIG_PROBLEMS = (configfile.ConfigError, pins.PinError, gcode.CommandError)
 _LINK_PROBLEMS = (msgproto.error, serialhdl.error, serialport.PortError, chelper.HelperError, stepper.error)
 
 _MISSING: Any = object()
+PLUGINS = "plugins"
+OWN_EXTRAS = os.path.join(os.path.dirname(os.path.abspath(__file__)), "extras")
 EventHandler = Callable[..., Any]
 
 
@@ -128,11 +130,11 @@ class Printer:
         ]
 
     def load_object(self, config: Any, section: str, default: Any = _MISSING) -> Any:
-        """The object of a config section, made by `extras/NAME.py` (or package) on first use."""
+        """The object of a config section, made by `extras/NAME.py` (or package, or plugin) on first use."""
         if section in self.objects:
             return self.objects[section]
         words = section.split()
-        module = _find_extra(words[0]) if words else None
+        module = self._import_extra(words[0]) if words else None
         loader = None
         if module is not None:
             loader = getattr(module, "load_config_prefix" if len(words) > 1 else "load_config", None)
@@ -142,6 +144,19 @@ class Printer:
             raise self.config_error(f"Unable to load module '{section}'")
         self.objects[section] = loader(config.getsection(section))
         return self.objects[section]
+
+    def _import_extra(self, name: str) -> ModuleType | None:
+        """Module `extras.NAME` if there is one. Raises config_error for a plugin that is broken."""
+        path = _locate_extra(name)
+        if path is None:
+            return None
+        try:
+            return importlib.import_module(f"extras.{name}")
+        except Exception as e:
+            if path.startswith(OWN_EXTRAS + os.sep):
+                raise
+            logging.exception("Plugin %s", name)
+            raise self.config_error(f"Plugin '{name}' ({path}) does not load: {e}") from None
 
     # --- events ---
     def register_event_handler(self, event: str, callback: EventHandler) -> None:
@@ -167,8 +182,14 @@ class Printer:
         config = loader.read_main_config()
         if self.start_args.get("debuginput") is None or self.log_listener is not None:
             loader.log_config(config)
+        del extras.__path__[1:]  # plugins of the run before a restart
+        if config.has_section(PLUGINS):  # before anybody asks for a module of the user's
+            self.load_object(config, PLUGINS)
+        brought_along = loader.check_absent_sections(lambda name: _locate_extra(name) is not None)
         for name in self.CORE_FIRST:
             importlib.import_module(name).add_printer_objects(config)
+        for name in brought_along:
+            self.load_object(config, name)
         for section in config.get_prefix_sections(""):
             self.load_object(config, section.get_name(), None)
         for name in self.CORE_LAST:
@@ -270,14 +291,12 @@ class Printer:
             self.reactor.end()
 
 
-def _find_extra(name: str) -> ModuleType | None:
-    """Module `extras.NAME` if there is one."""
+def _locate_extra(name: str) -> str | None:
+    """File of the module `extras.NAME`, ours or a plugin of the user's; None if there is none."""
     if not name.isidentifier():
         return None
-    folder = os.path.join(os.path.dirname(os.path.abspath(__file__)), "extras")
-    if not (
-        os.path.exists(os.path.join(folder, f"{name}.py"))
-        or os.path.exists(os.path.join(folder, name, "__init__.py"))
-    ):
-        return None
-    return importlib.import_module(f"extras.{name}")
+    for folder in extras.__path__:
+        for path in (os.path.join(folder, f"{name}.py"), os.path.join(folder, name, "__init__.py")):
+            if os.path.exists(path):
+                return path
+    return None

@@ -397,14 +397,15 @@ class GenericPrinterRail:
         default_position_endstop: float | None = None,
         units_in_radians: bool = False,
     ) -> None:
+        self._config = config
         self._config_name = config.get_name()
         self.stepper_units_in_radians = units_in_radians
         self.printer = config.get_printer()
         self.steppers: list[MCU_stepper] = []
         self.endstops: list[tuple[Any, str]] = []
         self._endstop_of_pin: dict[str, Any] = {}
-        self._default_endstop_pin = config.get("endstop_pin")
-        mcu_endstop = self._lookup_endstop(self._default_endstop_pin, self.get_name(short=True), config)
+        self._default_endstop_pin = config.get("endstop_pin", None)
+        mcu_endstop = self._main_endstop(config)
         self.position_endstop = self._find_position_endstop(config, mcu_endstop, default_position_endstop)
         if need_position_minmax:
             self.position_min = config.getfloat("position_min", 0.0)
@@ -417,6 +418,10 @@ class GenericPrinterRail:
                 f"position_min {self.position_min:g} and position_max {self.position_max:g}"
             )
         self._read_homing(config)
+
+    def _main_endstop(self, config: Any) -> Any:
+        """The endstop that has the rail's position_endstop."""
+        return self._lookup_endstop(config.get("endstop_pin"), self.get_name(short=True), config)
 
     @staticmethod
     def _find_position_endstop(config: Any, mcu_endstop: Any, default: float | None) -> float:
@@ -489,12 +494,17 @@ class GenericPrinterRail:
         """Add a stepper; without a pin of its own it stops on the rail's endstop."""
         self.steppers.append(stepper)
         pin = endstop_pin or self._default_endstop_pin
-        mcu_endstop = self._lookup_endstop(
-            pin, endstop_name or stepper.get_name(short=True), _NamedConfig(self)
-        )
+        if pin is None:
+            mcu_endstop = self.endstops[0][0]
+        else:
+            name = endstop_name or stepper.get_name(short=True)
+            mcu_endstop = self._lookup_endstop(pin, name, self._config)
         mcu_endstop.add_stepper(stepper)
 
     def add_stepper_from_config(self, config: Any) -> None:
+        self._add_section(config)
+
+    def _add_section(self, config: Any) -> None:
         stepper = PrinterStepper(config, self.stepper_units_in_radians)
         self.add_stepper(stepper, config.get("endstop_pin", None), stepper.get_name(short=True))
 
@@ -515,33 +525,25 @@ class GenericPrinterRail:
             stepper.generate_steps(flush_time)
 
 
-class _NamedConfig:
-    """What error messages and load_object need of a config section, when only the rail is at hand."""
+class PrinterRail(GenericPrinterRail):
+    """A rail that begins with the stepper of its own section. Plugins derive from it.
 
-    def __init__(self, rail: GenericPrinterRail) -> None:
-        self._rail = rail
-        self.error = rail.printer.config_error
+    They override `add_extra_stepper`, which is called for the rail's own section, too. A plugin that puts an endstop of
+    its own into `endstops` there needs no `endstop_pin`.
+    """
 
-    def get_name(self) -> str:
-        return self._rail.get_name()
+    def _main_endstop(self, config: Any) -> Any:
+        self.add_extra_stepper(config)
+        return self.endstops[0][0]
 
-    def get_printer(self) -> Any:
-        return self._rail.printer
-
-
-def LookupRail(
-    config: Any,
-    need_position_minmax: bool = True,
-    default_position_endstop: float | None = None,
-    units_in_radians: bool = False,
-) -> GenericPrinterRail:
-    """A rail with the one stepper of its section."""
-    rail = GenericPrinterRail(config, need_position_minmax, default_position_endstop, units_in_radians)
-    rail.add_stepper_from_config(config)
-    return rail
+    def add_extra_stepper(self, config: Any) -> None:
+        """Add the stepper of a section."""
+        if not self.endstops:
+            config.get("endstop_pin")  # raises if there is none
+        self._add_section(config)
 
 
-PrinterRail = LookupRail
+LookupRail = PrinterRail
 
 
 def LookupMultiRail(
@@ -551,7 +553,7 @@ def LookupMultiRail(
     units_in_radians: bool = False,
 ) -> GenericPrinterRail:
     """A rail that also carries the steppers of the sections NAME1, NAME2, … that follow its own."""
-    rail = LookupRail(config, need_position_minmax, default_position_endstop, units_in_radians)
+    rail = PrinterRail(config, need_position_minmax, default_position_endstop, units_in_radians)
     number = 1
     while config.has_section(f"{config.get_name()}{number}"):
         rail.add_stepper_from_config(config.getsection(f"{config.get_name()}{number}"))

@@ -1,7 +1,8 @@
 """[gcode_macro NAME]: commands made of G-code templates (Jinja2), and templates for other modules.
 
 Templates are rendered completely before their first line runs. They run in Jinja's sandbox: they read printer status
-and compute, nothing else.
+and compute, nothing else. They may change their own dicts and lists, also by `d.__setitem__(key, value)`: Jinja has no
+statement for that.
 """
 
 from __future__ import annotations
@@ -16,6 +17,18 @@ import jinja2
 import jinja2.sandbox
 
 from gcode_command import is_traditional
+
+CONTAINER_METHODS = frozenset({"__contains__", "__delitem__", "__getitem__", "__len__", "__setitem__"})
+
+
+class MacroSandbox(jinja2.sandbox.SandboxedEnvironment):
+    """Jinja's sandbox forbids names that begin with two underscores. Here a container's items are an exception."""
+
+    def is_safe_attribute(self, obj: Any, attr: str, value: Any) -> bool:
+        """Whether a template may use this attribute."""
+        if attr in CONTAINER_METHODS and isinstance(obj, dict | list):
+            return True
+        return super().is_safe_attribute(obj, attr, value)
 
 
 class StatusView:
@@ -87,7 +100,7 @@ class PrinterGCodeMacro:
 
     def __init__(self, printer: Any) -> None:
         self.printer = printer
-        self._environment = jinja2.sandbox.SandboxedEnvironment(
+        self._environment = MacroSandbox(
             block_start_string="{%",
             block_end_string="%}",
             variable_start_string="{",
@@ -147,6 +160,15 @@ def parse_literal(text: str) -> Any:
     return value
 
 
+def _frozen(value: Any) -> Any:
+    """A copy that does not change with the dicts and lists of the original."""
+    if isinstance(value, dict):
+        return {key: _frozen(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return type(value)([_frozen(item) for item in value])
+    return value
+
+
 class GCodeMacro:
     """One macro; its status is its variables."""
 
@@ -169,7 +191,7 @@ class GCodeMacro:
             desc="Set the value of a G-Code macro variable",
         )
         if rename_existing is None:
-            self.gcode.register_command(self.alias, self.cmd, desc=description)
+            self.gcode.register_macro(self.alias, self.cmd, description)
             return
         new_name = rename_existing.upper()
         if is_traditional(self.alias) != is_traditional(new_name):
@@ -189,8 +211,8 @@ class GCodeMacro:
         self.gcode.register_command(self.alias, self.cmd, desc=description)
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
-        """The variables."""
-        return self.variables
+        """The variables, as they are now: the macro may change what its dicts and lists hold later."""
+        return {name: _frozen(value) for name, value in self.variables.items()}
 
     def cmd_SET_GCODE_VARIABLE(self, gcmd: Any) -> None:
         """Give a variable a new value."""
@@ -210,7 +232,7 @@ class GCodeMacro:
         context = {
             **self.variables,
             **self.template.create_template_context(),
-            "params": gcmd.get_command_parameters(),
+            "params": dict(gcmd.get_command_parameters()),
             "rawparams": gcmd.get_raw_command_parameters(),
         }
         self._running = True

@@ -127,19 +127,41 @@ class Table:
 
 
 class Thermistor:
-    """The curve with its circuit: ADC ratio to degC and back."""
+    """The curve with its circuit: ADC ratio to degC and back. Plugins give the two resistors, then set the curve."""
 
     def __init__(
-        self, law: Law, pullup_ohm: float, inline_ohm: float, parallel_ohm: float = math.inf
+        self, pullup: float, inline_resistor: float, law: Law | None = None, parallel_ohm: float = math.inf
     ) -> None:
-        self.law = law
-        self._pullup_ohm = pullup_ohm
-        self._inline_ohm = inline_ohm
+        self.pullup = pullup
+        self.inline_resistor = inline_resistor
+        self._law = law
         self._parallel_siemens = 1.0 / parallel_ohm
+
+    @property
+    def law(self) -> Law:
+        """The curve. Raises ValueError if there is none yet."""
+        if self._law is None:
+            raise ValueError(
+                "this thermistor has no curve: call setup_coefficients or setup_coefficients_beta"
+            )
+        return self._law
+
+    def setup_coefficients(
+        self, t1: float, r1: float, t2: float, r2: float, t3: float, r3: float, name: str = ""
+    ) -> None:
+        """Curve through three points, degC and ohm. Raises ValueError if they cannot belong to one thermistor."""
+        try:
+            self._law = fit_points(((t1, r1), (t2, r2), (t3, r3)))
+        except ValueError as e:
+            raise ValueError(f"{name or 'thermistor'}: {e}") from None
+
+    def setup_coefficients_beta(self, t1: float, r1: float, beta: float) -> None:
+        """Curve through one point with a beta value."""
+        self._law = fit_beta(t1, r1, beta)
 
     def calc_temp(self, adc: float) -> float:
         ratio = min(RATIO_HIGH, max(RATIO_LOW, adc))
-        load_ohm = max(self._pullup_ohm * ratio / (1.0 - ratio) - self._inline_ohm, 1e-3)
+        load_ohm = max(self.pullup * ratio / (1.0 - ratio) - self.inline_resistor, 1e-3)
         siemens = 1.0 / load_ohm - self._parallel_siemens
         return self.law.temp_c(1.0 / max(siemens, 1e-9))  # a load above the parallel resistor: an open sensor
 
@@ -148,8 +170,8 @@ class Thermistor:
         siemens = 1.0 / ohm + self._parallel_siemens
         if not siemens:
             return 1.0
-        load_ohm = 1.0 / siemens + self._inline_ohm
-        return load_ohm / (load_ohm + self._pullup_ohm)
+        load_ohm = 1.0 / siemens + self.inline_resistor
+        return load_ohm / (load_ohm + self.pullup)
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,9 +202,9 @@ _POINT_PARTS = {
 def build_sensor(config: Any, law: Law) -> PrinterADCtoTemperature:
     """Sensor of a section that uses this thermistor."""
     curve = Thermistor(
-        law,
         config.getfloat("pullup_resistor", 4700.0, above=0.0),
         config.getfloat("inline_resistor", 0.0, minval=0.0),
+        law,
         config.getfloat("parallel_resistor", math.inf, above=0.0),
     )
     return adc_temperature.build_sensor(config, PrinterADCtoTemperature, curve)

@@ -202,10 +202,7 @@ class PrinterExtruder:
             toolhead.set_extruder(self, 0.0)
             gcode.register_command("M104", self.cmd_M104)
             gcode.register_command("M109", self.cmd_M109)
-        try:
-            gcode.register_command(f"T{extruder_num}", self.cmd_activate)
-        except self.printer.config_error:
-            pass  # a macro of that name changes the tool in its own way
+        gcode.register_command(f"T{extruder_num}", self.cmd_activate)
         gcode.register_mux_command(
             "ACTIVATE_EXTRUDER", "EXTRUDER", self.name, self.cmd_activate, desc="Change the active extruder"
         )

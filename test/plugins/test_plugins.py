@@ -112,3 +112,100 @@ def test_a_folder_that_cannot_be_used_is_explained(tmp_path: Path, files: dict[s
     status, log = run_host(tmp_path, ROOT / "klippy", config, "")
     assert status == 255
     assert words in log
+
+
+USER = """
+def load_config(config):
+    printer = config.get_printer()
+    helper = printer.load_object(config, "helper_tool")
+    named = printer.load_object(config, "helper_tool big")
+    printer.lookup_object("gcode").respond_info(f"helpers {helper} {named}")
+    return helper
+"""
+HELPER = """
+def load_config(config):
+    return "plain"
+
+
+def load_config_prefix(config):
+    return config.get_name() + " " + config.get("size")
+"""
+FREE_RAIL = """
+import stepper
+
+
+class NoEndstop:
+    def add_stepper(self, *args, **kwargs):
+        pass
+
+
+class FreeRail(stepper.PrinterRail, object):
+    def __init__(self, config, **kwargs):
+        self.added = []
+        super(FreeRail, self).__init__(config, **kwargs)
+
+    def add_extra_stepper(self, config, **kwargs):
+        if not self.endstops and config.get("endstop_pin", None) is None:
+            self.endstops = [(NoEndstop(), "none")]
+        super(FreeRail, self).add_extra_stepper(config, **kwargs)
+        self.added.append(config.get_name())
+
+
+def load_config_prefix(config):
+    rail = FreeRail(config, need_position_minmax=False, default_position_endstop=0.0)
+    if config.has_section("gear_motor"):
+        rail.add_extra_stepper(config.getsection("gear_motor"))
+    names = [stepper.get_name() for stepper in rail.get_steppers()]
+    endstops = [name for endstop, name in rail.get_endstops()]
+    config.get_printer().lookup_object("gcode").respond_info(f"rail {rail.added} {names} {endstops}")
+    return rail
+"""
+
+
+def with_plugins(tmp_path: Path, files: dict[str, str], sections: str) -> str:
+    """A config with these files as plugins; [plugins] is its last section."""
+    (tmp_path / "own").mkdir()
+    for name, text in files.items():
+        (tmp_path / "own" / name).write_text(text)
+    return f"[include {ROOT}/config/sim-induction.cfg]\n{sections}\n[plugins]\npath: {tmp_path / 'own'}\n"
+
+
+def test_a_plugin_loads_another_one_of_its_folder(tmp_path: Path) -> None:
+    sections = "[user]\n[helper_tool big]\nsize: 3\n"
+    config = with_plugins(tmp_path, {"user.py": USER, "helper_tool.py": HELPER}, sections)
+    status, log = run_host(tmp_path, ROOT / "klippy", config, "")
+    assert status == 0, log[-3000:]
+    assert "helpers plain helper_tool big 3" in log
+
+
+def test_sections_of_plugins_are_loaded_in_the_order_of_the_config(tmp_path: Path) -> None:
+    """As if the file were in klippy/extras: the sensor type is known where it is used, before [plugins]."""
+    sensor = (FOLDER / "sine_sensor.py").read_text()
+    sections = "[sine_sensor]\n[temperature_sensor chamber]\nsensor_type: SINE\nmin_temp: 0\nmax_temp: 100\n"
+    config = with_plugins(tmp_path, {"sine_sensor.py": sensor}, sections)
+    status, log = run_host(tmp_path, ROOT / "klippy", config, "")
+    assert status == 0, log[-3000:]
+
+
+def stepper_section(name: str, first_pin: int, more: str = "") -> str:
+    pins = f"step_pin: PC{first_pin}\ndir_pin: PC{first_pin + 1}\n"
+    return f"[{name}]\n{pins}microsteps: 16\nrotation_distance: 40\n{more}"
+
+
+def test_a_plugin_derives_from_the_rail(tmp_path: Path) -> None:
+    """Its add_extra_stepper is called for the rail's own section, too, and may do without an endstop_pin."""
+    sections = stepper_section("free_rail gear", 5) + stepper_section("gear_motor", 7)
+    config = with_plugins(tmp_path, {"free_rail.py": FREE_RAIL}, sections)
+    status, log = run_host(tmp_path, ROOT / "klippy", config, "QUERY_ENDSTOPS")
+    assert status == 0, log[-3000:]
+    assert "rail ['free_rail gear', 'gear_motor'] ['free_rail gear', 'gear_motor'] ['none']" in log
+
+
+def test_a_rail_of_a_plugin_has_the_endstop_of_its_section(tmp_path: Path) -> None:
+    endstop = "endstop_pin: ^PC7\nposition_endstop: 0\n"
+    config = with_plugins(
+        tmp_path, {"free_rail.py": FREE_RAIL}, stepper_section("free_rail selector", 5, endstop)
+    )
+    status, log = run_host(tmp_path, ROOT / "klippy", config, "QUERY_ENDSTOPS")
+    assert status == 0, log[-3000:]
+    assert "rail ['free_rail selector'] ['free_rail selector'] ['free_rail selector']" in log

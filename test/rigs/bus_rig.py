@@ -220,7 +220,7 @@ class RigExtruder:
 
 
 class _RigPrinter(BarePrinter):
-    CORE_FIRST = ("pins", "unit.bus_rig")
+    CORE_FIRST = ("pins", "bus_rig")
 
 
 def add_printer_objects(config: Any) -> None:

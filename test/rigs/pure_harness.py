@@ -20,6 +20,7 @@ import cffi
 
 ROOT = Path(__file__).resolve().parents[2]
 SRC = ROOT / "src"
+PLANT = ROOT / "klippy" / "simulation" / "plant"
 OUT = ROOT / "out" / "test-c"
 BASE_FLAGS = ("-std=c11", "-O2", "-g", "-Wall", "-Wextra", "-Werror", "-fPIC", "-shared")
 SANITIZERS = {
@@ -29,11 +30,8 @@ SANITIZERS = {
 }
 
 INDUCTION_SOURCES = ("filters.c", "oversample.c", "phase.c", "guard.c", "attention.c")
-PLANT_SOURCES = (
-    "../klippy/simulation/plant/plant.c",
-    "../klippy/simulation/plant/plant_tank.c",
-    "../klippy/simulation/plant/plant_noise.c",
-    "../klippy/simulation/plant/thermal_load.c",
+PLANT_SOURCES = tuple(
+    str(PLANT / name) for name in ("plant.c", "plant_tank.c", "plant_noise.c", "thermal_load.c")
 )
 
 PLANT_CDEF = """

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_webhooks import Client
 
 from moonraker_rig import SimulatedPrinter
 from system.api.test_api_run_printer import connect
+from unit.host.test_webhooks import Client
 
 HEADER = ["time", "phase", "count", "raw_mean", "raw_min", "raw_max", "temperature", "latency"]
 

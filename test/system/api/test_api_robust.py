@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_webhooks import Client, with_client
 
 from base_rig import Session
+from unit.host.test_webhooks import Client, with_client
 
 
 def config(tmp_path: Path) -> str:

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from test_webhooks import Client
 
 from moonraker_rig import ROOT, START_TIMEOUT_S, SimulatedPrinter
+from unit.host.test_webhooks import Client
 
 Start = Callable[..., SimulatedPrinter]
 

@@ -295,7 +295,7 @@ COMBINED = PAIR + sensor(
 def ratio(temp_c: float) -> float:
     from extras import thermistor
 
-    return thermistor.Thermistor(thermistor.fit_beta(25.0, 100e3, 3950.0), 4700.0, 0.0).calc_adc(temp_c)
+    return thermistor.Thermistor(4700.0, 0.0, thermistor.fit_beta(25.0, 100e3, 3950.0)).calc_adc(temp_c)
 
 
 @pytest.mark.parametrize(("method", "temp_c"), [("max", 58.0), ("min", 50.0), ("mean", 54.0)])

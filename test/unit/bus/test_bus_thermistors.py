@@ -45,7 +45,7 @@ def test_tables_that_no_thermistor_has_are_refused(rows: tuple[tuple[float, floa
 
 def test_the_parallel_resistor_is_part_of_the_circuit() -> None:
     law = thermistor.fit_beta(25.0, 10e3, 3480.0)
-    curve = thermistor.Thermistor(law, 1000.0, 0.0, 560.0)
+    curve = thermistor.Thermistor(1000.0, 0.0, law, 560.0)
     load = 1.0 / (1.0 / law.ohm(200.0) + 1.0 / 560.0)
     assert curve.calc_adc(200.0) == pytest.approx(load / (load + 1000.0))
     for temp_c in (60.0, 150.0, 260.0):
@@ -53,7 +53,7 @@ def test_the_parallel_resistor_is_part_of_the_circuit() -> None:
 
 
 def test_an_open_or_shorted_sensor_beside_its_parallel_resistor_reads_as_far_out() -> None:
-    curve = thermistor.Thermistor(thermistor.fit_beta(25.0, 10e3, 3480.0), 1000.0, 0.0, 560.0)
+    curve = thermistor.Thermistor(1000.0, 0.0, thermistor.fit_beta(25.0, 10e3, 3480.0), 560.0)
     assert curve.calc_temp(560.0 / 1560.0) < -40.0
     assert curve.calc_temp(0.9) < -40.0, "more than the parallel resistor alone: still open"
     assert curve.calc_temp(0.0) > 600.0

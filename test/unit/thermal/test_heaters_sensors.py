@@ -20,7 +20,7 @@ LAWS = {
 @given(temp=st.floats(-30.0, 350.0))
 def test_resistance_and_ratio_invert(name: str, temp: float) -> None:
     law = LAWS[name]
-    curve = thermistor.Thermistor(law, 4700.0, 100.0)
+    curve = thermistor.Thermistor(4700.0, 100.0, law)
     assert law.temp_c(law.ohm(temp)) == pytest.approx(temp, abs=1e-6)
     assert curve.calc_temp(curve.calc_adc(temp)) == pytest.approx(temp, abs=0.05)
 
@@ -33,12 +33,44 @@ def test_curve_goes_through_its_three_points() -> None:
 
 def test_beta_law_gives_source_001_s_thermistor() -> None:
     """R25 = 100 kohm, beta 3950, 4.7 kohm pull-up, 5 V: 25 degC is 4.776 V (100/104.7 of 5 V)."""
-    curve = thermistor.Thermistor(LAWS["beta"], 4700.0, 0.0)
+    curve = thermistor.Thermistor(4700.0, 0.0, LAWS["beta"])
     assert 5.0 * curve.calc_adc(25.0) == pytest.approx(5.0 * 100.0 / 104.7)
 
 
+def test_a_plugin_gives_the_resistors_and_sets_the_curve_afterwards() -> None:
+    curve = thermistor.Thermistor(4700.0, 100.0)
+    curve.setup_coefficients_beta(25.0, 100e3, 3950.0)
+    assert curve.calc_adc(25.0) == pytest.approx((100e3 + 100.0) / (100e3 + 100.0 + 4700.0))
+    assert curve.calc_temp(curve.calc_adc(210.0)) == pytest.approx(210.0)
+    curve.setup_coefficients(25.0, 500000.0, 200.0, 3734.0, 400.0, 240.0, name="hotend")
+    assert curve.calc_adc(200.0) == pytest.approx((3734.0 + 100.0) / (3734.0 + 100.0 + 4700.0))
+    with pytest.raises(ValueError, match="hotend: resistance must fall with temperature"):
+        curve.setup_coefficients(25.0, 1000.0, 100.0, 2000.0, 200.0, 3000.0, name="hotend")
+
+
+def test_a_thermistor_without_a_curve_says_what_is_missing() -> None:
+    with pytest.raises(ValueError, match="setup_coefficients"):
+        thermistor.Thermistor(4700.0, 0.0).calc_temp(0.5)
+
+
+def test_a_plugin_derives_from_the_thermistor() -> None:
+    class Scaled(thermistor.Thermistor):
+        """Its board divides the signal once more."""
+
+        def __init__(self, pullup: float, inline_resistor: float) -> None:
+            thermistor.Thermistor.__init__(self, pullup, inline_resistor)
+
+        def calc_temp(self, adc: float) -> float:
+            return super().calc_temp(2.0 * adc)
+
+    curve = Scaled(4700.0, 0.0)
+    curve.setup_coefficients_beta(25.0, 100e3, 3950.0)
+    assert (curve.pullup, curve.inline_resistor) == (4700.0, 0.0)
+    assert curve.calc_temp(0.5 * curve.calc_adc(60.0)) == pytest.approx(60.0)
+
+
 def test_open_and_shorted_sensors_give_finite_extremes() -> None:
-    curve = thermistor.Thermistor(LAWS["beta"], 4700.0, 0.0)
+    curve = thermistor.Thermistor(4700.0, 0.0, LAWS["beta"])
     assert curve.calc_temp(1.0) < -50.0
     assert curve.calc_temp(0.0) > 600.0
 

@@ -1,0 +1,173 @@
+"""Sections of Klipper that Ferrite does not have: the printer starts without them, or all are named at once."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from unit.doc_rig import ROOT, load
+
+import configabsent
+import extras
+from base_rig import Session, start_error
+from klipper_names import SECTIONS
+from printer import _locate_extra
+
+DISPLAY = """\
+[display]
+lcd_type: st7920
+cs_pin: PA1
+[display_data _default_16x4 extruder]
+position: 0, 0
+text: {printer.extruder.temperature}
+[display_glyph bed]
+data: ****
+[menu __main]
+type: list
+[menu __main __hello]
+type: command
+gcode: M117 hello
+"""
+ACCELEROMETERS = """\
+[adxl345]
+cs_pin: PA2
+[adxl345 hotend]
+cs_pin: PA3
+[lis2dw bed]
+cs_pin: PA4
+[lis3dh]
+[mpu9250]
+[icm20948]
+[bmi160]
+[resonance_tester]
+accel_chip: adxl345
+probe_points: 100, 100, 20
+"""
+DISPENSABLE = frozenset().union(*(group.kinds for group in configabsent.DISPENSABLE))
+# Sections that the toolhead reads, not a module of their name.
+READ_ELSEWHERE = {
+    *("mcu", "printer", "stepper_x", "stepper_z1", "extruder", "extruder1"),
+    *("carriage", "extra_carriage", "dual_carriage", "stepper"),
+}
+
+
+def notices(session: Session) -> list[str]:
+    return [line for line in session.lines if "Ferrite does not yet" in line]
+
+
+def test_a_printer_starts_without_display_and_accelerometer_and_says_so_once(tmp_path: Path) -> None:
+    session = Session(tmp_path, DISPLAY + ACCELEROMETERS)
+    session.run(lambda s: s.sleep(5.0))
+    assert session.state[1] == "ready"
+    (told,) = notices(session)
+    display, resonance = told.splitlines()[1:]
+    assert display.startswith("// [display] (printer.cfg, line 1), [display_data] (printer.cfg, line 4), ")
+    assert "[menu] (printer.cfg, line 9): the display stays dark" in display
+    assert resonance.startswith("// [adxl345] (printer.cfg, line 14), [lis2dw] (printer.cfg, line 18), ")
+    assert "[resonance_tester] (printer.cfg, line 24): resonances can not be measured" in resonance
+    (warning,) = session.status("configfile")["warnings"]
+    assert warning["type"] == "runtime_warning"
+    assert warning["message"] == told.replace("// ", "")
+
+
+def test_without_such_sections_nothing_is_said(tmp_path: Path) -> None:
+    session = Session(tmp_path, "[display_status]\n").run(lambda s: None)
+    assert not notices(session)
+    assert session.status("configfile")["warnings"] == []
+
+
+def test_sections_of_an_included_file_are_named_with_that_file(tmp_path: Path) -> None:
+    (tmp_path / "lcd.cfg").write_text("# my display\n[display]\nlcd_type: uc1701\n")
+    session = Session(tmp_path, "[include lcd.cfg]\n").run(lambda s: None)
+    assert session.state[1] == "ready"
+    assert "[display] (lcd.cfg, line 2)" in notices(session)[0]
+
+
+def test_the_commands_that_come_with_a_display_are_there(tmp_path: Path) -> None:
+    session = Session(tmp_path, DISPLAY).run(lambda s: s.gcode.run_script("M117 hello\nM73 P50"))
+    assert session.status("display_status") == {"message": "hello", "progress": 0.5}
+
+
+def test_pins_of_a_section_that_is_left_out_stay_free(tmp_path: Path) -> None:
+    config = (
+        "[mcu]\nserial: x\n[printer]\nkinematics: none\nmax_velocity: 1\nmax_accel: 1\n"
+        f"{DISPLAY}{ACCELEROMETERS}[output_pin light]\npin: PA1\n[output_pin beeper]\npin: !PA3\n"
+    )
+    assert load(tmp_path, config).message == "Printer is ready"
+
+
+def test_save_config_keeps_what_is_left_out(tmp_path: Path) -> None:
+    """Both what the user wrote and what a calibration had saved."""
+    saved = "\n#*# <---------------------- SAVE_CONFIG ---------------------->\n#*#\n#*# [adxl345]\n#*# rate = 1600\n"
+    session = Session(tmp_path, DISPLAY + ACCELEROMETERS + saved)
+
+    def body(s: Session) -> None:
+        assert s.state[1] == "ready", s.state[0]
+        s.printer.lookup_object("configfile").set("pause_resume", "recover_velocity", 7)
+        s.gcode.run_script("SAVE_CONFIG")
+
+    session.run(body)
+    text = session.config_path.read_text()
+    assert text.startswith(DISPLAY + ACCELEROMETERS)
+    assert "#*# [adxl345]\n#*# rate = 1600\n" in text
+    assert "#*# [pause_resume]\n#*# recover_velocity = 7\n" in text
+
+
+def test_what_a_printer_relies_on_is_refused_all_at_once(tmp_path: Path) -> None:
+    (tmp_path / "probe.cfg").write_text("\n[probe_eddy_current eddy]\nsensor_type: ldc1612\n")
+    text = start_error(
+        tmp_path,
+        "[include probe.cfg]\n[tmc2660 stepper_x]\ncs_pin: PA1\n[pause_resume]\n[sx1509 duex]\n"
+        "[fan]\npin: sx1509_duex:PIN_0\n[display]\n[delta_calibrate]\n",
+    )
+    assert text.splitlines()[:5] == [
+        "Klipper has [probe_eddy_current eddy], Ferrite does not yet (probe.cfg, line 2).",
+        "Klipper has [tmc2660 stepper_x], Ferrite does not yet (printer.cfg, line 2).",
+        "Klipper has [sx1509 duex], Ferrite does not yet (printer.cfg, line 5).",
+        "Klipper has [delta_calibrate], Ferrite does not yet (printer.cfg, line 9).",
+        "Take these sections out of the config, and what refers to them.",
+    ]
+
+
+def test_sections_and_options_nobody_knows_are_refused_all_at_once(tmp_path: Path) -> None:
+    text = start_error(
+        tmp_path,
+        "[display_statuss]\n[pause_resume]\nrecover_velocty: 3\nlift: 1\n[display]\n[respnd]\n",
+    )
+    assert text.splitlines()[:4] == [
+        "Section 'display_statuss' is not a valid config section (printer.cfg, line 1). "
+        "Did you mean 'display_status'?",
+        "Option 'recover_velocty' is not valid in section 'pause_resume' (printer.cfg, line 3). "
+        "Did you mean 'recover_velocity'?",
+        "Option 'lift' is not valid in section 'pause_resume' (printer.cfg, line 4).",
+        "Section 'respnd' is not a valid config section (printer.cfg, line 6). Did you mean 'respond'?",
+    ]
+
+
+def test_a_plugin_may_bring_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(extras, "__path__", list(extras.__path__))
+    (tmp_path / "plugins").mkdir()
+    for name in ("lis3dh", "dotstar"):
+        (tmp_path / "plugins" / f"{name}.py").write_text(
+            "def load_config(config):\n    return config.get('x')\n"
+        )
+    config = f"[lis3dh]\nx: 1\n[dotstar]\nx: 2\n[plugins]\npath: {tmp_path / 'plugins'}\n"
+    session = Session(tmp_path, config).run(lambda s: None)
+    assert session.state[1] == "ready", session.state[0]
+    assert session.printer.lookup_object("lis3dh") == "1"
+    assert session.printer.lookup_object("dotstar") == "2"
+    assert not notices(session)
+
+
+def test_what_is_missing_is_documented() -> None:
+    page = (ROOT / "docs" / "Config_Reference.md").read_text(encoding="utf-8")
+    listed = set(re.findall(r"`(\w+)`", page.partition("## Sections of Klipper that are missing")[2]))
+    assert listed >= DISPENSABLE | configabsent.REFUSED
+
+
+def test_every_section_of_klipper_is_loaded_left_out_or_refused() -> None:
+    absent = DISPENSABLE | configabsent.REFUSED
+    modules = {path.stem for path in (ROOT / "klippy" / "extras").glob("*.py")}
+    assert not SECTIONS - absent - modules - READ_ELSEWHERE
+    assert not {name for name in absent if _locate_extra(name)}, "there is a module: take it off the list"
