@@ -6,11 +6,11 @@ import re
 from pathlib import Path
 
 import pytest
-from unit.doc_rig import ROOT, load
 
 import configabsent
 import extras
 from base_rig import Session, start_error
+from doc_rig import ROOT, load
 from klipper_names import SECTIONS
 from printer import _locate_extra
 

@@ -297,6 +297,6 @@ def test_hand_edited_saved_block_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_package_of_helpers_is_no_section_and_no_suggestion(tmp_path: Path) -> None:
-    text = start_error("[heater]\n", tmp_path)
+    text = start_error(tmp_path, "[heater]\n")
     assert "Section 'heater' is not a valid config section (printer.cfg, line 1)" in text
     assert "Did you mean 'heater'" not in text

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from unit.doc_rig import ROOT
-from unit.test_docs_reference import OF_THE_USER, documented_commands
 
 from base_rig import Session, start_error
+from doc_rig import ROOT
 from gcode import OWN_COMMANDS
 from klipper_names import COMMANDS, UNDOCUMENTED
+from unit.project.test_docs_reference import OF_THE_USER, documented_commands
 
 
 def run(tmp_path: Path, config: str, script: str) -> list[str]:
