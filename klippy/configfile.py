@@ -304,7 +304,7 @@ def _suggestion(word: str, known: Iterable[str]) -> str:
     return f" Did you mean '{close[0]}'?" if close else ""
 
 
-def _module_names() -> set[str]:
+def section_modules() -> set[str]:
     """Names a section may have because there is a module for it; a module without a loader is a helper of others."""
     folder = Path(__file__).with_name("extras")
     modules = {path.stem: path for path in folder.glob("*.py")}
@@ -368,7 +368,7 @@ class PrinterConfig:
             if name in self._left_out:
                 continue
             if name.lower() not in known_sections:
-                hint = _suggestion(name, known_sections | _module_names())
+                hint = _suggestion(name, known_sections | section_modules())
                 problems.append(f"Section '{name}' is not a valid config section ({section.origin}).{hint}")
                 continue
             known_options = {option for sec, option in self._access if sec == name.lower()}

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 import configabsent
+import configfile
 import extras
 from base_rig import Session, start_error
 from doc_rig import ROOT, load
@@ -168,6 +169,6 @@ def test_what_is_missing_is_documented() -> None:
 
 def test_every_section_of_klipper_is_loaded_left_out_or_refused() -> None:
     absent = DISPENSABLE | configabsent.REFUSED
-    modules = {path.stem for path in (ROOT / "klippy" / "extras").glob("*.py")}
+    modules = configfile.section_modules()
     assert not SECTIONS - absent - modules - READ_ELSEWHERE
     assert not {name for name in absent if _locate_extra(name)}, "there is a module: take it off the list"
