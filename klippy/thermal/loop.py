@@ -442,9 +442,7 @@ class InductionLoop:
 
     def _off(self, now_s: float) -> list[PhaseCommand]:
         state = self.state
-        if not any(c.phase_ticks for c in state.line.commands if c.time_s > now_s) and not (
-            state.line.last_before(now_s).phase_ticks
-        ):
+        if not state.line.is_on_from(now_s):
             return []
         time_s = max(now_s + self._parameters.timing.lead_s, state.line.last_before(now_s).time_s)
         commands = [PhaseCommand(time_s, 0, 0.0)]
@@ -466,7 +464,9 @@ class InductionLoop:
         if taken is not None and apart_s > 0.0 and not self._improves(taken, power_w, horizon):
             return []
         idle = state.target_c <= 0.0 and self._is_heard(now_s)
-        commands = actuator.actuate(parameters.actuator, state.actuator, power_w, at_s, idle)
+        # A horizon may turn on again a bridge that is off; a booked pulse ends by itself and stays.
+        is_on = state.line.is_on_from(max(at_s, state.actuator.last_excited_s))
+        commands = actuator.actuate(parameters.actuator, state.actuator, power_w, at_s, is_on, idle)
         if len(commands) == 1 and horizon:
             commands += actuator.ahead(parameters.actuator, commands[0], horizon)
         state.line.note(commands, now_s)
