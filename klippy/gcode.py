@@ -332,9 +332,14 @@ class GCodeDispatch:
 
     # --- answers to the user ---
     def respond_raw(self, msg: str) -> None:
-        """Send a line to every output."""
-        for callback in self.output_callbacks:
-            callback(msg)
+        """Send a line to every output. One that fails gets no more: whoever speaks may be a heater's control."""
+        for callback in tuple(self.output_callbacks):
+            try:
+                callback(msg)
+            except Exception:
+                logging.exception("An output of the G-code console failed and gets no more")
+                if callback in self.output_callbacks:
+                    self.output_callbacks.remove(callback)
 
     def respond_info(self, msg: str, log: bool = True) -> None:
         """Send text as comment lines."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import math
-from pathlib import Path
 from typing import Any, Protocol
 
 from thermal.control import loop
@@ -25,6 +24,7 @@ from .induction import flow as induction_flow
 from .induction import settings
 from .induction import supply as induction_supply
 from .induction.mcu import InductionUnit
+from .outputs import output_file
 
 QUIET_S = 0.5  # how often it is looked whether melt or fan take heat
 
@@ -66,6 +66,7 @@ class InductionHeater:
         self.unit = unit
         self.parameters = parameters
         self.loop = loop.InductionLoop(parameters)
+        self.loop.on_listener_error = self._on_listener_error
         self.min_temp = parameters.supervise.temp_low_c
         self.max_temp = parameters.supervise.temp_high_c
         self.min_extrude_c = min_extrude_c
@@ -137,9 +138,7 @@ class InductionHeater:
         eventtime = self._reactor.monotonic()
         now_s = self.unit.print_time_now(eventtime)
         if self._driver is not None:
-            for listener in self.loop.listeners:
-                for block in blocks:
-                    listener(block, None, now_s)
+            self.loop.tell(blocks, now_s, measured=False)
             self._send(self._driver.on_blocks(blocks, now_s), now_s)
             return
         self._look_ahead(now_s)
@@ -185,9 +184,16 @@ class InductionHeater:
         self.unit.set_calm(None if watched else self.loop.calm(now_s))
 
     def listen(self, listener: loop.BlockListener) -> None:
-        """Tell `listener` of every block, as soon as may be. It leaves by itself: loop.listeners."""
+        """Give `listener` every block, as soon as may be. It leaves by itself: loop.listeners."""
         self.loop.listeners.append(listener)
         self._tell_calm(self._now_s())
+
+    def _on_listener_error(self, problem: Exception) -> None:
+        text = (
+            f"Induction heater '{self.section_name}': what read its blocks failed and gets no more: {problem}"
+        )
+        logging.error("%s", text, exc_info=problem)
+        self.printer.lookup_object("gcode").respond_info(text, log=False)
 
     def _is_quiet(self, eventtime: float) -> bool:
         """Does nothing but the air take heat from the nozzle?"""
@@ -391,12 +397,6 @@ class InductionSection:
             registry.add_heater(self._config, self.heater)
 
 
-def _log_folder(printer: Any) -> str:
-    """Where the log is; traces lie beside it, so that front ends offer both."""
-    log_file = printer.get_start_args().get("log_file")
-    return str(Path(log_file).parent) if log_file else "~/printer_data/logs"
-
-
 def load_config_prefix(config: Any) -> InductionSection:
     printer = config.get_printer()
     printer.load_object(config, "heaters")
@@ -422,7 +422,7 @@ def load_config_prefix(config: Any) -> InductionSection:
     heater.config = config
     section = InductionSection(config, heater)
     section.register()
-    folder = config.get("calibration_folder", _log_folder(printer))
+    folder = config.get("calibration_folder", output_file.default_folder(printer))
     induction_calibrate.InductionCalibrate(printer, heater, config.get_name(), folder).register()
     induction_dump.InductionDump(printer, heater, folder).register()
     supply = induction_supply.read(config)

@@ -88,10 +88,9 @@ class PidCalibrate:
 
     def _write(self, session: heater_run.Session, run: relay.RelayRun) -> None:
         try:
-            TRACE.write_text(
-                "".join(f"{p.time_s:.4f} {p.temp_c:.3f} {p.output:.4f}\n" for p in run.points),
-                encoding="utf-8",
-            )
+            TRACE.unlink(missing_ok=True)  # a link or a pipe of that name is not opened
+            with TRACE.open("x", encoding="utf-8") as stream:
+                stream.writelines(f"{p.time_s:.4f} {p.temp_c:.3f} {p.output:.4f}\n" for p in run.points)
         except OSError as e:
             logging.warning("PID_CALIBRATE: %s: %s", TRACE, e)
             session.say(f"The trace cannot be written to {TRACE}: {e.strerror}")

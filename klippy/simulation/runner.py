@@ -22,6 +22,7 @@ from link.serialport import PortError
 from printer import Printer
 
 from . import world as world_module
+from .builds import OUT
 from .machine import Machine, assemble
 from .simport import SimPort
 from .simtime import SimTime
@@ -31,6 +32,7 @@ from .world import World, WorldError
 PRINTED, BAD_INPUT, SHUT_DOWN = 0, 2, 3
 
 POLL_S = 0.25  # how often the user looks at the printer
+OUTPUT_FOLDER = OUT / "simulation"  # of a run without a log: files of INDUCTION_DUMP, traces of calibrations
 AFTERMATH_S = 2.0  # watched on after a shutdown, to see that the heat goes off
 SAMPLE_S = 0.010  # host-side channels are read no more often than the trace has rows
 PROGRESS_WALL_S = 0.1
@@ -131,6 +133,7 @@ class Simulation:
             "gcode_fd": None,
             "start_reason": "startup",
             "log_file": str(options.log.resolve()) if options.log else None,
+            "output_folder": str(OUTPUT_FOLDER),  # without a log
             "software_version": "simulation",
             "cpu_info": "simulated time",
         }

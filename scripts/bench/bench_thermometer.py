@@ -169,8 +169,9 @@ def stack_latency_ms(seconds: float) -> tuple[float, float]:
     with tempfile.TemporaryDirectory() as folder:
         dump, part = Path(folder) / "dump.csv", Path(folder) / "part.gcode"
         words = {"start": "\n".join(start), "lines": "\n".join(lines)}
-        part.write_text(STACK_GCODE.format(dump=dump, seconds=seconds, **words))
-        command = [ROOT / "scripts" / "simulate.py", ROOT / "config" / "sim-induction.cfg", part]
+        part.write_text(STACK_GCODE.format(dump=dump.name, seconds=seconds, **words))
+        program, config = ROOT / "scripts" / "simulate.py", ROOT / "config" / "sim-induction.cfg"
+        command = [program, config, part, "--log", Path(folder) / "log"]  # dumps lie beside the log
         subprocess.run([sys.executable, *map(str, command)], check=True, capture_output=True)
         with dump.open(newline="") as stream:
             ages = [1e3 * float(row["latency"]) for row in csv.DictReader(stream)]

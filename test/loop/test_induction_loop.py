@@ -163,6 +163,27 @@ def test_target_zero_turns_the_bridge_off_at_once() -> None:
     assert rig.loop.fault == ""
 
 
+@pytest.mark.parametrize(("down_c", "wait_s"), [(2.0, 0.0), (2.0, 0.02), (3.0, 0.04)])
+def test_turned_off_while_the_plan_is_to_heat_again_the_bridge_stays_off(
+    down_c: float, wait_s: float
+) -> None:
+    """A slightly lower target: off now, and on again within 80 ms."""
+    rig = Rig(Plant(3), default_parameters(law=true_law()), 5)
+    heat(rig, 2.0)
+    rig.set_target(TARGET_C - down_c)
+    rig.run(wait_s)
+    plan = [c.phase_ticks for c in rig.loop.state.line.commands if c.time_s > rig.now_s]
+    assert any(plan) and not rig.loop.state.actuator.driving
+    rig.set_target(0.0)
+    rig.run(0.02)
+    start = rig.power_j
+    rig.run(0.5)
+    assert rig.watchdog_trips == 0
+    # one pulse of an idle bridge: 1.5 W for 2 ms
+    assert rig.power_j - start < 0.005
+    assert rig.loop.fault == ""
+
+
 def test_cooling_to_a_lower_target_keeps_measuring_and_does_not_undershoot() -> None:
     rig = Rig(Plant(3), default_parameters(), 5)
     heat(rig, 3.0)

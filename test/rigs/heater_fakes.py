@@ -130,6 +130,9 @@ class FakeGcode:
     def respond_raw(self, line: str) -> None:
         self.lines.append(line)
 
+    def respond_info(self, text: str, log: bool = True) -> None:
+        self.lines.append(f"// {text}")
+
 
 class FakeCommand:
     error = CommandError
@@ -138,11 +141,16 @@ class FakeCommand:
         self.gcode = gcode
         self.params = params
 
-    def get(self, name: str) -> str:
-        return self.params[name]
+    def get(self, name: str, *default: str) -> str:
+        return self.params.get(name, default[0]) if default else self.params[name]
 
-    def get_float(self, name: str, default: float, above: float | None = None) -> float:
+    def get_float(
+        self, name: str, default: float, above: float | None = None, maxval: float | None = None
+    ) -> float:
         return float(self.params.get(name, default))
+
+    def respond_info(self, text: str) -> None:
+        self.gcode.respond_info(text)
 
     def ack(self, line: str) -> bool:
         self.gcode.lines.append(f"ok {line}")

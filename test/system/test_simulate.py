@@ -113,3 +113,11 @@ def test_a_sliced_part_prints_to_its_end_also_over_a_lossy_line(simulate: Simula
     assert lossy.status == 0, lossy.stderr
     assert_same_motion(clean, lossy)
     assert lossy.summary["heater"]["settled_max_error_c"] <= 3.0
+
+
+def test_a_nozzle_turned_off_just_as_it_is_to_be_a_little_cooler_stays_off(simulate: Simulate) -> None:
+    """The plan for the lower target turns the bridge off and on again: none of it may be left."""
+    run = simulate("M109 S250\nG4 P1000\nM104 S248\nM104 S0\nG4 P500\n")
+    assert run.status == 0, run.stderr
+    last = max(row for row, target_c in enumerate(run.column("target_c")) if target_c)
+    assert max(run.column("phase_ticks")[last + 3 :]) <= 2012  # from 30 ms on: pulses that measure

@@ -114,6 +114,16 @@ def test_what_a_file_measures_lies_beside_the_log(simulate: Simulate, tmp_path: 
     assert (log.parent / "induction-nozzle-dump.csv").stat().st_size > 1000
 
 
+def test_a_file_writes_where_files_of_commands_belong_and_nowhere_else(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    config = tmp_path / "printer.cfg"
+    config.write_text(f"[include {CONFIG}]\n")
+    run = simulate(f"INDUCTION_DUMP HEATER=nozzle FILE={config}\n", config=config)
+    assert_clear(run, 2, str(config), "is not in", "/out/simulation")  # docs/Simulation.md: without a log
+    assert config.read_text() == f"[include {CONFIG}]\n"
+
+
 def test_an_emergency_stop_in_the_file_is_a_shutdown(simulate: Simulate, tmp_path: Path) -> None:
     log = tmp_path / "sim.log"
     run = simulate(HOT + "M112\n", more=["--log", log])

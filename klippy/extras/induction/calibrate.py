@@ -23,6 +23,7 @@ from thermal.models import heat_loss
 from thermal.sensing import heat_balance_monitor, laws, temperature_filter
 
 from ..heater import run as heater_run
+from ..outputs import output_file
 from . import settings
 
 COLUMNS = (
@@ -186,11 +187,9 @@ class InductionCalibrate:
     def _keep(self, run: sweep.Sweep) -> Path | None:
         """Write the trace, the reference interpolated to the blocks."""
         name = f"induction-{self.heater.section_name}-{time.strftime('%Y%m%d-%H%M%S')}.csv"
-        path = self.folder / name
         readings = run.recording.reference
         try:
-            self.folder.mkdir(parents=True, exist_ok=True)
-            with path.open("w", newline="", encoding="utf-8") as stream:
+            with output_file.open_new(self.folder, name) as stream:
                 writer = csv.writer(stream)
                 for read_s, shown_c in readings:  # as they came; the column below is interpolated
                     stream.write(f"{READING_MARK}{read_s:.6f},{shown_c:.4f}\n")
@@ -205,11 +204,11 @@ class InductionCalibrate:
                     shown = c0 + (c1 - c0) * (time_s - t0) / (t1 - t0)
                     row = (f"{time_s:.6f}", f"{shown:.3f}", f"{error:.4f}", phase, count, f"{duration_s:.7f}")
                     writer.writerow(row)
-        except OSError as e:
-            logging.warning("calibration trace %s: %s", path, e)
-            self._say(f"The trace cannot be written to {path}: {e.strerror}")
+        except (OSError, output_file.OutputError) as e:
+            logging.warning("calibration trace in %s: %s", self.folder, e)
+            self._say(f"The trace {name} cannot be written to {self.folder}: {e}")
             return None
-        return path
+        return Path(stream.name)
 
     # The fit, in a process of its own
 

@@ -8,6 +8,8 @@ from typing import Any, TextIO
 
 from thermal.records import SampleBlock, TempEstimate
 
+from ..outputs import output_file
+
 BATCH_S = 0.100  # rows go to clients together
 ROWS_HELD_MAX = 4000
 HEADER = ("time", "phase", "count", "raw_mean", "raw_min", "raw_max", "temperature", "latency")
@@ -25,7 +27,6 @@ class InductionDump:
         self._file: TextIO | None = None
         self._writer: Any = None
         self._until_s = 0.0
-        self._written = 0
         self._timer: Any = None
 
     def register(self) -> None:
@@ -57,10 +58,7 @@ class InductionDump:
         if self._clients and len(self._rows) < ROWS_HELD_MAX:
             self._rows.append(row)
         if self._file is not None:
-            self._writer.writerow(row)
-            self._written += 1
-            if centre_s >= self._until_s:
-                self._close()
+            self._write(row, centre_s)
 
     def _listen(self) -> None:
         listeners = self.heater.loop.listeners
@@ -101,23 +99,37 @@ class InductionDump:
         if self._file is not None:
             raise gcmd.error("INDUCTION_DUMP is writing already")
         name = gcmd.get("FILE", f"induction-{self.heater.section_name}-dump.csv")
-        path = self._folder / Path(name).expanduser()  # an absolute one stays what it is
         duration_s = gcmd.get_float("DURATION", 2.0, above=0.0, maxval=3600.0)
         try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-            self._file = path.open("w", newline="", encoding="utf-8")
-        except OSError as e:
-            raise gcmd.error(f"INDUCTION_DUMP cannot write {path}: {e.strerror}") from None
+            self._file = output_file.open_new(self._folder, name)
+        except output_file.OutputError as e:
+            raise gcmd.error(f"INDUCTION_DUMP: {e}") from None
         self._writer = csv.writer(self._file)
-        self._writer.writerow(HEADER)
-        self._written = 0
         self._until_s = self.heater.now_s() + duration_s
+        gcmd.respond_info(f"Writing {duration_s:.1f} s of raw blocks to {self._file.name}")
+        self._write(HEADER, 0.0)
         self._listen()
-        gcmd.respond_info(f"Writing {duration_s:.1f} s of raw blocks to {path}")
 
-    def _close(self) -> None:
-        if self._file is not None:
-            self._file.close()
-            self._file = None
-            # The loop walks its listeners now: leave it to the next turn of the reactor to be removed.
-            self.printer.get_reactor().register_callback(lambda eventtime: self._listen())
+    def _write(self, row: tuple[Any, ...], time_s: float) -> None:
+        try:
+            self._writer.writerow(row)
+        except OSError as e:
+            self._close(e)
+            return
+        if time_s >= self._until_s:
+            self._close()
+
+    def _close(self, problem: OSError | None = None) -> None:
+        """The file is over, whether or not what is left of it can still be written."""
+        stream, self._file = self._file, None
+        if stream is None:
+            return
+        self._listen()
+        try:
+            stream.close()
+        except OSError as e:
+            problem = problem or e
+        if problem is not None:
+            self.printer.lookup_object("gcode").respond_info(
+                f"INDUCTION_DUMP ended: {stream.name} cannot be written: {problem.strerror}"
+            )

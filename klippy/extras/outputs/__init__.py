@@ -1,1 +1,1 @@
-"""What output sections share: values at print times."""
+"""What outputs share: pins that change at print times, and files that commands write."""

@@ -60,7 +60,8 @@ class TemperaturePlanner:
         self._toolhead: Any = None
         self._print_stats: Any = None
         self._timer: Any = None
-        self._rows: Any = None  # csv writer
+        self._record: Any = None  # a file, and its csv writer
+        self._rows: Any = None
         self._state = requests.Wishes()
         self._marks: deque[requests.Wishes] = deque([self._state])
         self._reference: Any = None  # as we set it: another one means that the user has spoken
@@ -157,8 +158,8 @@ class TemperaturePlanner:
             return
         if self.settings.record is not None:
             stream = open(self.settings.record, "w", newline="", encoding="utf-8")  # noqa: SIM115  # until the end
-            self.printer.register_event_handler("klippy:disconnect", stream.close)
-            self._rows = csv.writer(stream)
+            self.printer.register_event_handler("klippy:disconnect", self._close_record)
+            self._record, self._rows = stream, csv.writer(stream)
             self._rows.writerow(Laid._fields)
         self._gcode.register_comment_listener(self._on_comment)
         self._toolhead.register_move_listener(self._on_moves, as_records=True)
@@ -392,7 +393,22 @@ class TemperaturePlanner:
     def _book(self, until_s: float) -> None:
         rows = self.plan.finish(until_s, ROWS_AT_ONCE if self._rows is not None else 0)
         if self._rows is not None:
-            self._rows.writerows(rows)
+            try:
+                self._rows.writerows(rows)
+            except OSError as e:
+                self._close_record(e)
+
+    def _close_record(self, problem: OSError | None = None) -> None:
+        """The file is over. A full disk ends the record, not the print."""
+        stream, self._record, self._rows = self._record, None, None
+        if stream is None:
+            return
+        try:
+            stream.close()
+        except OSError as e:
+            problem = problem or e
+        if problem is not None:
+            self._gcode.respond_info(f"Temperature plan: the record {stream.name} ends: {problem.strerror}")
 
     # The print
 

@@ -64,15 +64,20 @@ def _account(parameters: ActuatorParameters, state: ActuatorState, time_s: float
 
 
 def actuate(
-    parameters: ActuatorParameters, state: ActuatorState, power_w: float, time_s: float, idle: bool = False
+    parameters: ActuatorParameters,
+    state: ActuatorState,
+    power_w: float,
+    time_s: float,
+    is_on: bool,
+    idle: bool = False,
 ) -> list[PhaseCommand]:
     """Commands that start meeting `power_w` at `time_s`; in order of time, the first at `time_s` if any.
 
-    An empty list means: leave the bridge as it is (off, between pulses). The last command of a pulse turns
-    the bridge off, so a host that dies in between leaves nothing running. `idle`: no target, sense rarely.
+    An empty list means: the bridge stays off, between pulses. The last command of a pulse turns the bridge off, so a
+    host that dies in between leaves nothing running. `is_on`: with nothing more sent, the bridge is on at `time_s` or
+    later, booked pulses apart. `idle`: no target, sense rarely.
     """
     _account(parameters, state, time_s)
-    was_driving = state.driving
     state.last_s = time_s
     state.request_w = max(0.0, power_w)
     law = parameters.law
@@ -87,7 +92,7 @@ def actuate(
     if pulses < 1 and time_s - state.last_excited_s >= interval_s:
         pulses = 1
     if pulses < 1:
-        return [PhaseCommand(time_s, 0, 0.0)] if was_driving else []
+        return [PhaseCommand(time_s, 0, 0.0)] if is_on else []
     end_s = time_s + pulses * parameters.pulse_s
     state.owed_j -= pulses * pulse_j
     state.last_excited_s = end_s

@@ -140,7 +140,8 @@ class InductionLoop:
         self.chain = Chain()  # blocks to temperatures, with its own memory
         self.parameters = parameters
         self.state = LoopState()
-        self.listeners: list[BlockListener] = []  # told of every block, in order
+        self.listeners: list[BlockListener] = []  # given every block, in order
+        self.on_listener_error: Callable[[Exception], None] = lambda problem: None
         self.quiet = True  # told from outside: neither melt nor fan takes heat
         self.flow = control_api.IDLE  # told from outside: planned extrusion, mm^3/s
         self.fan = control_api.IDLE  # told from outside: part fan, 0..1
@@ -229,8 +230,7 @@ class InductionLoop:
         news = self.chain.take(blocks)
         if blocks.count:
             state.line.edge_s = blocks.end_s
-        if self.listeners:
-            self._tell(blocks, now_s)
+        self.tell(blocks, now_s)
         if news is not None:
             before, state.estimate = state.estimate, news
             state.latency_s = now_s - news.time_s
@@ -242,11 +242,22 @@ class InductionLoop:
             self._decide(state.estimate, 0, now_s)
         return self._step(now_s)
 
-    def _tell(self, blocks: Blocks, now_s: float) -> None:
+    def tell(self, blocks: Blocks, now_s: float, measured: bool = True) -> None:
+        """Give blocks to the listeners; `measured`: with the estimates of the chain they went through.
+
+        A listener that fails is removed and its error reported once: control goes on without it.
+        """
+        if not self.listeners:
+            return
         for i, block in enumerate(blocks):
-            found = blocks.tracked(i)
-            for listener in self.listeners:
-                listener(block, found, now_s)
+            found = blocks.tracked(i) if measured else None
+            for listener in tuple(self.listeners):
+                try:
+                    listener(block, found, now_s)
+                except Exception as problem:
+                    if listener in self.listeners:
+                        self.listeners.remove(listener)
+                    self.on_listener_error(problem)
 
     def on_timer(self, now_s: float) -> list[PhaseCommand]:
         """Nothing came for a while; also the regular watch."""
@@ -447,9 +458,7 @@ class InductionLoop:
 
     def _off(self, now_s: float) -> list[PhaseCommand]:
         state = self.state
-        if not any(c.phase_ticks for c in state.line.commands if c.time_s > now_s) and not (
-            state.line.last_before(now_s).phase_ticks
-        ):
+        if not state.line.is_on_from(now_s):
             return []
         time_s = max(now_s + self._parameters.timing.lead_s, state.line.last_before(now_s).time_s)
         commands = [PhaseCommand(time_s, 0, 0.0)]
@@ -471,7 +480,9 @@ class InductionLoop:
         if taken is not None and apart_s > 0.0 and not self._improves(taken, power_w, horizon):
             return []
         idle = state.target_c <= 0.0 and self._is_heard(now_s)
-        commands = actuator.actuate(parameters.actuator, state.actuator, power_w, at_s, idle)
+        # A horizon may turn on again a bridge that is off; a booked pulse ends by itself and stays.
+        is_on = state.line.is_on_from(max(at_s, state.actuator.last_excited_s))
+        commands = actuator.actuate(parameters.actuator, state.actuator, power_w, at_s, is_on, idle)
         if len(commands) == 1 and horizon:
             commands += actuator.ahead(parameters.actuator, commands[0], horizon)
         state.line.note(commands, now_s)

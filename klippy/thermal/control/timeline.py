@@ -75,6 +75,12 @@ class Timeline:
                 return command
         return self.commands[0]
 
+    def is_on_from(self, time_s: float) -> bool:
+        """Is the bridge on at `time_s` or later, if nothing more is said?"""
+        if self.last_before(time_s + TIME_SLACK_S).phase_ticks:
+            return True
+        return any(c.phase_ticks for c in self.commands if c.time_s > time_s)
+
     def at(self, time_s: float) -> PhaseCommand | None:
         """The command that begins at `time_s`, if one does."""
         for command in reversed(self.commands):

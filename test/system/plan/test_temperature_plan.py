@@ -132,6 +132,18 @@ def test_a_print_that_waits_or_slows_is_laid_as_asked(simulate: Simulate, tmp_pa
     assert np.array(run.column("target_c"))[-1] == pytest.approx(215.0)  # home
 
 
+def test_a_record_on_a_full_disk_ends_and_the_print_goes_on(simulate: Simulate, tmp_path: Path) -> None:
+    log = tmp_path / "log"
+    lines = [f"G1 X{90 if i % 2 else 40} Y{40 + i} E{LINE_E:.4f} F2400\n" for i in range(40)]
+    gcode = f"{START}M104.1 S228\n{''.join(lines)}M104.1 S0\nM400\nG4 P9000\n"
+    run = simulate(gcode, config=config(tmp_path, "record: /dev/full\n"), more=["--log", str(log)])
+    assert run.status == 0, run.stderr
+    text = log.read_text()
+    assert text.count("the record /dev/full ends: No space left on device") == 1
+    assert "Traceback" not in text
+    assert run.column("target_c")[-1] == pytest.approx(215.0)  # home: the plan was at work to its end
+
+
 def test_a_hot_tower_is_laid_more_slowly(simulate: Simulate, tmp_path: Path) -> None:
     """Layers of 1.6 s would stay above what the coolest melt can weld at 130 degC; without leave they are as told."""
     layers = "".join(

@@ -72,6 +72,19 @@ class Bench:
         return self.commands[-1]
 
 
+def test_an_output_that_fails_gets_no_more_and_the_others_do(caplog: pytest.LogCaptureFixture) -> None:
+    bench = Bench()
+
+    def failing(line: str) -> None:
+        raise OSError("gone")
+
+    bench.dispatch.output_callbacks.insert(0, failing)
+    bench.dispatch.respond_info("one")
+    bench.dispatch.respond_info("two")
+    assert bench.lines == ["// one", "// two"]
+    assert [record.exc_info is not None for record in caplog.records].count(True) == 1
+
+
 @pytest.mark.parametrize(
     ("line", "params"),
     [

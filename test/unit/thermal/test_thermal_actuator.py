@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from thermal.control import actuator
 from thermal.models.drive_law import DriveLaw
-from thermal.records import PhaseCommand
+from thermal.records import PhaseCommand, Planned
 
 LAW = DriveLaw()
 PULSE_S = (1024 + 20 + 4) / 120e3
@@ -48,7 +48,7 @@ def test_a_request_beyond_the_drive_gives_full_phase() -> None:
 
 @given(st.floats(1.52, 81.3))
 def test_quantised_phase_costs_less_than_a_thousandth(power: float) -> None:
-    command = actuator.actuate(PARAMETERS, actuator.ActuatorState(), power, 1.0)[0]
+    command = actuator.actuate(PARAMETERS, actuator.ActuatorState(), power, 1.0, False)[0]
     # A tick at the least phase is 1.5/2012 of the power = 0.075 %; half of it is lost in rounding.
     assert command.power_w == pytest.approx(power, rel=4e-4)
     assert command.time_s == 1.0
@@ -61,7 +61,8 @@ def mean_power(request: float, duration_s: float, idle: bool = False) -> tuple[f
     time_s = 0.0
     while time_s < duration_s:
         at_s = max(time_s, commands[-1].time_s if commands else 0.0)
-        commands += actuator.actuate(PARAMETERS, state, request, at_s, idle)
+        is_on = bool(commands and commands[-1].phase_ticks)
+        commands += actuator.actuate(PARAMETERS, state, request, at_s, is_on, idle)
         time_s += STEP_S
     ends = [c.time_s for c in commands[1:]] + [duration_s]
     energy = sum(c.power_w * (min(e, duration_s) - c.time_s) for c, e in zip(commands, ends, strict=True))
@@ -94,16 +95,25 @@ def test_each_pulse_holds_a_whole_block_and_ends_by_itself() -> None:
 
 def test_from_driving_to_no_request_turns_the_bridge_off() -> None:
     state = actuator.ActuatorState()
-    actuator.actuate(PARAMETERS, state, 20.0, 0.0)
-    assert actuator.actuate(PARAMETERS, state, 0.0, STEP_S) == [PhaseCommand(STEP_S, 0, 0.0)]
+    actuator.actuate(PARAMETERS, state, 20.0, 0.0, False)
+    assert actuator.actuate(PARAMETERS, state, 0.0, STEP_S, True) == [PhaseCommand(STEP_S, 0, 0.0)]
+
+
+def test_no_request_withdraws_what_was_said_ahead_to_a_bridge_that_is_off() -> None:
+    state = actuator.ActuatorState()
+    actuator.actuate(PARAMETERS, state, 20.0, 0.0, False)
+    off = actuator.actuate(PARAMETERS, state, 0.0, STEP_S, True)[0]
+    assert actuator.ahead(PARAMETERS, off, [Planned(3 * STEP_S, 1.5)])
+    assert actuator.actuate(PARAMETERS, state, 0.0, 2 * STEP_S, True) == [PhaseCommand(2 * STEP_S, 0, 0.0)]
 
 
 @given(st.lists(st.floats(0.0, 90.0), min_size=1, max_size=60))
 def test_commands_come_in_order_and_never_exceed_full_phase(requests: list[float]) -> None:
     state = actuator.ActuatorState()
-    time_s, last_s = 0.0, -1.0
+    time_s, last_s, is_on = 0.0, -1.0, False
     for request in requests:
-        for command in actuator.actuate(PARAMETERS, state, request, time_s):
+        for command in actuator.actuate(PARAMETERS, state, request, time_s, is_on):
+            is_on = command.phase_ticks > 0
             assert command.time_s >= last_s
             assert 0 <= command.phase_ticks <= 45000
             last_s = command.time_s

@@ -39,3 +39,12 @@ def test_what_was_said_already_does_not_stray() -> None:
 )
 def test_any_step_that_differs_strays(steps: tuple[tuple[float, float], ...]) -> None:
     assert line().strays(plan(*steps), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("from_s", "on"), [(0.99, True), (1.01, True), (1.02, True), (1.04, True), (1.05, False), (2.0, False)]
+)
+def test_a_line_of_commands_knows_whether_it_leaves_the_bridge_on(from_s: float, on: bool) -> None:
+    told = Timeline()
+    told.note([PhaseCommand(1.0, 0, 0.0), PhaseCommand(1.02, 2012, 1.5), PhaseCommand(1.05, 0, 0.0)], 0.99)
+    assert told.is_on_from(from_s) == on

@@ -1,0 +1,267 @@
+"""docs/Safety.md against the program: every figure on the page is one of the code's, or measured here."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+import pytest
+
+from doc_rig import DOCS
+from extras import heaters, induction_heater
+from extras.induction import calibrate as induction_calibrate
+from extras.induction import settings
+from heater_fakes import CommandError, FakePrinter
+from induction_rig import PERIOD_S, Plant, Rig, default_parameters, true_law
+from thermal.control import nozzle_model, steady
+from thermal.control.loop import LoopParameters
+from thermal.records import PHASE_MAX_TICKS, PhaseCommand
+from thermal.sensing import guard_limits, heat_balance_monitor, laws
+from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
+
+SECTION = "induction_heater nozzle"
+CONFIG = f"[{SECTION}]\nsense_pin: PA0\nmax_temp: 320\n"
+
+# Figures of the world, which no code knows.
+FACTS = (
+    "some 40 W behind a block of 20 g",
+    "above about 260 °C; at 400 °C most plastics burn",
+    "If the capacitor warms by enough for 20 °C",
+    "current limit turned down for first tests (2 A)",
+)
+
+
+@cache
+def page() -> str:
+    """The page on one line, without the numbers of its lists."""
+    text = (DOCS / "Safety.md").read_text(encoding="utf-8")
+    return " ".join(re.sub(r"(?m)^(\*\*)?\d\. ", r"\1", text).split())
+
+
+@cache
+def printer() -> tuple[FakePrinter, Any]:
+    """A printer with nothing but defaults, its options read, and the config they came from."""
+    fake = FakePrinter(CONFIG, {})
+    return fake, fake.config(SECTION)
+
+
+@cache
+def parameters() -> LoopParameters:
+    _, config = printer()
+    return settings.read_parameters(config, settings.read_unit(config))
+
+
+def option(name: str) -> Any:
+    """Default of an option that the program has read."""
+    fake, config = printer()
+    parameters()
+    settings.guard_rows(config, parameters())
+    return fake._access[SECTION, name]
+
+
+def milliseconds(blocks: float) -> float:
+    unit = settings.read_unit(printer()[1])
+    return 1e3 * blocks * unit.block_samples / unit.frequency_hz
+
+
+# ---- the nozzle, measured on the plant -----------------------------------------------------------------------------
+
+
+def heated(preset: str) -> tuple[float, float, float]:
+    """Full power from 20 °C: (W, seconds to 300 °C, °C/s on the way)."""
+    plant = Plant(1, preset)
+    plant.set_phase(PHASE_MAX_TICKS)
+    periods = 0
+    while plant.read().skin_c < 300.0:
+        plant.run(32)
+        periods += 32
+    return plant.read().power_w, periods * PERIOD_S, 280.0 / (periods * PERIOD_S)
+
+
+def two_digits(value: float) -> str:
+    return f"{float(f'{value:.1e}'):g}"
+
+
+def sensing_w(preset: str) -> float:
+    plant = Plant(1, preset)
+    plant.set_phase(SENSING_PHASE_TICKS)
+    plant.run(32)
+    return float(plant.read().power_w)
+
+
+def reads_off_c(**changes: float) -> float:
+    """By how much a change of the tank moves the reading of a nozzle at 200 °C."""
+
+    def codes(temp_c: float, **values: float) -> float:
+        fine = {"noise_lsb": 0.0, "units_per_lsb": 0.15, "start_c": temp_c, "mass_g": 20.0}
+        plant = Plant(1, **fine, **values)
+        plant.set_phase(SENSING_PHASE_TICKS)
+        plant.run(32)  # the tank settles
+        return float(plant.run(32).mean())
+
+    per_c = (codes(210.0) - codes(190.0)) / 20.0
+    return abs(codes(200.0, **changes) - codes(200.0)) / abs(per_c)
+
+
+def nozzle_claims() -> Iterator[str]:
+    for name, preset in (("as published", "reference"), ("well coupled", "strong")):
+        power_w, seconds, rate = heated(preset)
+        yield f"| {name} ({power_w:.0f} W into the metal) | {two_digits(seconds)} s | {two_digits(rate)} °C/s |"
+    plant = Plant(1)
+    assert plant.get_param("electrical_base_w") + plant.get_param("electrical_swing_w") > 300.0
+    yield "a bridge of over 300 W"
+    assert plant.get_param("mass_g") < 1.0
+    assert plant.get_param("ambient_c") == plant.get_param("start_c")
+    yield f"full power, from {plant.get_param('start_c'):g} °C | 300 °C after |"
+    tank = reads_off_c(c1_factor=1.001), reads_off_c(frequency_ppm=100.0), reads_off_c(skew_ns=1.0)
+    yield "off by 0.1 % is {:.0f} °C, 100 ppm of frequency {:.0f} °C, 1 ns of sampling skew {:.0f} °C".format(
+        *tank
+    )
+    published_w, coupled_w = sensing_w("reference"), sensing_w("strong")
+    yield f"puts {published_w:.1f} W into the published nozzle, {coupled_w:.0f} W into the well coupled"
+    yield f"at {option('frequency') / 1e3:g} kHz"
+
+
+# ---- the three guards ------------------------------------------------------------------------------------------------
+
+
+def near_w(law: laws.Law, control: str, band_c: float) -> float:
+    """Greatest request within so much of the target, on the way up."""
+    rig = Rig(Plant(3), default_parameters(law=law, control=control), 1)
+    rig.run(0.6)
+    rig.set_target(250.0)
+    rig.run(1.6)
+    trace = rig.trace.arrays()
+    near = (trace["target_c"] == 250.0) & (trace["estimate_c"] > 250.0 - band_c + 2.0)
+    assert near.any()
+    return float(trace["request_w"][near].max())
+
+
+def loop_claims() -> Iterator[str]:
+    yield f"After {parameters().timing.stale_s:g} s without one"
+    assert (option("estimator"), option("control")) == ("exp", "model")
+    band_c = parameters().approach.band_c
+    assert settings.CALIBRATED_APPROACH.band_c == band_c
+    yield f"| sensing law | within {band_c:g} °C of the target |"
+    yield f"| `exp` (default), `eq5` | {near_w(laws.ExpLaw(), 'model', band_c):.0f} W at most |"
+    limited_w = {near_w(true_law(), control, band_c) for control in ("pid", "watermark", "practical")}
+    assert len(limited_w) == 1 and near_w(laws.ExpLaw(), "pid", band_c) == near_w(
+        laws.Eq5Law(), "model", band_c
+    )
+    yield f"`control: pid`, `watermark` or `practical` | {limited_w.pop():.0f} W at most |"
+    assert near_w(true_law(), "model", band_c) == pytest.approx(parameters().control.power_max_w)
+
+
+def supervision_claims() -> Iterator[str]:
+    p = parameters().supervise
+    yield f"| {p.limit_blocks} estimates in a row ({milliseconds(p.limit_blocks):.0f} ms) |"
+    yield f"| no samples arrive | {p.silence_s:g} s |"
+    yield f"give no believable temperature | {p.invalid_s:g} s |"
+    assert p.demand_fraction == 0.5
+    yield f"half of full power or more is requested {p.demand_c:g} °C or more below the target"
+    yield f"does not warm by {p.gain_c:g} °C (no nozzle, broken coil, no supply) | {p.gain_s:g} s |"
+    yield f"(bridge stuck on) | {p.stray_c:g} °C within {p.stray_s:g} s |"
+
+
+def guard_claims() -> Iterator[str]:
+    max_duration_s = option("max_duration")
+    yield f"`max_duration` ({1e3 * max_duration_s:g} ms)"
+    yield f"the plan reaches {1e3 * nozzle_model.AHEAD_S:g} ms ahead"
+    again = steady.feedings(PhaseCommand(0.0, 2012, 1.5), max_duration_s)
+    assert len(again) == 2
+    yield "sent twice more, {:.0f} and {:.0f} ms on".format(*(1e3 * command.time_s for command in again))
+    blocks = option("guard_trip_blocks")
+    yield f"`guard_trip_blocks` blocks in a row trip ({blocks}, which are {milliseconds(blocks):.0f} ms)"
+    low_c, margin_c = settings.GUARD_LOW_C, option("guard_margin")
+    yield f"the readings at {low_c:g} °C and at `max_temp` + `guard_margin` ({margin_c:g} °C)"
+    p = parameters()
+    expected = guard_limits.guard_limits(p.estimator.law, p.front, low_c, p.supervise.temp_high_c + margin_c)
+    assert settings.guard_rows(printer()[1], p) == expected
+
+
+def drift_claims() -> Iterator[str]:
+    p = parameters().plausible
+    yield f"After {p.ready_s:g} s without extrusion and fan"
+    yield f"`drift_limit` ({p.limit_c:g} °C)"
+
+    def reported_c(loss_uncertainty: float) -> float:
+        """The smallest drift at 250 °C that is warned of."""
+        known = replace(p, loss_uncertainty=loss_uncertainty)
+        tenths = (
+            n
+            for n in range(2000)
+            if heat_balance_monitor.warning(
+                known, heat_balance_monitor.PlausibleState(temp_c=250.0, drift_c=n / 10)
+            )
+        )
+        return next(tenths) / 10
+
+    with_one, without = (
+        reported_c(induction_calibrate.LOSS_UNCERTAINTY),
+        reported_c(option("loss_uncertainty")),
+    )
+    yield f"at 250 °C a drift of more than {with_one:.0f} °C after a calibration, {without:.0f} °C without one"
+
+
+# ---- a host that dies, in the rig ------------------------------------------------------------------------------------
+
+
+def off_after_s(warm_s: float) -> float:
+    """How long the bridge is on after the host's death, that long after the target was set."""
+    rig = Rig(Plant(3), default_parameters(law=true_law()), 1)
+    rig.run(0.6)
+    rig.set_target(250.0)
+    rig.run(warm_s)
+    dead_s, on_s = rig.now_s, rig.now_s
+    rig._host = lambda: None  # type: ignore[method-assign]
+    while rig.now_s < dead_s + 0.5:
+        rig.run(0.002)
+        on_s = rig.now_s if rig.phase else on_s
+    assert not rig.phase
+    return on_s - dead_s
+
+
+def dead_host_claims() -> Iterator[str]:
+    """Rounded up to 0.05 s."""
+    heating_s = max(off_after_s(warm_s) for warm_s in (0.1, 0.3, 0.5, 0.52, 0.8, 1.0))
+    held_s = max(off_after_s(warm_s) for warm_s in (1.4, 1.5, 2.5, 2.6, 3.0))
+    yield f"the bridge is off {math.ceil(20.0 * heating_s) / 20.0:g} s after the host's death"
+    yield f"off after {math.ceil(20.0 * held_s) / 20.0:g} s at the latest"
+
+
+GROUPS = (nozzle_claims, loop_claims, supervision_claims, guard_claims, drift_claims, dead_host_claims)
+
+
+@cache
+def claims(group: Callable[[], Iterator[str]]) -> list[str]:
+    return list(group())
+
+
+@pytest.mark.parametrize("group", GROUPS, ids=lambda group: group.__name__.removesuffix("_claims"))
+def test_the_page_says_what_the_program_does(group: Callable[[], Iterator[str]]) -> None:
+    missing = [claim for claim in claims(group) if claim not in page()]
+    assert not missing, f"docs/Safety.md should say: {missing}"
+
+
+def test_no_figure_on_the_page_is_without_a_check() -> None:
+    left = page()
+    for claim in (*FACTS, *(claim for group in GROUPS for claim in claims(group))):
+        left = left.replace(claim, "")
+    assert re.findall(r".{0,30}(?<![A-Za-z_\d])\d.{0,10}", left) == []
+
+
+def test_a_nozzle_without_a_calibration_has_no_limits_and_no_target() -> None:
+    loaders = {"induction_heater": induction_heater.load_config_prefix, "heaters": heaters.load_config}
+    fake = FakePrinter(CONFIG + "estimator: uncalibrated\n", loaders)
+    heater = fake.load(SECTION).heater
+    assert settings.guard_rows(fake.config(SECTION), heater.parameters) == [
+        guard_limits.LimitRow(SENSING_PHASE_TICKS, 0, 65535)
+    ]
+    with pytest.raises(CommandError, match="not calibrated"):
+        heater.set_temp(100.0)
+    assert "With `estimator: uncalibrated` only silence shuts down, and every target is refused." in page()
+    assert "With `estimator: uncalibrated` there are no such limits." in page()
