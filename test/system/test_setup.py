@@ -222,3 +222,17 @@ def test_install_with_all_that_it_needs_starts_the_service(anna: Computer) -> No
     assert any("-r requirements.txt" in call for call in anna.calls("python"))
     assert (anna.home / ".config/systemd/user/ferrite.service").exists()
     assert os.access(anna.home / "printer_data/config/printer.cfg", os.R_OK)
+
+
+# ---------------------------------------------------------------- .ci/run
+
+
+@pytest.mark.parametrize("failing", ["none", "test-browser", "test-flash", "test"])
+def test_continuous_integration_runs_everything_and_the_main_tests_last(tmp_path: Path, failing: str) -> None:
+    computer = Computer(tmp_path, uid=0)
+    computer.program("make", NOTED.format(name="make") + f'[ "$1" != {failing} ]\n')
+    (computer.checkout / ".ci").mkdir()
+    shutil.copy(ROOT / ".ci" / "run", computer.checkout / ".ci")
+    done = computer.run("../.ci/run")
+    assert computer.calls("make") == ["test-browser", "test-flash", "test"]
+    assert done.returncode == (0 if failing == "none" else 1)
