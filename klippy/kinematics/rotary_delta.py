@@ -15,6 +15,11 @@ from lookahead import Coord, Move
 DEFAULT_ANGLES = {"a": 30.0, "b": 150.0, "c": 270.0}
 # Homing assumes the head at most this far below z = 0: much lower may be out of the arms' reach.
 HOMING_START_Z_MM = -1.0
+REACH_STEP_MM = 0.5
+REACH_DIRECTIONS = [math.radians(angle) for angle in range(0, 181, 3)]
+# Cosine of the angle at the shoulder between upper arm and head. At 1 the arm is stretched: the motors would have to
+# turn infinitely fast.
+STRETCHED = 0.9999
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +29,14 @@ class Arm:
     angle: float
     upper: float
     lower: float
+
+    def reaches(self, along: float, across: float, below: float) -> bool:
+        """Whether the head can be there: seen from the shoulder outward, sideways, downward (mm)."""
+        distance2 = along**2 + below**2
+        cosine = (distance2 + across**2 + self.upper**2 - self.lower**2) / (
+            2.0 * self.upper * math.sqrt(distance2)
+        )
+        return abs(cosine) < STRETCHED
 
     def elbow(self, radius: float, height: float, turned: float) -> list[float]:
         """Place of the elbow with the upper arm `turned` radians above the horizontal."""
@@ -75,13 +88,25 @@ class RotaryDeltaKinematics:
         self.homed = False
 
     def _reach(self) -> float:
-        """Largest radius reachable at every height between minimum and maximum z.
+        """Largest radius at which all arms reach in every direction, at minimum and maximum z.
 
-        The arm opposite to the head is stretched most: shoulder to head at most upper + lower arm."""
-        arm = min(a.upper + a.lower for a in self.arms)
-        deepest = self.shoulder_height - self.min_z
-        stretch = math.sqrt(max(0.0, arm**2 - deepest**2)) - self.shoulder_radius
-        return max(0.0, stretch)
+        Which direction is the worst depends on the arms: opposite to a shoulder its arm is stretched most, across
+        from it the lower arm leans sideways and is shorter in the plane of the upper one.
+        """
+        radius = 0.0
+        while radius < max(arm.upper + arm.lower for arm in self.arms) and self._all_reach(
+            radius + REACH_STEP_MM
+        ):
+            radius += REACH_STEP_MM
+        return radius
+
+    def _all_reach(self, radius: float) -> bool:
+        return all(
+            arm.reaches(radius * math.cos(turned) - self.shoulder_radius, radius * math.sin(turned), below)
+            for below in (self.shoulder_height - self.min_z, self.shoulder_height - self.max_z)
+            for turned in REACH_DIRECTIONS
+            for arm in self.arms
+        )
 
     def get_steppers(self) -> list[stepper.MCU_stepper]:
         return [s for rail in self.rails for s in rail.get_steppers()]

@@ -79,7 +79,8 @@ def test_a_compiler_that_is_missing_is_named_with_its_package(port: str, tmp_pat
 
 
 def test_every_port_can_be_chosen_in_the_menu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kconfiglib = pytest.importorskip("kconfiglib")
+    import kconfiglib
+
     monkeypatch.setenv("srctree", str(ROOT / "src"))
     for port in PORTS:
         config, file = kconfiglib.Kconfig("Kconfig"), tmp_path / port
@@ -156,7 +157,7 @@ def loader(request: pytest.FixtureRequest) -> Iterator[BootLoader]:
     board.close()
 
 
-@pytest.mark.skipif(shutil.which("avrdude") is None, reason="avrdude is not installed")
+@pytest.mark.flash
 def test_avrdude_itself_writes_and_compares_every_byte(loader: BootLoader, out: str, tmp_path: Path) -> None:
     run = run_make("PORT=atmega2560", f"OUT={out}", f"FLASH_DEVICE={loader.path}", "flash")
     assert run.returncode == 0, run.stderr
@@ -169,14 +170,14 @@ def test_avrdude_itself_writes_and_compares_every_byte(loader: BootLoader, out: 
     assert 0x14 in loader.commands and 0x12 not in loader.commands  # compared; no erasing of the whole chip
 
 
-@pytest.mark.skipif(shutil.which("avrdude") is None, reason="avrdude is not installed")
+@pytest.mark.flash
 @pytest.mark.parametrize("loader", [True], indirect=True)
 def test_a_board_that_keeps_something_else_is_found_out(loader: BootLoader, out: str) -> None:
     run = run_make("PORT=atmega2560", f"OUT={out}", f"FLASH_DEVICE={loader.path}", "flash")
     assert run.returncode == 2 and "avrdude has not written the board" in run.stderr
 
 
-@pytest.mark.skipif(shutil.which("openocd") is None, reason="openocd is not installed")
+@pytest.mark.flash
 def test_openocd_itself_takes_the_command_and_looks_for_the_debugger(out: str) -> None:
     """Board file and commands are read; here is no ST-LINK, which it says."""
     run = run_make("PORT=stm32f334", f"OUT={out}", "flash")

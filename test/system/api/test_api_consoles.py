@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -120,3 +121,24 @@ def test_a_config_with_includes_is_copied_with_its_own_paths(tmp_path: Path) -> 
     original = (ROOT / "config" / "sim-induction.cfg").read_text().splitlines()
     changed = [line for line, old in zip(included.splitlines(), original, strict=True) if line != old]
     assert len(changed) == 2
+
+
+@pytest.mark.parametrize(
+    ("own", "added"),
+    [
+        ("", {"PAUSE", "RESUME", "CANCEL_PRINT", "PARK_NOZZLE"}),
+        ("[gcode_macro pause]\nrename_existing: BASE_PAUSE\ngcode:\n  BASE_PAUSE\n", {"CANCEL_PRINT", "PARK_NOZZLE"}),
+        (f"[include {ROOT}/config/macros-induction.cfg]\n[pause_resume]\n", set()),
+    ],
+    ids=["none", "its own pause", "all of them"],
+)  # fmt: skip
+def test_a_config_gets_the_macros_that_it_lacks(tmp_path: Path, own: str, added: set[str]) -> None:
+    """A PAUSE of its own is not joined by a RESUME that would not fit."""
+    source = tmp_path / "my.cfg"
+    source.write_text(own + "[printer]\nkinematics: none\n[gcode_macro START_PRINT]\ngcode:\n  G28\n")
+    folder = PrinterData(tmp_path / "data", ROOT)
+    folder.prepare(source)
+    text = (folder.config.parent / "frontend.cfg").read_text()
+    macros = set(re.findall(r"(?m)^\[gcode_macro (\S+)\]", text))
+    assert macros & {"PAUSE", "RESUME", "CANCEL_PRINT", "PARK_NOZZLE"} == added
+    assert "START_PRINT" not in macros

@@ -16,7 +16,7 @@ import g1path
 from motion_rig import CLOCK_HZ, CONFIG, EXTRUDER, dictionary
 from printer import Printer
 from reactor import Reactor
-from sample_gcode import SampleMissing, sample_path
+from sample_gcode import sample_path
 
 MACHINE = CONFIG + EXTRUDER + "pressure_advance: 0.04\n[fan]\npin: PE0\n"
 HOMED = "G28\nM83\nG1 X20 Y20 Z0.3 F9000\n"
@@ -158,10 +158,7 @@ def test_errors_are_the_same_both_ways(run, line: str) -> None:
 
 @pytest.mark.parametrize("name", ["cubhelix", "benchy"])
 def test_sliced_files_come_out_the_same_both_ways(run, name: str) -> None:
-    try:
-        lines = sample_path(name).read_text().splitlines()[:8000]
-    except SampleMissing:
-        pytest.skip(f"the sample {name} is not installed")
+    lines = sample_path(name).read_text().splitlines()[:8000]
     start = "M104 S0\n"
     body = [line for line in lines if not line.startswith(("M140", "M190", "M104", "M109", "G28", "G29"))]
     config = MACHINE.replace(

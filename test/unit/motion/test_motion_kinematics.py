@@ -227,6 +227,7 @@ OUTSIDE = [
     ("delta", "G1 Z400", "Move out of range"),
     ("deltesian", "G1 X120 Z10", "Move out of range"),
     ("rotary-delta", "G1 X400 Z10", "Move out of range"),
+    ("rotary-delta", "G1 Y-225 Z10", "Move out of range"),  # two lower arms lean sideways, and end too short
     ("polar", "G1 X250 Y250", "Move out of range"),
     ("polar", "G1 X50 Y0\nG1 X-50", "through the centre"),
 ]
@@ -237,6 +238,17 @@ def test_moves_outside_are_refused(tmp_path: Path, name: str, line: str, text: s
     outcome = batch(tmp_path, f"G28\n{line} F6000\n", (CONFIGS / f"example-{name}.cfg").read_text())
     assert outcome.result == "error_exit"
     assert any(text in r for r in outcome.replies if r.startswith("!!"))
+
+
+def test_a_rotary_delta_reaches_the_whole_of_its_rim(tmp_path: Path) -> None:
+    """The limits hold in every direction, low and high: the motors end where the head is said to be."""
+    config = (CONFIGS / "example-rotary-delta.cfg").read_text()
+    for z in (0, 240):
+        rim = [(203.5 * math.cos(a), 203.5 * math.sin(a)) for a in map(math.radians, range(0, 361, 10))]
+        gcode = f"G1 Z{z} F3000\n" + "".join(f"G1 X{x:.3f} Y{y:.3f}\n" for x, y in rim)
+        outcome = batch(tmp_path, HOME_AND_MOVE.format(gcode), config)
+        assert outcome.result == "exit", (outcome.message, outcome.replies)
+        assert positions(outcome.replies)["kinematic"]["X"] == pytest.approx(203.5, abs=0.05)
 
 
 @pytest.mark.parametrize("name", ["corexy", "delta", "deltesian", "rotary-delta", "polar"])

@@ -288,7 +288,7 @@ def test_missing_files_are_told_by_name(trace: Trace, tmp_path: Path) -> None:
 def browse(page: str, tmp_path: Path, *options: str, link: str = "") -> str:
     """What headless Chromium prints for a page; `options` say what."""
     chromium = shutil.which("chromium")
-    assert chromium, "Chromium is not installed; run: scripts/setup.sh test"
+    assert chromium, "Chromium is not installed; run: scripts/setup.sh browser"
     path = tmp_path / "r.html"
     path.write_text(page, encoding="utf-8")
     command = [chromium, "--headless", "--no-sandbox", "--disable-gpu", "--hide-scrollbars"]
@@ -305,6 +305,7 @@ def page(run: PrintRun) -> str:
     return render_page("part.gcode", run)
 
 
+@pytest.mark.browser
 def test_the_page_comes_alive_in_a_browser(page: str, tmp_path: Path) -> None:
     dom = browse(page, tmp_path, "--dump-dom")
     assert "3 of 4, z = 0.60 mm" in dom  # the script opens the page at the middle layer
@@ -312,6 +313,7 @@ def test_the_page_comes_alive_in_a_browser(page: str, tmp_path: Path) -> None:
     assert "true minus target" in dom
 
 
+@pytest.mark.browser
 @pytest.mark.parametrize(("colour", "words"), [("temp", "true temperature:"), ("flow", "mm³/s</span>")])
 def test_a_link_opens_a_layer_in_its_colours(page: str, tmp_path: Path, colour: str, words: str) -> None:
     dom = browse(page, tmp_path, "--dump-dom", link=f"#layer=2&colour={colour}")
@@ -319,6 +321,7 @@ def test_a_link_opens_a_layer_in_its_colours(page: str, tmp_path: Path, colour: 
     assert words in dom
 
 
+@pytest.mark.browser
 @pytest.mark.parametrize("link", ["#layer=99&colour=none", "#%%%&layer=x"])
 def test_a_wrong_link_opens_the_page_all_the_same(page: str, tmp_path: Path, link: str) -> None:
     dom = browse(page, tmp_path, "--dump-dom", link=link)
@@ -326,6 +329,7 @@ def test_a_wrong_link_opens_the_page_all_the_same(page: str, tmp_path: Path, lin
     assert "true minus target" in dom
 
 
+@pytest.mark.browser
 def test_the_layers_path_is_drawn_in_the_colours_of_its_temperature(page: str, tmp_path: Path) -> None:
     shots = {}
     for colour in ("error", "temp"):

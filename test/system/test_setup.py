@@ -1,0 +1,238 @@
+"""scripts/setup.sh and install.sh on machines that lack something, or where another program holds the locks of apt.
+
+Each runs in a copy of the checkout's scripts with a PATH of the test's own: apt-get, sudo and systemctl are played.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+
+TOOLS = (
+    "bash",
+    "cat",
+    "cp",
+    "cut",
+    "dirname",
+    "env",
+    "flock",
+    "grep",
+    "mkdir",
+    "mktemp",
+    "rm",
+    "sed",
+    "sha256sum",
+)
+ID = "#!/bin/sh\ncase $1 in -u) echo {uid} ;; -un) echo anna ;; -nG) echo dialout ;; esac\n"
+# Both note how they were called. apt-get fails with $APT_SAYS as often as $APT_FAILS says.
+APT_GET = """#!/bin/sh
+echo "apt-get $*" >>"$CALLS"
+tries=$(grep -c '^apt-get' "$CALLS")
+if [ "$tries" -le "${APT_FAILS:-0}" ]; then echo "$APT_SAYS" >&2; exit 100; fi
+"""
+NOTED = '#!/bin/sh\necho "{name} $*" >>"$CALLS"\n'
+
+LISTS_LOCK = (
+    "E: Could not get lock /var/lib/apt/lists/lock. It is held by process 4711 (apt-get)\n"
+    "E: Unable to lock directory /var/lib/apt/lists/"
+)
+OLD_DPKG_LOCK = "E: Could not get lock /var/lib/dpkg/lock - open (11: Resource temporarily unavailable)"
+NO_RIGHT = "E: Could not open lock file /var/lib/dpkg/lock-frontend - open (13: Permission denied)"
+
+
+class Computer:
+    """A checkout's scripts, and the programs that a computer has."""
+
+    def __init__(self, folder: Path, uid: int) -> None:
+        self.checkout, self.bin, self.home = folder / "checkout", folder / "bin", folder / "home"
+        self.calls_file = folder / "calls"
+        for made in (self.checkout / "scripts", self.bin, self.home):
+            made.mkdir(parents=True)
+        for name in ("setup.sh", "install.sh"):
+            shutil.copy(ROOT / "scripts" / name, self.checkout / "scripts")
+        for path in (*ROOT.glob("requirements*.txt"), ROOT / "config"):
+            (shutil.copytree if path.is_dir() else shutil.copy)(path, self.checkout / path.name)
+        for name in TOOLS:
+            found = shutil.which(name)
+            assert found is not None, name
+            (self.bin / name).symlink_to(found)
+        self.program("id", ID.format(uid=uid))
+        self.calls_file.touch()
+
+    def program(self, name: str, text: str = NOTED) -> None:
+        """A program on PATH; without a text one that only notes its call."""
+        path = self.bin / name
+        path.write_text(text.format(name=name) if text == NOTED else text)
+        path.chmod(0o755)
+
+    def with_environment(self) -> None:
+        """A finished .venv, whose Python notes its calls."""
+        python = self.checkout / ".venv" / "bin" / "python"
+        python.parent.mkdir(parents=True)
+        python.write_text(NOTED.format(name="python"))
+        python.chmod(0o755)
+
+    def run(self, script: str, *options: str, **environment: str) -> subprocess.CompletedProcess[str]:
+        clean = {
+            "PATH": str(self.bin),
+            "HOME": str(self.home),
+            "CALLS": str(self.calls_file),
+            "TMPDIR": "/tmp",
+        }
+        return subprocess.run(
+            [self.checkout / "scripts" / script, *options], env=clean | environment, stdin=subprocess.DEVNULL,
+            capture_output=True, text=True, timeout=60, check=False,
+        )  # fmt: skip
+
+    def calls(self, name: str) -> list[str]:
+        """Arguments of the calls of a program, one text each."""
+        lines = self.calls_file.read_text().splitlines()
+        return [line.removeprefix(name).strip() for line in lines if line.split()[:1] == [name]]
+
+
+@pytest.fixture
+def root_computer(tmp_path: Path) -> Computer:
+    """Of root's, without a compiler, with an apt-get and a sleep that takes no time."""
+    computer = Computer(tmp_path, uid=0)
+    computer.program("apt-get", APT_GET)
+    computer.program("sleep")
+    computer.with_environment()
+    return computer
+
+
+@pytest.mark.parametrize("says", [LISTS_LOCK, OLD_DPKG_LOCK])
+def test_setup_waits_for_another_apt_and_says_so(root_computer: Computer, says: str) -> None:
+    done = root_computer.run("setup.sh", "demo", APT_FAILS="20", APT_SAYS=says)
+    assert done.returncode == 0, done.stderr
+    waits = [line for line in done.stdout.splitlines() if "waiting for another program" in line]
+    # 20 tries, 2 s apart: noted at 0 and 30 s, with apt's own word for the lock
+    assert all(text in line for text, line in zip(("0 of at most 300 s", "30 of at"), waits, strict=True))
+    assert all(says.splitlines()[0].removeprefix("E: ") in line for line in waits)
+    assert sum(map(int, root_computer.calls("sleep"))) == 40
+    assert root_computer.calls("apt-get")[-2] == "update"
+    assert root_computer.calls("apt-get")[-1].startswith("install -y --no-install-recommends gcc")
+    assert any("pip install" in call for call in root_computer.calls("python")), "the set-up goes on"
+
+
+def test_setup_gives_up_after_five_minutes(root_computer: Computer) -> None:
+    done = root_computer.run("setup.sh", "demo", APT_FAILS="1000", APT_SAYS=LISTS_LOCK)
+    assert done.returncode == 1
+    assert sum(map(int, root_computer.calls("sleep"))) == 300
+    assert done.stderr.count("\n") == 1
+    assert "held apt's lock for 300 s (Could not get lock /var/lib/apt/lists/lock" in done.stderr
+    assert set(root_computer.calls("apt-get")) == {"update"}
+    assert root_computer.calls("python") == []
+
+
+def test_the_five_minutes_are_for_all_locks_together(root_computer: Computer) -> None:
+    """The second half is spent on the lock that apt-get install meets."""
+    busy_from = '[ "$1" = install ] && tries=0\n'
+    root_computer.program("apt-get", APT_GET.replace("if [", busy_from + "if [", 1))
+    done = root_computer.run("setup.sh", "demo", APT_FAILS="75", APT_SAYS=OLD_DPKG_LOCK)
+    assert done.returncode == 1
+    assert sum(map(int, root_computer.calls("sleep"))) == 300
+    assert root_computer.calls("apt-get").count("update") == 76
+
+
+@pytest.mark.parametrize("says", ["E: Temporary failure resolving 'deb.debian.org'", NO_RIGHT])
+def test_what_waiting_does_not_cure_is_not_waited_for(root_computer: Computer, says: str) -> None:
+    done = root_computer.run("setup.sh", "demo", APT_FAILS="1000", APT_SAYS=says)
+    assert done.returncode == 1
+    assert root_computer.calls("sleep") == []
+    assert says in done.stderr, "apt's own words"
+    assert "could not install them" in done.stderr
+
+
+def packages_of(computer: Computer, level: str) -> set[str]:
+    """What a level wants apt to install."""
+    assert computer.run("setup.sh", level, APT_FAILS="1000", APT_SAYS="E: no network").returncode == 1
+    command, *words = computer.calls("apt-get")[-1].split()
+    assert command == "install"
+    return {word for word in words if not word.startswith("-")}
+
+
+def test_only_the_levels_of_browser_and_flash_ask_for_their_programs(root_computer: Computer) -> None:
+    test, browser, flash = (packages_of(root_computer, level) for level in ("test", "browser", "flash"))
+    assert "clang" in test and not {"chromium", "avrdude", "openocd"} & test
+    assert "chromium" in browser and not {"avrdude", "gcc-avr"} & browser
+    assert {"avrdude", "openocd"} <= flash and "chromium" not in flash
+
+
+# ---------------------------------------------------------------- install.sh
+
+
+@pytest.fixture
+def anna(tmp_path: Path) -> Computer:
+    """A user's computer with apt and systemd, and without compiler or sudo."""
+    computer = Computer(tmp_path, uid=1000)
+    computer.program("apt-get", APT_GET)
+    computer.program("systemctl")
+    return computer
+
+
+def refused(computer: Computer, *options: str) -> str:
+    """What install.sh says, in one line; and it has changed nothing."""
+    done = computer.run("install.sh", *options)
+    assert done.returncode == 1, done.stdout + done.stderr
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert list(computer.home.iterdir()) == []
+    assert not (computer.checkout / ".venv").exists()
+    return done.stderr
+
+
+def test_install_without_sudo_names_what_root_is_to_install(anna: Computer) -> None:
+    told = refused(anna)
+    assert "there is no sudo here" in told
+    assert "run as root: apt-get install gcc" in told
+    assert anna.calls("apt-get") == []
+
+
+def test_install_where_sudo_refuses_names_what_is_to_be_run(anna: Computer) -> None:
+    anna.program("sudo", "#!/bin/sh\necho 'sudo: a password is required' >&2\nexit 1\n")
+    assert "run: sudo apt-get install gcc" in refused(anna)
+
+
+@pytest.mark.parametrize("options", [(), ("--no-packages",), ("--uninstall",)])
+def test_install_without_systemd_says_so(anna: Computer, options: tuple[str, ...]) -> None:
+    (anna.bin / "systemctl").unlink()
+    told = refused(anna, *options)
+    assert "there is no systemd here" in told
+    assert "--no-start" in told
+
+
+def test_install_without_a_login_that_systemd_knows_says_so(anna: Computer) -> None:
+    anna.program("systemctl", "#!/bin/sh\necho 'Failed to connect to bus' >&2\nexit 1\n")
+    assert "log in as that user" in refused(anna)
+
+
+def test_install_with_all_that_it_needs_starts_the_service(anna: Computer) -> None:
+    for name in ("gcc", "sudo", "loginctl"):
+        anna.program(name)
+    anna.with_environment()
+    done = anna.run("install.sh")
+    assert done.returncode == 0, done.stderr
+    assert "--user enable --now ferrite" in anna.calls("systemctl")
+    assert any("-r requirements.txt" in call for call in anna.calls("python"))
+    assert (anna.home / ".config/systemd/user/ferrite.service").exists()
+    assert os.access(anna.home / "printer_data/config/printer.cfg", os.R_OK)
+
+
+# ---------------------------------------------------------------- .ci/run
+
+
+@pytest.mark.parametrize("failing", ["none", "test-browser", "test-flash", "test"])
+def test_continuous_integration_runs_everything_and_the_main_tests_last(tmp_path: Path, failing: str) -> None:
+    computer = Computer(tmp_path, uid=0)
+    computer.program("make", NOTED.format(name="make") + f'[ "$1" != {failing} ]\n')
+    (computer.checkout / ".ci").mkdir()
+    shutil.copy(ROOT / ".ci" / "run", computer.checkout / ".ci")
+    done = computer.run("../.ci/run")
+    assert computer.calls("make") == ["test-browser", "test-flash", "test"]
+    assert done.returncode == (0 if failing == "none" else 1)
