@@ -76,7 +76,7 @@ fi
 cat >"$unit" <<UNIT
 [Unit]
 Description=Ferrite 3D printer host ($name)
-Documentation=file://$root/docs/Getting_Started.md
+Documentation=file://$root/docs/guides/Getting_Started.md
 After=network.target
 
 [Service]

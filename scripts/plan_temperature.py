@@ -4,9 +4,9 @@
     scripts/plan_temperature.py part.gcode --config printer.cfg --report plan.html
     scripts/plan_temperature.py part.gcode --config printer.cfg --heater slow --emit part-planned.gcode
 
-The plan is that of the section [temperature_plan] (docs/Temperature_Plan.md); what the config leaves out takes the
-section's defaults, and options here go before the config. --emit writes the file again with M104 commands for firmware
-that has nothing else. Exit status: 0 done, 2 bad input.
+The plan is that of the section [temperature_plan] (docs/theory/Temperature_Plan.md); what the config leaves out takes
+the section's defaults, and options here go before the config. --emit writes the file again with M104 commands for
+firmware that has nothing else. Exit status: 0 done, 2 bad input.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-/* A heater switched by the MCU itself: on below a set point, off above it, and metered (source 002).
+/* A heater switched by the MCU itself: on below a set point, off above it, and metered (HydraRaptor 2007).
  *
  * The host computes which reading the target has and says it once a second; here every value of the analog input
  * (adccmds.c) is compared with it.  For heaters so slow, and hosts or lines so busy, that this is enough.

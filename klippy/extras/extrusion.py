@@ -1,4 +1,4 @@
-"""[extrusion]: what leaves the nozzle: die swell, and the ooze after a stop or a cold spell (source 002).
+"""[extrusion]: what leaves the nozzle: die swell, and the ooze after a stop or a cold spell (HydraRaptor 2007).
 
     EXTRUSION_CALIBRATE SPEEDS=1,2,4 [LENGTH=15] [PAUSE=10]          strands into the air, one for each filament speed
     EXTRUSION_CALIBRATE SPEEDS=1,2,4 WIDTHS=0.45,0.49,0.55           fit what was measured on them; SAVE_CONFIG keeps it

@@ -117,7 +117,7 @@ class ReferenceSettings:
     section: str
     sensor_pin: str | None
     nozzle: str
-    gain: float  # about 25 degC; source 000, Table 6: 1.0 at half height
+    gain: float  # about 25 degC; Oskolkov 2021, Table 6: 1.0 at half height
     tau_s: float
     volt_per_k: float
     adc_volt: float

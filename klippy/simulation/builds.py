@@ -1,7 +1,7 @@
 """The builds of the firmware a simulated MCU can run.
 
     simulator     the port on virtual hardware: the firmware's code, no chip            libferrite_mcu.so
-    stm32f334     the image for the chip, on an emulator of it (docs/Emulation.md)      libferrite_stm32f334.so
+    stm32f334     the image for the chip, on an emulator of it (docs/reference/Emulation.md)  libferrite_stm32f334.so
     atmega2560    the same for the Mega                                                 libferrite_atmega2560.so
 
 Each is a library with the interface src/simulator/sim_mcu.h; the last two load an image. What a host needs to know of a

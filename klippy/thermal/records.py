@@ -1,7 +1,7 @@
 """The records that travel between the stages of the thermal chain.
 
 Every quantity carries its unit in its name. `time_s` is always print time: seconds on the clock the whole
-printer shares. Raw values are ADC codes (LSB); "error units" are those of source 000, about 0.8 units per
+printer shares. Raw values are ADC codes (LSB); "error units" are those of Oskolkov 2021, about 0.8 units per
 degree at low power. Named tuples: hundreds are made every second, in a third of a frozen dataclass's time.
 """
 
@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 PHASE_MAX_TICKS = (
-    45000  # 180 degrees: full drive (source 000, section 2.2); the MCU exports it as BRIDGE_PHASE_MAX
+    45000  # 180 degrees: full drive (Oskolkov 2021, section 2.2); the MCU exports it as BRIDGE_PHASE_MAX
 )
 
 
@@ -42,7 +42,7 @@ class Features(NamedTuple):
     error_units: float
     noise_units: float  # standard deviation of error_units from sample noise
     phase_ticks: int
-    power_fraction: float  # p = (phase/45000)^2, the "power %" of source 000 as a fraction
+    power_fraction: float  # p = (phase/45000)^2, the "power %" of Oskolkov 2021 as a fraction
     count: int  # type: ignore[assignment]
     fault: str  # "" or why the block cannot be used
 

@@ -4,7 +4,7 @@
     make bench-firmware            (or scripts/bench/bench_firmware.py [--json FILE] [--quick])
 
 Instructions are counted and exact. On the STM32F334 times and rates assume the emulator's two cycles an instruction
-(docs/Emulation.md); the ATmega2560's cycles are those of its datasheet. Steps and commands are measured by the
+(docs/reference/Emulation.md); the ATmega2560's cycles are its datasheet's. Steps and commands are measured by the
 procedure of Klipper's Benchmarks page (https://www.klipper3d.org/Benchmarks.html), and its figures for a like chip,
 which were taken on hardware or in simulavr, stand beside them.
 """

@@ -212,7 +212,7 @@ def main(argv: list[str] | None = None) -> int:
             f"{row.chain:<22} {row.units_per_lsb:9.1f} {row.rms_c:6.2f} {row.max_c:7.2f} {row.interval_ms:9.2f}"
             f" {row.latency_ms:11.2f} ({row.latency_max_ms:.1f}) {row.power_percent:8.1f}"
         )
-    print("published: +-3 C in 20 ms (source 000, abstract)")
+    print("published: +-3 C in 20 ms (Oskolkov 2021, abstract)")
     mean_ms, worst_ms = stack_latency_ms(options.seconds)
     print(f"latency in a print through 250 kBaud: mean {mean_ms:.1f} ms, greatest {worst_ms:.1f} ms")
     missed = verdict(rows)

@@ -2,7 +2,7 @@
  * temperature sensor.
  *
  * The two converters share one clock, HCLK undivided and in step with the timers: that is what makes the bridge's
- * sampling instant exact (docs/STM32F334.md).  181.5 + 12.5 cycles of it are 2.7 us a slow conversion; the sensor wants 2.2 us
+ * sampling instant exact (docs/reference/STM32F334.md).  181.5 + 12.5 cycles of it are 2.7 us a slow conversion; the sensor wants 2.2 us
  * of sampling (DS9994), which are 159 cycles.
  *
  * The sensor is wired to ADC1 alone, whose regular conversions are the bridge's samples: it is an injected conversion of ADC1.  Begun

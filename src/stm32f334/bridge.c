@@ -1,4 +1,4 @@
-/* The full bridge: HRTIM timer A is leg A, timer B leg B (README.md has the table of events, docs/STM32F334.md the waveform).
+/* The full bridge: HRTIM timer A is leg A, timer B leg B (README.md has the table of events, docs/reference/STM32F334.md the waveform).
  *
  *     counter   0         d          PER/2      d+PER/2    PER
  *     leg A     ‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾‾_______________________      set PER (= 0), reset CMP1

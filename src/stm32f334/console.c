@@ -6,7 +6,7 @@
  * The transmit ring is written in tasks only; a run under way is `sending` bytes from `sent` on.
  *
  * Boot loader.  A host that has closed its connection may send, as plain bytes, `~ \x1c Request Serial Bootloader!! ~`: the
- * chip then starts the boot loader in its ROM (docs/STM32F334.md).
+ * chip then starts the boot loader in its ROM (docs/reference/STM32F334.md).
  */
 #include <string.h>
 

@@ -17,7 +17,7 @@
 #define PORT_TIMER_PAUSE_TICKS 1440
 
 /* Samples in a half of the bridge ADC's buffer, two blocks of the usual length: what an interrupt costs is shared by so many.
- * Fewer make it shorter (steps wait for it) and dearer; the figures are in docs/STM32F334.md. */
+ * Fewer make it shorter (steps wait for it) and dearer; the figures are in docs/reference/STM32F334.md. */
 #define PORT_SYNC_HALF_LEN 384
 
 #define PORT_WIRE_CRC16 /* wire_crc16() is the chip's: seal.c */

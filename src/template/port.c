@@ -1,6 +1,6 @@
 /* A port to no chip: every function of the board contract (src/board/, whose headers say what each must do) with the least
  * body that is right.  What is simulated here by a variable is a register on a chip.  `make compile-check` compiles it
- * with all compilers, so it cannot fall behind the contract.  docs/Porting.md says in which order to fill it in.
+ * with all compilers, so it cannot fall behind the contract.  docs/reference/Porting.md says in which order to fill it in.
  */
 #include "board/adc.h"
 #include "board/bridge_pwm.h"

@@ -7,7 +7,7 @@ import pytest
 from rates import BENCHES, command_cost, completes, step_cost
 
 # chip: instructions a step with one and with three steppers, a command, and intervals in ticks at which steps are made:
-# the figures of docs/Emulation.md and src/atmega2560/README.md and a tenth. More is news.
+# the figures of docs/reference/Emulation.md and src/atmega2560/README.md and a tenth. More is news.
 LIMITS = {
     "stm32f334": ({1: 129, 3: 89}, 121, {1: 80, 3: 364}),
     "atmega2560": ({1: 441, 3: 270}, 300, {1: 197, 3: 799}),

@@ -1,6 +1,6 @@
 """The control laws in closed loop with the C plants: figures of scripts/bench/bench_control.py on some of them.
 
-Limits are the product's promises; what is measured stands in docs/Control.md and is a good deal better.
+Limits are the product's promises; what is measured stands in docs/theory/Control.md and is a good deal better.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What the documentation says and what the program does, side by side.
 
-Config blocks of docs/Config_Reference.md are fenced texts in the form of printer.cfg:
+Config blocks of docs/reference/Config_Reference.md are fenced texts in the form of printer.cfg:
 
     [section]
     option: value        must be given
@@ -27,6 +27,7 @@ from reactor import Reactor
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
+PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
 HOST = ROOT / "klippy"
 
 OPTION = re.compile(r"^(#?)([A-Za-z_][\w*]*):[ \t]*(.*)$")
@@ -111,6 +112,12 @@ def string_constants() -> dict[str, set[Path]]:
 # ---- the documentation ---------------------------------------------------------------------------------------
 
 
+def read_page(name: str) -> str:
+    """Text of a page of docs/ by its name, whichever folder it is in."""
+    (path,) = DOCS.rglob(name)
+    return path.read_text(encoding="utf-8")
+
+
 @dataclass(slots=True)
 class Block:
     """One section of a config block."""
@@ -134,7 +141,7 @@ def fenced(page: str) -> Iterator[tuple[int, str, str, list[str]]]:
     """(line number, heading, language, lines) of each fenced block of a page."""
     heading, start, language, lines = "", 0, "", []
     inside = False
-    for number, line in enumerate((DOCS / page).read_text(encoding="utf-8").splitlines(), 1):
+    for number, line in enumerate(read_page(page).splitlines(), 1):
         if line.startswith("```"):
             if inside:
                 yield start, heading, language, lines

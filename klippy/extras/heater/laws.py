@@ -128,7 +128,7 @@ class WatermarkLaw(HeaterLaw):
 
 
 class PracticalLaw(HeaterLaw):
-    """Source 001's table."""
+    """Liu 2019's table."""
 
     def is_busy(self, smoothed_c: float, target_c: float) -> bool:
         return abs(target_c - smoothed_c) > PRACTICAL_BUSY_C

@@ -1,4 +1,4 @@
-"""`control: mcu_onoff`: the MCU switches the heater by itself, the host says at which reading (source 002).
+"""`control: mcu_onoff`: the MCU switches the heater by itself, the host says at which reading (HydraRaptor 2007).
 
     target degC ─► curve ─► reading ─► set_onoff (once a second) ─► MCU: on below, off above, metered
                                                                   ◄─ onoff_state: clock, on_ticks ─► average power

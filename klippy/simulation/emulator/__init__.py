@@ -69,7 +69,7 @@ class Emulator:
         return counters
 
     def mutate(self, what: str, value: int = 1) -> None:
-        """Break something of the chip or its board: see docs/Emulation.md."""
+        """Break something of the chip or its board: see docs/reference/Emulation.md."""
         if self._call("emulator_mutate", what.encode(), value):
             raise WorldError(f"This chip has no '{what}' to break.")
 

@@ -15,7 +15,7 @@
 
 enum {
     CORE_TICK_HZ = 72000000,
-    /* Cortex-M4 from flash at 72 MHz: two wait states, prefetch buffer, no cache.  An estimate, see docs/Emulation.md. */
+    /* Cortex-M4 from flash at 72 MHz: two wait states, prefetch buffer, no cache.  An estimate, see docs/reference/Emulation.md. */
     CORE_CYCLES_PER_INSTRUCTION = 2,
     CORE_EXCEPTION_CYCLES = 12, /* entry and return each: Cortex-M4 TRM */
 };

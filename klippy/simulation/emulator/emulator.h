@@ -47,7 +47,7 @@ SIM_EXPORT int emulator_fault(char *text, int size);
 SIM_EXPORT void emulator_counters(struct emulator_counters *out);
 
 /* Break something: from now on, over resets, `what` is as `value` says.  0 on success, -1 if the chip has no such thing.
- * Names: see docs/Emulation.md. */
+ * Names: see docs/reference/Emulation.md. */
 SIM_EXPORT int emulator_mutate(const char *what, uint32_t value);
 /* Registers as they stand, by the model's own names ("hrtim.phase", "hrtim.outputs", ...), or "=name": the word of a
  * variable of the image. 0 and *value, or -1. */

@@ -1,6 +1,6 @@
 """Watts to bridge phase and back.
 
-Drive law (fit to source 000, its inverse is exact):
+Drive law (fit to Oskolkov 2021, its inverse is exact):
 
     P = P_full sin(phi/2)^n (Vdc/V0)^n,    phi = pi phase/phase_max
 

@@ -1,4 +1,4 @@
-"""`control: practical`: the two-period law of Liu, Chen, Chen 2019 (source 001, section 4, Table 2), as published.
+"""`control: practical`: the two-period law of Liu 2019 (section 4, Table 2), as published.
 
     flying   the temperature rises: less and less drive as the target comes near, none from 3 degC below it on
     falling  the temperature falls: 210..225 of 255, whatever the distance, above the target as well

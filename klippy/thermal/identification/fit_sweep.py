@@ -4,7 +4,7 @@
 
 The printer runs it as a process of its own: a fit of seconds must not hold up the host.
 
-1. Lag. The reference is taken as a first-order lag (tau) behind the skin, gain g about 25 degC (source 000,
+1. Lag. The reference is taken as a first-order lag (tau) behind the skin, gain g about 25 degC (Oskolkov 2021,
    Table 6). The
    error at the least phase is a smooth, steep function of the skin's temperature, T = poly(error). Low-pass
    filtered with

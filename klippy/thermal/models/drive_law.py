@@ -1,6 +1,6 @@
 """Drive law: heat in the nozzle as a function of bridge phase and supply voltage, and its exact inverse.
 
-P = P_full sin(phi/2)^n (Vdc/V0)^n,    phi = pi phase/phase_max        (fit to source 000)
+P = P_full sin(phi/2)^n (Vdc/V0)^n,    phi = pi phase/phase_max        (fit to Oskolkov 2021)
 """
 
 from __future__ import annotations

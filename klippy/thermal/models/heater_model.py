@@ -12,7 +12,7 @@
     h(f) = c f (1 - exp(-UA/(c f)))                                           heat of the melt, W/K
 
 g (drive gain, about 1) and d (disturbance, W) are what the filter learns. Forms follow the thermal balance of
-source 000's nozzle and of an ordinary cartridge hotend; the figures are the heater's own, from its config.
+Oskolkov 2021's nozzle and of an ordinary cartridge hotend; the figures are the heater's own, from its config.
 
 The arithmetic is thermal/models/heater_model.c; here are its parameters and their limits.
 """

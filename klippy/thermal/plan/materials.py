@@ -1,8 +1,8 @@
 """Filament materials. Every number names its source.
 
 Properties of polymers scatter by 20 % and more between grades and rise with temperature: the table is a start
-for a filament whose data sheet is not at hand, not a substitute for it. The diffusivity of ABS alone: source 004 gives
-0.53 to 1.5e-7 m2/s, Crawford's row 1.85e-7.
+for a filament whose data sheet is not at hand, not a substitute for it. The diffusivity of ABS alone: Horoshailo 2019
+gives 0.53 to 1.5e-7 m2/s, Crawford's row 1.85e-7.
 
 Where chains cross a weld: amorphous polymers interdiffuse above the glass transition (Seppala et al., Soft Matter 13,
 2017, doi 10.1039/C7SM00950J), semi-crystalline ones above melting until crystals stop it (Adhikari et al.,
@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from .weld import effusivity
 
 SOURCES = {
-    "S004": "source 004 (Horoshailo et al. 2019), table 1; middle of a printed range",
-    "S002": "source 002 (HydraRaptor 2007)",
+    "HO": "Horoshailo 2019, table 1; middle of a printed range",
+    "HY": "HydraRaptor 2007",
     "CR": "R. J. Crawford, Plastics Engineering, table 1.8 (typical thermal properties of materials)",
     "CA": "W. D. Callister, Materials Science and Engineering, appendix E (Tg and Tm of common polymers)",
     "PET": "value of PET (Crawford, table 1.8), the unmodified polymer",
@@ -71,13 +71,13 @@ class Material:
 MATERIALS = {
     material.name: material
     for material in (
-        Material("ABS", 0.165, 1800, 1045, 220, 115, 210, 270, (*["S004"] * 4, "CR", "TT", "BB")),
-        Material("PLA", 0.13, 1800, 1240, 175.5, 60, 190, 230, (*["S004"] * 4, "PM", "BB", "BB")),
+        Material("ABS", 0.165, 1800, 1045, 220, 115, 210, 270, (*["HO"] * 4, "CR", "TT", "BB")),
+        Material("PLA", 0.13, 1800, 1240, 175.5, 60, 190, 230, (*["HO"] * 4, "PM", "BB", "BB")),
         Material("PETG", 0.20, 1000, 1270, 220, 80, 220, 260, ("PET", "PET", "BB", "AU", "FD", "BB", "BB")),
         Material("PA", 0.24, 1700, 1140, 265, 265, 265, 300, ("CR", "CR", "CR", "CA", "CA", "BB", "BB")),
         Material("PC", 0.20, 1200, 1150, 265, 150, 260, 310, ("CR", "CR", "CR", "CA", "CA", "ZD", "ZD")),
         Material("PEI", 0.22, 1100, 1270, 355, 217, 355, 390, ("CR", "MW", "CR", "LO", "NZ", "LO", "LO")),
         Material("PEEK", 0.25, 1550, 1300, 343, 343, 360, 410, ("WP", "MF", "CR", "VX", "VX", "KI", "TG")),
-        Material("HDPE", 0.25, 2200, 950, 137, 135, 175, 240, ("CR", "CR", "CR", "CA", "S002", "TG", "UN")),
+        Material("HDPE", 0.25, 2200, 950, 137, 135, 175, 240, ("CR", "CR", "CR", "CA", "HY", "TG", "UN")),
     )
 }

@@ -33,7 +33,7 @@ double tempplan_lag_s(const struct tempplan_params *p, double flow_mm3_s)
     return p->bore_lag_s + fmin(adapted_s, p->melt_mm3 / fmax(flow_mm3_s, 1e-9));
 }
 
-/* Wall at which the filament's core reaches core_c (source 004), from the table over flow. */
+/* Wall at which the filament's core reaches core_c (Horoshailo 2019), from the table over flow. */
 static double core_wall_c(const struct tempplan *tp, double flow_mm3_s)
 {
     const struct tempplan_params *p = &tp->p;

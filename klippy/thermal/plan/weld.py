@@ -1,7 +1,7 @@
 """Weld between a fresh road and what lies under it: the temperature of the interface.
 
 Two half spaces in contact take at once the temperature weighted by their effusivities e = sqrt(k rho c). Equal
-media therefore meet at the mean; source 002 has that, but its rule for unlike media (heat capacity) is wrong.
+media therefore meet at the mean; HydraRaptor 2007 has that, but its rule for unlike media (heat capacity) is wrong.
 """
 
 from __future__ import annotations

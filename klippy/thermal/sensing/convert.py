@@ -5,7 +5,7 @@ endian:
 
     u16  bits 0-11 lowest sample, bits 12-15 flags
     u8   highest minus lowest sample
-    u24  value = sum >> oversample: eq 2 of source 000 (4^y samples, scaled by 2^y)
+    u24  value = sum >> oversample: eq 2 of Oskolkov 2021 (4^y samples, scaled by 2^y)
     PHASE u16  bridge phase in force, ticks; without it as in the record before
     CUT   u16  samples summed; without it a whole block
     GAP   u16 discarded, u16 lost  samples left out or overwritten since the block before; without it none

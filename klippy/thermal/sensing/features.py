@@ -20,7 +20,7 @@ from .blocks import REASONS, Blocks
 class FeatureParameters:
     """The analogue front end: what one ADC code means."""
 
-    adc_zero_raw: float = 256.0  # code of error 0 (25 degC, source 000 section 3.1)
+    adc_zero_raw: float = 256.0  # code of error 0 (25 degC, Oskolkov 2021 section 3.1)
     units_per_lsb: float = 1.0
     noise_lsb: float = 1.0  # standard deviation of one sample
     adc_max_raw: int = 4095
@@ -36,7 +36,7 @@ NOISE_BLOCKS = 200  # memory of the running mean: a third of a second
 
 
 def power_fraction(phase_ticks: float, phase_max_ticks: int = PHASE_MAX_TICKS) -> float:
-    """p of the sensing laws: source 000's power percentage / 100 = (ifi/45000)^2."""
+    """p of the sensing laws: Oskolkov 2021's power percentage / 100 = (ifi/45000)^2."""
     ratio = phase_ticks / phase_max_ticks
     return ratio * ratio
 

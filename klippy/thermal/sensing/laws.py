@@ -1,10 +1,10 @@
 """Sensing laws: error units at a bridge phase to temperature and back, all inverted in closed form.
 
-`ExpLaw` (default without a calibration), fitted to Table 1 of source 000 with p = (phase/45000)^2:
+`ExpLaw` (default without a calibration), fitted to Table 1 of Oskolkov 2021 with p = (phase/45000)^2:
 
     error = a T exp(-b p) + c + d p          =>  T = (error - c - d p) / (a exp(-b p))
 
-`Eq5Law`, eq 5 of source 000 with the coefficients of its Table 2, i = phase in ticks:
+`Eq5Law`, eq 5 of Oskolkov 2021 with the coefficients of its Table 2, i = phase in ticks:
 
     error = A T + B i + AB T i + BB i^2 + ABB T i^2 + C
                                              =>  T = (error - C - B i - BB i^2) / (A + AB i + ABB i^2)
@@ -88,7 +88,7 @@ class ExpLaw(Law):
 
 @dataclass(frozen=True, slots=True)
 class Eq5Law(Law):
-    """Eq 5 of source 000, coefficients of Table 2. Residual 4.5-4.8 units, hence 6 degC at low power at best."""
+    """Eq 5 of Oskolkov 2021, coefficients of Table 2. Residual 4.5-4.8 units, hence 6 degC at low power at best."""
 
     KIND = 1
     DRIFTING = "c"
@@ -103,7 +103,7 @@ class Eq5Law(Law):
 
 @dataclass(frozen=True, slots=True)
 class TankLaw(Law):
-    """The phasor law. Defaults: its fit to Table 1 of source 000 (28 points, s = 1.03 units); see docs/Induction.md."""
+    """The phasor law (docs/theory/Induction.md). Defaults fit Table 1 of Oskolkov 2021: 28 points, s = 1.03 units."""
 
     KIND = 2
     DRIFTING = "delta"

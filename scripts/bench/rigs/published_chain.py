@@ -1,8 +1,9 @@
 """The published chain, kept as a reference for benches: filter the raw error, then invert.
 
-Source 000, section 2.3: 4^y samples are summed whatever the drive does meanwhile (eq 2), an exponential moving average
-runs over the sums (eqs 3 and 4), and the result is inverted with the phase of the moment (eq 5). A phase step moves the
-error by tens of units in an instant; the filtered error follows late, the phase at once, so the temperature jumps.
+Oskolkov 2021, section 2.3: 4^y samples are summed whatever the drive does meanwhile (eq 2), an exponential moving
+average runs over the sums (eqs 3 and 4), and the result is inverted with the phase of the moment (eq 5). A phase
+step moves the error by tens of units in an instant; the filtered error follows late, the phase at once, so the
+temperature jumps.
 The product converts each block with its own phase first (loop.py); nothing in a print uses this file.
 """
 

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from base_rig import Session
+from doc_rig import read_page
 from moonraker_rig import ROOT
 from simulation import world as world_module
 
@@ -107,13 +108,13 @@ def test_an_example_for_a_real_build_loads_and_prints(tmp_path: Path, config: Pa
 
 
 def test_every_endpoint_is_in_the_manual(tmp_path: Path) -> None:
-    page = (ROOT / "docs" / "API.md").read_text()
+    page = read_page("API.md")
 
     def body(session: Session) -> None:
         webhooks = session.printer.lookup_object("webhooks")
         for path in webhooks._endpoints:
             first, _, last = path.partition("/")
             known = f"`{path}`" in page or (f"`{first}/" in page and last in page)
-            assert known, f"docs/API.md says nothing of {path}"
+            assert known, f"docs/reference/API.md says nothing of {path}"
 
     Session(tmp_path, "[pause_resume]\n").run(body)

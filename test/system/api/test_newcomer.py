@@ -1,4 +1,4 @@
-"""A newcomer's path by docs/Getting_Started.md: own config, `make printer`, a print by Moonraker, SAVE_CONFIG.
+"""A newcomer's path by docs/guides/Getting_Started.md: own config, `make printer`, a print by Moonraker, SAVE_CONFIG.
 
 The commands are those of the page, only with folders, ports and a speed of the test's own.
 """
@@ -12,10 +12,11 @@ from pathlib import Path
 
 import pytest
 
+from doc_rig import read_page
 from moonraker_rig import ROOT, HttpError, SimulatedPrinter
 from system.api.test_moonraker import finished_job, square
 
-PAGE = (ROOT / "docs" / "Getting_Started.md").read_text(encoding="utf-8")
+PAGE = read_page("Getting_Started.md")
 
 
 # Someone's module: it finds better gains by looking at them, and offers them to SAVE_CONFIG as PID_CALIBRATE does.

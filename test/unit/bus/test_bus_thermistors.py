@@ -114,7 +114,7 @@ def test_a_beta_that_no_part_has_is_refused(tmp_path: Path, beta: str) -> None:
     assert "'beta' in section 'thermistor t'" in reason
 
 
-# ---------------------------------------------------------------- the polynomial of source 001
+# ---------------------------------------------------------------- the polynomial of Liu 2019
 
 
 def test_the_published_polynomial_has_the_published_table_s_fitness() -> None:

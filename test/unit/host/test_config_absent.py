@@ -11,7 +11,7 @@ import configabsent
 import configfile
 import extras
 from base_rig import Session, start_error
-from doc_rig import ROOT, load
+from doc_rig import load, read_page
 from klipper_names import SECTIONS
 from printer import _locate_extra
 
@@ -162,7 +162,7 @@ def test_a_plugin_may_bring_what_is_missing(tmp_path: Path, monkeypatch: pytest.
 
 
 def test_what_is_missing_is_documented() -> None:
-    page = (ROOT / "docs" / "Config_Reference.md").read_text(encoding="utf-8")
+    page = read_page("Config_Reference.md")
     listed = set(re.findall(r"`(\w+)`", page.partition("## Sections of Klipper that are missing")[2]))
     assert listed >= DISPENSABLE | configabsent.REFUSED
 

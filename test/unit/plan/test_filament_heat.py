@@ -10,7 +10,7 @@ from thermal.models import filament_heat
 from thermal.plan import extrusion, weld
 from thermal.plan.materials import MATERIALS
 
-CHI = 1.5e-7  # ABS as printed in source 004
+CHI = 1.5e-7  # ABS as printed in Horoshailo 2019
 TOLERANCE_C = 0.1  # the issue's limit; the grids below are fine enough for a third of it
 
 
@@ -119,8 +119,8 @@ def test_wall_and_feed_are_inverse():
 
 
 def test_interface_of_equal_media_is_the_mean_and_of_unlike_ones_leans_to_the_effusive():
-    assert weld.interface_c(200.0, 20.0) == 110.0  # source 002's example
-    assert weld.melt_for_interface(135.0, 20.0) == 250.0  # HDPE: the needed 250 degC of source 002
+    assert weld.interface_c(200.0, 20.0) == 110.0  # HydraRaptor 2007's example
+    assert weld.melt_for_interface(135.0, 20.0) == 250.0  # HDPE: the needed 250 degC of HydraRaptor 2007
     assert weld.interface_c(200.0, 20.0, 3.0, 1.0) == 155.0
     assert weld.interface_c(weld.melt_for_interface(150.0, 40.0, 700, 500), 40.0, 700, 500) == pytest.approx(
         150
@@ -156,11 +156,11 @@ def contact(hot_c, cold_c, hot, cold, cells=600, dx=5e-6, step_s=5e-4, steps=300
         (MATERIALS["HDPE"], (0.25, 950.0, 2200.0)),  # itself: the mean
         (MATERIALS["PEI"], (0.13, 1240.0, 1800.0)),  # on PLA
         (MATERIALS["ABS"], (1.1, 2500.0, 800.0)),  # on a glass plate
-        (MATERIALS["PLA"], (0.035, 30.0, 1400.0)),  # on foam board, which source 002 laid HDPE on
+        (MATERIALS["PLA"], (0.035, 30.0, 1400.0)),  # on foam board, which HydraRaptor 2007 laid HDPE on
     ],
 )
 def test_contact_of_two_media_agrees_with_finite_differences(hot, cold):
-    """Half spaces take the contact's temperature at once and keep it; source 002 weighted by heat capacity instead."""
+    """Half spaces take the contact's temperature at once and keep it; HydraRaptor 2007 weighted by heat capacity."""
     hot_e = weld.effusivity(hot.conductivity_w_mk, hot.density_kg_m3, hot.heat_j_kgk)
     cold_e = weld.effusivity(*cold)
     medium = (hot.conductivity_w_mk, hot.density_kg_m3, hot.heat_j_kgk)
@@ -193,5 +193,5 @@ def test_ooze_grows_to_its_total_and_a_cold_spell_adds_to_it():
     assert extrusion.oozed_mm(overrun, 0.0) == 0.0
     assert extrusion.oozed_mm(overrun, 3.0) == pytest.approx(12.0 * (1 - math.exp(-1)))
     assert extrusion.oozed_mm(overrun, 300.0) == pytest.approx(12.0)
-    cold = extrusion.Overrun(4.0, 3.0, reheat_mm=15.0)  # source 002
+    cold = extrusion.Overrun(4.0, 3.0, reheat_mm=15.0)  # HydraRaptor 2007
     assert extrusion.oozed_mm(cold, 300.0, reheated=True) == pytest.approx(19.0)

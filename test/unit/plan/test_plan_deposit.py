@@ -124,7 +124,7 @@ def test_a_road_of_abs_cools_as_was_measured_by_infrared(base_c):
     Rate times time is a fall of 100 degC to Tg: that is the road's way (230 to 115), on average. The plane of the weld
     begins at the mean of road and sublayer and has 40 degC to fall, at 36 to 41 degC/s where it is steepest. A factor
     of 1.5: both figures are given to one digit, and what is not given moves them by as much: sublayer 60 to 80 degC by
-    25 %, exchange 30 to 90 W/m2K by 30 %, ABS's diffusivity by 50 % (source 004's range).
+    25 %, exchange 30 to 90 W/m2K by 30 %, ABS's diffusivity by 50 % (Horoshailo 2019's range).
     """
     thick_mm, width_mm, laid_c, air_c, h_w_m2k = 0.3, 0.45, 230.0, 40.0, 60.0
     ages = np.linspace(0.02, 4.0, 200)
@@ -271,7 +271,7 @@ def test_every_number_of_a_material_names_a_known_source():
         assert len(material.origin) == 7
         assert material.low_c < material.high_c
         assert material.bonding_c <= material.flow_c <= material.high_c
-        assert 5e-8 < material.diffusivity_m2_s < 2e-7  # polymers; source 004 has 5.3e-8 to 1.5e-7
+        assert 5e-8 < material.diffusivity_m2_s < 2e-7  # polymers; Horoshailo 2019 has 5.3e-8 to 1.5e-7
 
 
 # As printed: W/mK, J/kgK, kg/m3, glass transition degC; None: not given there.

@@ -1,4 +1,4 @@
-"""docs/Config_Reference.md and the program have the same options; the config blocks of all pages load."""
+"""docs/reference/Config_Reference.md and the program have the same options; the config blocks of all pages load."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from doc_rig import DOCS, HOST, Block, Loaded, config_blocks, load, string_constants
+from doc_rig import DOCS, HOST, Block, Loaded, config_blocks, load, read_page, string_constants
 
 PAGE = "Config_Reference.md"
 PIN = re.compile(r"\bP[A-H]\d+\b")
@@ -58,7 +58,7 @@ def groups() -> dict[str, Block]:
 def documents() -> list[list[Block]]:
     """The sections of each fenced block of the pages."""
     found: dict[tuple[str, int], list[Block]] = {}
-    for page in sorted(path.name for path in DOCS.glob("*.md")):
+    for page in sorted(path.name for path in DOCS.rglob("*.md")):
         for block in config_blocks(page):
             if block.section:
                 found.setdefault((page, block.fence), []).append(block)
@@ -166,7 +166,7 @@ def test_a_block_names_every_option_its_section_reads(document: tuple[list[Block
         missing += [
             f"[{section}] {option}: {read[option]}" for option in read if not _is_named(option, named)
         ]
-    assert not missing, f"options missing in docs/{PAGE} ({blocks[0].where}): {missing}"
+    assert not missing, f"options missing in {PAGE} ({blocks[0].where}): {missing}"
 
 
 def test_a_block_tells_the_right_defaults(document: tuple[list[Block], Loaded]) -> None:
@@ -179,12 +179,12 @@ def test_a_block_tells_the_right_defaults(document: tuple[list[Block], Loaded]) 
                 given = name in {key for b in included(block, groups()) for key in b.required}
                 if value and not given and name.lower() in read and not _same(value, read[name.lower()]):
                     wrong.append(f"[{block.section}] {name}: {value} (the program: {read[name.lower()]!r})")
-    assert not wrong, f"docs/{PAGE}: {wrong}"
+    assert not wrong, f"{PAGE}: {wrong}"
 
 
 def test_every_option_the_code_asks_for_by_name_is_documented() -> None:
     """Also those that are read only sometimes, which no block shows."""
-    text = (DOCS / PAGE).read_text(encoding="utf-8").lower()
+    text = read_page(PAGE).lower()
     words = set(re.findall(r"[a-z_][a-z0-9_]*", text))
     missing = []
     pattern = re.compile(
@@ -196,22 +196,22 @@ def test_every_option_the_code_asks_for_by_name_is_documented() -> None:
         for option in pattern.findall(path.read_text(encoding="utf-8")):
             if option.lower() not in words and option not in UNDOCUMENTED:
                 missing.append(f"{option} ({path.relative_to(HOST)})")
-    assert not missing, f"options missing in docs/{PAGE}: {sorted(set(missing))}"
+    assert not missing, f"options missing in {PAGE}: {sorted(set(missing))}"
 
 
 def test_every_option_of_the_simulated_machine_is_in_its_page() -> None:
-    page = (DOCS / "Simulation.md").read_text(encoding="utf-8")
+    page = read_page("Simulation.md")
     code = (HOST / "extras" / "simulator.py").read_text(encoding="utf-8")
     options = set(re.findall(r"\bconfig\.get\w*\(\s*\"(\w+)\"", code)) - {"simulator_parameters"}
     kinds = set(re.findall(r"\[simulator (\w+)", page))
     assert len(options) > 20
     missing = sorted(option for option in options if f"`{option}`" not in page)
-    assert not missing, f"options missing in docs/Simulation.md: {missing}"
+    assert not missing, f"options missing in docs/reference/Simulation.md: {missing}"
     assert kinds >= set(re.findall(r'^    "(\w+)": _read_', code, re.M)), "a kind of section is missing"
 
 
 def test_every_section_the_program_has_is_documented() -> None:
-    text = (DOCS / PAGE).read_text(encoding="utf-8")
+    text = read_page(PAGE)
     named = set(re.findall(r"\[([a-z_0-9]+)[\] ]|`\[?([a-z_]+)\]?`|sensor_type: (\w+)", text))
     named = {name for names in named for name in names}
     missing = [
@@ -222,7 +222,7 @@ def test_every_section_the_program_has_is_documented() -> None:
         and path.stem not in {*ELSEWHERE, *INTERNAL}
         and not _is_internal(path)
     ]
-    assert not missing, f"sections missing in docs/{PAGE}: {missing}"
+    assert not missing, f"sections missing in {PAGE}: {missing}"
 
 
 def _is_internal(path: Path) -> bool:
@@ -248,7 +248,7 @@ def test_every_documented_option_stands_in_the_code() -> None:
         and not any(pattern.match(option) for pattern in patterns)
         and not option.startswith(COMPOSED)
     ]
-    assert not unknown, f"docs/{PAGE} has options the program does not know: {unknown}"
+    assert not unknown, f"{PAGE} has options the program does not know: {unknown}"
 
 
 def _kind(section: str) -> str:

@@ -10,15 +10,15 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[3]
-TEXTS = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+from doc_rig import PAGES, ROOT
+
 COMMAND = re.compile(r'^(?:    |S=")?((?:scripts|klippy)/[\w.]+)', re.MULTILINE)
 BLOCK = re.compile(r"^```\w*\n(.*?)^```|((?:^    .*\n)+)", re.MULTILINE | re.DOTALL)
 
 
 def called() -> list[str]:
     """Files that a line of a block of commands begins with."""
-    blocks = [match[0] for text in TEXTS for match in BLOCK.finditer(text.read_text(encoding="utf-8"))]
+    blocks = [match[0] for text in PAGES for match in BLOCK.finditer(text.read_text(encoding="utf-8"))]
     return sorted({name for block in blocks for name in COMMAND.findall(block) if (ROOT / name).is_file()})
 
 

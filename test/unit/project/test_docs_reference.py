@@ -1,4 +1,4 @@
-"""docs/G-Codes.md and docs/Status_Reference.md against the program, and the links of all pages."""
+"""docs/reference/G-Codes.md and docs/reference/Status_Reference.md against the program, and the links of all pages."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from doc_rig import DOCS, HOST, ROOT, Loaded, load
+from doc_rig import HOST, PAGES, ROOT, Loaded, load, read_page
 from unit.project.test_docs_config import config_of, documents
 
 # Commands that a user's own sections bring: macros, and the extruders after the first.
@@ -32,7 +32,7 @@ def printers(tmp_path_factory: pytest.TempPathFactory) -> list[Loaded]:
 
 def documented_commands() -> set[str]:
     """Names in backticks at the start of an item, before its colon, and further ones in capitals within."""
-    text = (DOCS / "G-Codes.md").read_text(encoding="utf-8")
+    text = read_page("G-Codes.md")
     items = [line for line in text.splitlines() if line.startswith("* ")]
     return {name for item in items for name in re.findall(r"`([A-Z][A-Z0-9_.]+)`", item)}
 
@@ -41,7 +41,7 @@ def test_every_command_of_a_printer_is_documented(printers: list[Loaded]) -> Non
     known = documented_commands()
     commands = {name for printer in printers for name in printer.commands}
     missing = sorted(name for name in commands - known if not OF_THE_USER.match(name))
-    assert not missing, f"commands missing in docs/G-Codes.md: {missing}"
+    assert not missing, f"commands missing in docs/reference/G-Codes.md: {missing}"
 
 
 def test_every_command_in_the_code_is_documented() -> None:
@@ -53,7 +53,7 @@ def test_every_command_in_the_code_is_documented() -> None:
         for name in _commands(ast.parse(path.read_text(encoding="utf-8")))
         if name not in known
     ]
-    assert not missing, f"commands missing in docs/G-Codes.md: {missing}"
+    assert not missing, f"commands missing in docs/reference/G-Codes.md: {missing}"
 
 
 def _commands(tree: ast.Module) -> list[str]:
@@ -80,12 +80,12 @@ def test_every_documented_command_exists(printers: list[Loaded]) -> None:
         for name in sorted(documented_commands() - commands)
         if f'"{name}"' not in code and f"cmd_{name}" not in code and not OF_THE_USER.match(name)
     ]
-    assert not unknown, f"docs/G-Codes.md has commands the program does not know: {unknown}"
+    assert not unknown, f"docs/reference/G-Codes.md has commands the program does not know: {unknown}"
 
 
 def test_every_parameter_of_a_command_is_documented() -> None:
     """On the commands' page or on that of their subject."""
-    text = "\n".join(page.read_text(encoding="utf-8") for page in pages())
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
     words = set(re.findall(r"[A-Z][A-Z0-9_]+", text))
     asked = re.compile(r"gcmd\.get\w*\(\s*\"([A-Z][A-Z0-9_]+)\"")
     missing = {
@@ -104,7 +104,7 @@ def documented_fields() -> dict[str, set[str]]:
     """Object → fields."""
     found: dict[str, set[str]] = {}
     name = ""
-    for line in (DOCS / "Status_Reference.md").read_text(encoding="utf-8").splitlines():
+    for line in read_page("Status_Reference.md").splitlines():
         if line.startswith("### "):
             name = line[4:].strip()
             found[name] = set()
@@ -130,7 +130,7 @@ def test_every_status_field_is_documented(printers: list[Loaded]) -> None:
         for name in sorted(fields - known.get(kind, set()))
         if kind not in FREE_FIELDS
     ]
-    assert not missing, f"fields missing in docs/Status_Reference.md: {missing}"
+    assert not missing, f"fields missing in docs/reference/Status_Reference.md: {missing}"
 
 
 def test_every_object_with_a_status_is_documented() -> None:
@@ -144,7 +144,7 @@ def test_every_object_with_a_status_is_documented() -> None:
         and path.stem not in known
         and path.stem not in ("simulator", "statistics")
     ]
-    assert not missing, f"objects missing in docs/Status_Reference.md: {missing}"
+    assert not missing, f"objects missing in docs/reference/Status_Reference.md: {missing}"
 
 
 def test_every_documented_field_exists(printers: list[Loaded]) -> None:
@@ -155,7 +155,7 @@ def test_every_documented_field_exists(printers: list[Loaded]) -> None:
         for name in sorted(fields)
         if kind not in FREE_FIELDS and name not in _inner(status.get(kind, set()), printers, kind)
     ]
-    assert not unknown, f"docs/Status_Reference.md has fields the program does not know: {unknown}"
+    assert not unknown, f"docs/reference/Status_Reference.md has fields the program does not know: {unknown}"
 
 
 def _inner(fields: set[str], printers: list[Loaded], kind: str) -> set[str]:
@@ -171,10 +171,6 @@ def _inner(fields: set[str], printers: list[Loaded], kind: str) -> set[str]:
 # ---- links -----------------------------------------------------------------------------------------------------
 
 
-def pages() -> list[Path]:
-    return [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
-
-
 def anchors(page: Path) -> set[str]:
     """Headings as links name them: lower case, blanks to dashes, punctuation gone."""
     text = re.sub(r"(?ms)^```.*?^```", "", page.read_text(encoding="utf-8"))
@@ -182,7 +178,7 @@ def anchors(page: Path) -> set[str]:
     return {re.sub(r"[^\w\- ]", "", heading.lower()).strip().replace(" ", "-") for heading in headings}
 
 
-@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_links_lead_somewhere(page: Path) -> None:
     text = re.sub(r"(?ms)^```.*?^```", "", page.read_text(encoding="utf-8"))
     broken = []
@@ -196,7 +192,7 @@ def test_links_lead_somewhere(page: Path) -> None:
     assert not broken, f"{page.name}: {broken}"
 
 
-@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_files_a_page_names_are_there(page: Path) -> None:
     """`config/x.cfg`, `scripts/y.py`, `test/...` in backticks or commands."""
     text = page.read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""docs/Safety.md against the program: every figure on the page is one of the code's, or measured here."""
+"""docs/guides/Safety.md against the program: every figure on the page is one of the code's, or measured here."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from doc_rig import DOCS
+from doc_rig import read_page
 from extras import heaters, induction_heater
 from extras.induction import calibrate as induction_calibrate
 from extras.induction import settings
@@ -38,7 +38,7 @@ FACTS = (
 @cache
 def page() -> str:
     """The page on one line, without the numbers of its lists."""
-    text = (DOCS / "Safety.md").read_text(encoding="utf-8")
+    text = read_page("Safety.md")
     return " ".join(re.sub(r"(?m)^(\*\*)?\d\. ", r"\1", text).split())
 
 
@@ -244,7 +244,7 @@ def claims(group: Callable[[], Iterator[str]]) -> list[str]:
 @pytest.mark.parametrize("group", GROUPS, ids=lambda group: group.__name__.removesuffix("_claims"))
 def test_the_page_says_what_the_program_does(group: Callable[[], Iterator[str]]) -> None:
     missing = [claim for claim in claims(group) if claim not in page()]
-    assert not missing, f"docs/Safety.md should say: {missing}"
+    assert not missing, f"docs/guides/Safety.md should say: {missing}"
 
 
 def test_no_figure_on_the_page_is_without_a_check() -> None:

@@ -45,7 +45,7 @@ def test_the_power_that_holds_a_temperature_holds_it(p: ModelParameters) -> None
 
 
 def test_static_losses_are_the_reference_nozzles() -> None:
-    # source 000: 3.9 / 4.7 / 11.0 W, told with two digits
+    # Oskolkov 2021: 3.9 / 4.7 / 11.0 W, told with two digits
     for temp_c, watts in ((212.0, 3.9), (250.0, 4.7), (500.0, 11.0)):
         assert hold_w(NOZZLE, temp_c, 0.0, 0.0) == pytest.approx(watts, rel=0.03)
 

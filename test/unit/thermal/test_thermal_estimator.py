@@ -21,7 +21,7 @@ temps = st.floats(-15.0, 750.0)
 
 
 def read_table() -> list[tuple[float, float, float]]:
-    """(power %, degC, error) of source 000, Table 1."""
+    """(power %, degC, error) of Oskolkov 2021, Table 1."""
     with TABLE1.open() as f:
         rows = csv.DictReader(line for line in f if not line.startswith("#"))
         return [(float(r["power_pct"]), float(r["temp_c"]), float(r["error"])) for r in rows]
