@@ -41,10 +41,12 @@ def get_cpu_info() -> str:
 
 
 def get_software_version(root: str) -> str:
-    """`git describe` of the program's folder, `?` if that is not to be had."""
+    """`0.2.0-a519a1d-dirty`: the file VERSION of the program's folder, and the commit if it is a checkout."""
+    with open(os.path.join(root, "VERSION"), encoding="utf-8") as file:
+        version = file.read().strip()
     try:
         answer = subprocess.run(
-            ["git", "-C", root, "describe", "--always", "--tags", "--long", "--dirty"],
+            ["git", "-C", root, "describe", "--always", "--exclude=*", "--dirty"],
             capture_output=True,
             text=True,
             timeout=5.0,
@@ -52,5 +54,5 @@ def get_software_version(root: str) -> str:
         )
     except (OSError, subprocess.TimeoutExpired):
         logging.debug("git is not available")
-        return "?"
-    return answer.stdout.strip() or "?"
+        return version
+    return "-".join(filter(None, (version, answer.stdout.strip())))

@@ -9,7 +9,8 @@
 OUT ?= out
 PYTHON ?= $(if $(wildcard .venv/bin/python),.venv/bin/python,python3)
 CC ?= gcc
-FERRITE_VERSION ?= $(or $(shell git describe --always --dirty --tags 2>/dev/null),unversioned)
+# The same text as klippy/util.py makes: VERSION, and the commit if this is a checkout.
+FERRITE_VERSION ?= $(subst $() ,-,$(strip $(file <VERSION) $(shell git describe --always --exclude='*' --dirty 2>/dev/null)))
 
 C_WARNINGS := -std=gnu11 -Wall -Wextra -Werror
 

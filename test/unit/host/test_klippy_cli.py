@@ -82,7 +82,8 @@ def test_terminal_restart_and_end(tmp_path: Path) -> None:
         os.write(fd, b"RESTART\n")
         wait_for_text(log, "Unable to understand the line 'x'")
         os.write(fd, b"M115\n")
-        assert b"FIRMWARE_NAME" in read_until(fd, b"FIRMWARE_NAME")
+        version = (ROOT / "VERSION").read_text().strip()
+        assert f"FIRMWARE_VERSION:{version}".encode() in read_until(fd, b"HOST_NAME")
         os.close(fd)
         program.send_signal(signal.SIGTERM)
         assert program.wait(10) == 0
