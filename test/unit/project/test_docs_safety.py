@@ -147,12 +147,12 @@ def loop_claims() -> Iterator[str]:
     band_c = parameters().approach.band_c
     assert settings.CALIBRATED_APPROACH.band_c == band_c
     yield f"| sensing law | within {band_c:g} °C of the target |"
-    yield f"| `exp` (default), `eq5` | {near_w(laws.ExpLaw(), 'model', band_c):.0f} W at most |"
+    yield f"| `exp` (default), `eq5` | max {near_w(laws.ExpLaw(), 'model', band_c):.0f} W |"
     limited_w = {near_w(true_law(), control, band_c) for control in ("pid", "watermark", "practical")}
     assert len(limited_w) == 1 and near_w(laws.ExpLaw(), "pid", band_c) == near_w(
         laws.Eq5Law(), "model", band_c
     )
-    yield f"`control: pid`, `watermark` or `practical` | {limited_w.pop():.0f} W at most |"
+    yield f"`control: pid`, `watermark` or `practical` | max {limited_w.pop():.0f} W |"
     assert near_w(true_law(), "model", band_c) == pytest.approx(parameters().control.power_max_w)
 
 
@@ -160,7 +160,7 @@ def supervision_claims() -> Iterator[str]:
     p = parameters().supervise
     yield f"| {p.limit_blocks} estimates in a row ({milliseconds(p.limit_blocks):.0f} ms) |"
     yield f"| no samples arrive | {p.silence_s:g} s |"
-    yield f"give no believable temperature | {p.invalid_s:g} s |"
+    yield f"give no valid temperature | {p.invalid_s:g} s |"
     assert p.demand_fraction == 0.5
     yield f"half of full power or more is requested {p.demand_c:g} °C or more below the target"
     yield f"does not warm by {p.gain_c:g} °C (no nozzle, broken coil, no supply) | {p.gain_s:g} s |"
@@ -170,10 +170,9 @@ def supervision_claims() -> Iterator[str]:
 def guard_claims() -> Iterator[str]:
     max_duration_s = option("max_duration")
     yield f"`max_duration` ({1e3 * max_duration_s:g} ms)"
-    yield f"the plan reaches {1e3 * nozzle_model.AHEAD_S:g} ms ahead"
     again = steady.feedings(PhaseCommand(0.0, 2012, 1.5), max_duration_s)
     assert len(again) == 2
-    yield "sent twice more, {:.0f} and {:.0f} ms on".format(*(1e3 * command.time_s for command in again))
+    yield "sent again {:.0f} and {:.0f} ms".format(*(1e3 * command.time_s for command in again))
     blocks = option("guard_trip_blocks")
     yield f"`guard_trip_blocks` blocks in a row trip ({blocks}, which are {milliseconds(blocks):.0f} ms)"
     low_c, margin_c = settings.GUARD_LOW_C, option("guard_margin")
@@ -204,7 +203,7 @@ def drift_claims() -> Iterator[str]:
         reported_c(induction_calibrate.LOSS_UNCERTAINTY),
         reported_c(option("loss_uncertainty")),
     )
-    yield f"at 250 °C a drift of more than {with_one:.0f} °C after a calibration, {without:.0f} °C without one"
+    yield f"At 250 °C this is a drift of more than {with_one:.0f} °C after a calibration, {without:.0f} °C without one"
 
 
 # ---- a host that dies, in the rig ------------------------------------------------------------------------------------
@@ -229,8 +228,8 @@ def dead_host_claims() -> Iterator[str]:
     """Rounded up to 0.05 s."""
     heating_s = max(off_after_s(warm_s) for warm_s in (0.1, 0.3, 0.5, 0.52, 0.8, 1.0))
     held_s = max(off_after_s(warm_s) for warm_s in (1.4, 1.5, 2.5, 2.6, 3.0))
-    yield f"the bridge is off {math.ceil(20.0 * heating_s) / 20.0:g} s after the host's death"
-    yield f"off after {math.ceil(20.0 * held_s) / 20.0:g} s at the latest"
+    yield f"the plan reaches {1e3 * nozzle_model.AHEAD_S:g} ms ahead | max {math.ceil(20.0 * heating_s) / 20.0:g} s"
+    yield f"after the first | max {math.ceil(20.0 * held_s) / 20.0:g} s"
 
 
 GROUPS = (nozzle_claims, loop_claims, supervision_claims, guard_claims, drift_claims, dead_host_claims)

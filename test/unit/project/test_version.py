@@ -15,7 +15,9 @@ VERSION = (ROOT / "VERSION").read_text(encoding="utf-8").strip()
 
 def test_a_checkout_has_its_commit_behind_the_version() -> None:
     assert re.fullmatch(r"\d+\.\d+\.\d+", VERSION)
-    assert re.fullmatch(rf"{re.escape(VERSION)}-[0-9a-f]{{7,}}(-dirty)?", util.get_software_version(str(ROOT)))
+    assert re.fullmatch(
+        rf"{re.escape(VERSION)}-[0-9a-f]{{7,}}(-dirty)?", util.get_software_version(str(ROOT))
+    )
 
 
 def test_without_a_checkout_the_version_stands_alone(tmp_path: Path) -> None:
