@@ -1,6 +1,6 @@
 /* Exponential moving average in fixed point.  Pure: no board, no clock, no memory of its own.
  *
- *     y += (x - y) / 2^shift            Oskolkov et al. 2021, eqs 3 and 4 with alpha = 2^-shift
+ *     y += (x - y) / 2^shift            Oskolkov 2021, eqs 3 and 4 with alpha = 2^-shift
  *
  * Formats: input and output u23.0 (0 ..= EMA_INPUT_MAX), state u23.8.  No step can overflow: the state stays between
  * the smallest and largest input so far, so a difference of two states is at most 2^31 - 256, and rounding adds at

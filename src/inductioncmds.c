@@ -50,7 +50,7 @@ enum {
     RECORDS_MAX = 7,
     LONE_RECORD_US = 20000,  /* a record that would wait longer for others goes without them */
     LATE_MARGIN_US = 20,     /* a late phase command is applied so much after its arrival */
-    DEFAULT_Y = 5,           /* Oskolkov et al. 2021: 12 -> 17 bit */
+    DEFAULT_Y = 5,           /* Oskolkov 2021: 12 -> 17 bit */
     DEFAULT_SETTLE = 20,     /* samples; tank settles with 27 us, 18 periods to 0.1 degrees of phase */
 };
 

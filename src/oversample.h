@@ -1,4 +1,4 @@
-/* Block sums of the fast ADC: 4^y samples give y more bits (Oskolkov et al. 2021, eq 2; y = 5: 12 -> 17 bit).
+/* Block sums of the fast ADC: 4^y samples give y more bits (Oskolkov 2021, eq 2; y = 5: 12 -> 17 bit).
  * Shorter blocks than that are for a host that filters in temperature: 192 samples come every 1.6 ms.
  * Pure: no board, no clock; samples and their phase come in, blocks go out.
  *

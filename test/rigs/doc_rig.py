@@ -14,7 +14,7 @@ from __future__ import annotations
 import ast
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -107,6 +107,42 @@ def string_constants() -> dict[str, set[Path]]:
                 continue
             found.setdefault(text, set()).add(path)
     return found
+
+
+# ---- figures -------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Figures:
+    """A page, or a section of it, on which every figure is one of the program's.
+
+    A test gives the text that the page should have around each figure, made of the program's values: a claim.
+    """
+
+    page: str
+    section: str = ""  # its heading; "" for the whole page
+    facts: tuple[str, ...] = ()  # text with figures of the world, which no code knows
+
+    def text(self) -> str:
+        """On one line, without the numbers of lists."""
+        found = read_page(self.page)
+        if self.section:
+            found = found.partition(f"# {self.section}\n")[2]
+            assert found, f"{self.page} has no section '{self.section}'"
+            found = re.split(r"(?m)^#+ ", found)[0]
+        return " ".join(re.sub(r"(?m)^(\*\*)?\d\. ", r"\1", found).split())
+
+    def missing(self, claims: Iterable[str]) -> list[str]:
+        """Claims that are not on the page."""
+        text = self.text()
+        return [claim for claim in claims if claim not in text]
+
+    def unchecked(self, claims: Iterable[str]) -> list[str]:
+        """Figures that are in no claim, with the text around them."""
+        left = self.text()
+        for claim in (*self.facts, *claims):
+            left = left.replace(claim, "")
+        return re.findall(r".{0,30}(?<![A-Za-z_\d])\d.{0,10}", left)
 
 
 # ---- the documentation ---------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@
 //   P            = heat (sin(phi/2) Vdc/Vnom)^1.5,  phi = pi ticks/45000                           drive
 //   Pel          = base + swing sin^2(phi/2) while the bridge runs, never less than P
 //
-// Parameters fitted once to Table 5 and the static losses of Oskolkov et al. 2021 (plant_params.h has the origins).
+// Parameters fitted once to Table 5 and the static losses of Oskolkov 2021 (plant_params.h has the origins).
 // Solved with the midpoint rule for T and T2 (fastest time constant about 5 s, step 2 ms: error 1e-7 of a step) and
 // exact exponentials for the bore and flow lags, so no parameter can make it unstable within the table's limits.
 #include "plant.h"

@@ -6,7 +6,7 @@
 //   psi = arg(-I1),   error = gain (psi + 360 deg f skew) + offset exp(-decay p),   p = (ticks/45000)^2
 //
 // The steel saturates: L1 depends on |I1|, found by six rounds of putting |I1| back in (each shrinks the error by more
-// than 4 at every power). Fitted to Table 1 of Oskolkov et al. 2021 (3 units rms) and compared with ngspice and a switched bridge:
+// than 4 at every power). Fitted to Table 1 of Oskolkov 2021 (3 units rms) and compared with ngspice and a switched bridge:
 // I1 within 0.17 %, psi within 0.09 degrees, third harmonic at most 0.43 %.
 //
 // After a step the complex current and the offset fade from the old steady state to the new one with tau (27 us, 3.2

@@ -6,7 +6,7 @@
 //   Q = mc (Tb - Tin)(1 - exp(-UA/mc)),  mc = rho c flow                               melt
 //   R = R25 exp(beta (1/Ts - 1/298.15 K)),  code = max R' / (R' + pullup),  R' = R + inline
 //
-// The hotend's figures are fitted to Table 5 (conventional column) of Oskolkov et al. 2021: C = 17 J/K, loss time
+// The hotend's figures are fitted to Table 5 (conventional column) of Oskolkov 2021: C = 17 J/K, loss time
 // constant 241.5 s, which gives five of the seven rows within 0.2 s; the other two (300 to 250: 34 s, and 250 to 50:
 // 450 s) contradict those five, whatever the model. The bed's are engineering assumptions (thermal_load.h).
 // The two nodes are solved by the midpoint rule in steps of at most a tenth of the fastest time constant.

@@ -10,7 +10,7 @@
 
 #include "plant_noise.h"
 
-// X(name, unit, hotend, bed, min, max, doc). [T5] Table 5 of Oskolkov et al. 2021, conventional column, fitted;
+// X(name, unit, hotend, bed, min, max, doc). [T5] Table 5 of Oskolkov 2021, conventional column, fitted;
 // [assumed] engineering assumption: a 220 x 220 mm bed, 3 mm aluminium with a spring-steel sheet, 24 V 200 W.
 // clang-format off
 #define THERMAL_LOAD_TABLE(X)                                                                                    \

@@ -80,7 +80,7 @@ struct nozzle {
     uint16_t phase;
 };
 
-/* A thermocouple on a nozzle, behind the skin (Table 6 of Oskolkov et al. 2021: gain about 25 degC, first-order lag). */
+/* A thermocouple on a nozzle, behind the skin (Table 6 of Oskolkov 2021: gain about 25 degC, first-order lag). */
 struct reference {
     struct world_reference_options options;
     double temp_c;

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
@@ -11,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from doc_rig import read_page
+from doc_rig import Figures
 from extras import heaters, induction_heater
 from extras.induction import calibrate as induction_calibrate
 from extras.induction import settings
@@ -26,20 +25,15 @@ from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 SECTION = "induction_heater nozzle"
 CONFIG = f"[{SECTION}]\nsense_pin: PA0\nmax_temp: 320\n"
 
-# Figures of the world, which no code knows.
-FACTS = (
-    "some 40 W behind a block of 20 g",
-    "above about 260 °C; at 400 °C most plastics burn",
-    "If the capacitor warms by enough for 20 °C",
-    "current limit turned down for first tests (2 A)",
+PAGE = Figures(
+    "Safety.md",
+    facts=(
+        "some 40 W behind a block of 20 g",
+        "above about 260 °C; at 400 °C most plastics burn",
+        "If the capacitor warms by enough for 20 °C",
+        "current limit turned down for first tests (2 A)",
+    ),
 )
-
-
-@cache
-def page() -> str:
-    """The page on one line, without the numbers of its lists."""
-    text = read_page("Safety.md")
-    return " ".join(re.sub(r"(?m)^(\*\*)?\d\. ", r"\1", text).split())
 
 
 @cache
@@ -242,15 +236,12 @@ def claims(group: Callable[[], Iterator[str]]) -> list[str]:
 
 @pytest.mark.parametrize("group", GROUPS, ids=lambda group: group.__name__.removesuffix("_claims"))
 def test_the_page_says_what_the_program_does(group: Callable[[], Iterator[str]]) -> None:
-    missing = [claim for claim in claims(group) if claim not in page()]
-    assert not missing, f"docs/guides/Safety.md should say: {missing}"
+    missing = PAGE.missing(claims(group))
+    assert not missing, f"{PAGE.page} should say: {missing}"
 
 
 def test_no_figure_on_the_page_is_without_a_check() -> None:
-    left = page()
-    for claim in (*FACTS, *(claim for group in GROUPS for claim in claims(group))):
-        left = left.replace(claim, "")
-    assert re.findall(r".{0,30}(?<![A-Za-z_\d])\d.{0,10}", left) == []
+    assert PAGE.unchecked(claim for group in GROUPS for claim in claims(group)) == []
 
 
 def test_a_nozzle_without_a_calibration_has_no_limits_and_no_target() -> None:
@@ -262,5 +253,7 @@ def test_a_nozzle_without_a_calibration_has_no_limits_and_no_target() -> None:
     ]
     with pytest.raises(CommandError, match="not calibrated"):
         heater.set_temp(100.0)
-    assert "With `estimator: uncalibrated` only silence shuts down, and every target is refused." in page()
-    assert "With `estimator: uncalibrated` there are no such limits." in page()
+    assert (
+        "With `estimator: uncalibrated` only silence shuts down, and every target is refused." in PAGE.text()
+    )
+    assert "With `estimator: uncalibrated` there are no such limits." in PAGE.text()

@@ -1,0 +1,141 @@
+#!/usr/bin/env python3
+"""Checks the words: the field's terms instead of private ones, and short sentences in the documentation.
+
+TERMS has what to write and what it replaces. A page of Markdown is checked without its inline code, since names
+of options and commands are the program's. In a file of code, comments and names are checked, the parts of
+snake_case names as words. ORDINARY has the phrases in which such a word is plain English. To check another
+room add it to ROOMS.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from check_paths import ROOT, project_files
+
+# Folders and files, from the top of the project.
+ROOMS = ("docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
+WORDS_A_SENTENCE = 25
+
+# What to write, and a pattern of what not to write.
+TERMS: tuple[tuple[str, str], ...] = (
+    ("steady state, report deadband", r"calm\w*"),
+    ("batch, many", r"lots?"),
+    ("set point, request", r"wish(?:es|ed)?|(?:an|the|each) ask|asks? (?:of|from) the"),
+    ("identification run, step test", r"drills?"),
+    ("deposited", r"laid|lays?|laying"),
+    ("sent, reported, announced, said", r"told|untold|tells?|telling"),
+    ("last received, last valid", r"heard|unheard|believ\w+|beliefs?"),
+    ("plan options", r"crafts?"),
+    ("min, max", r"least|most"),
+    ("change detector (EWMA)", r"attention"),
+    ("deadband exceeded", r"stray(?:s|ed|ing)?"),
+    ("acquire, release, in calibration", r"borrow\w*|lent|lends?|lending|giv(?:es?|en|ing) back|seats?"),
+    ("step buffers", r"desks?"),
+    ("neighbouring stack", r"piles?"),
+    ("two-period control", r"practical"),
+    ("predictive control", r"model law"),
+    ("sensing pipeline", r"block ?chains?"),
+    ("heat-balance monitor", r"plausible"),
+    ("temperature Kalman filter", r"(?:nozzle ?)?track"),
+    ("proportional band, time constant, prediction horizon", r"knees?|fad(?:es?|ed|ing)|aim(?:s|ed|ing)?"),
+    ("minimum layer time, speed factor", r"paces?"),
+    ("phase signal, signal units", r"error units"),
+    ("interval, term", r"spells?"),
+    ("record, account", r"books?"),
+    ("a key of docs/References.md", r"(?:sources?|seed) ?00\d"),
+)
+
+# Phrases in which these words are plain English.
+ORDINARY = (
+    "at least",
+    "control: practical",
+    "at most",
+    "least squares",
+    "most of",
+    "mostly",
+    "most common",
+    "most plastics",
+    "keep track",
+    "bed mesh fade",
+    "Practical Nozzle Temperature Control",
+)
+
+_ORDINARY = re.compile("|".join(rf"\b{re.escape(phrase)}\b" for phrase in ORDINARY), re.IGNORECASE)
+_TERMS = [(use, re.compile(rf"\b(?:{pattern})\b", re.IGNORECASE)) for use, pattern in TERMS]
+_CODE = re.compile(r"`[^`\n]*`")
+_LINK = re.compile(r"\]\([^)]*\)")
+# Lines that are no running text: tables, headings, pictures, rules.
+_NO_PROSE = re.compile(r"^\s*(?:\||#|!\[|---)")
+_SENTENCE_END = re.compile(r"(?<=[.!?:;])\s+(?=[A-Z`\[(*\"0-9])")
+
+
+def plain(path: Path, line: str) -> str:
+    """A line without what is not to be judged."""
+    if path.suffix == ".md":
+        return _ORDINARY.sub("", _LINK.sub("]", _CODE.sub("X", line)))
+    return _ORDINARY.sub("", line.replace("_", " "))
+
+
+def words(path: Path, lines: list[str]) -> Iterator[str]:
+    """An offence for each private word."""
+    for number, line in enumerate(lines, 1):
+        text = plain(path, line)
+        for use, pattern in _TERMS:
+            for match in pattern.finditer(text):
+                yield f"{path}:{number}: '{match[0]}': write '{use}' (or add a phrase to ORDINARY)"
+
+
+def paragraphs(lines: list[str]) -> Iterator[tuple[int, str]]:
+    """(line it begins at, text) of each paragraph and list item of a page."""
+    start, text, fenced = 0, "", False
+    for number, line in enumerate([*lines, ""], 1):
+        fence = line.lstrip().startswith("```")
+        fenced ^= fence
+        item = re.match(r"\s*(?:[-*]|\d+\.) ", line)
+        if text and (fenced or fence or item or not line.strip() or _NO_PROSE.match(line)):
+            yield start, text
+            text = ""
+        if line.strip() and not fenced and not fence and not _NO_PROSE.match(line):
+            if not text:
+                start, line = number, line[item.end() :] if item else line
+                if line.startswith("    "):  # an indented block of code
+                    continue
+            text += " " + line.strip()
+
+
+def sentences(path: Path, lines: list[str]) -> Iterator[str]:
+    """An offence for each long sentence of a page; code and a link count as one word each."""
+    for number, text in paragraphs(lines):
+        text = re.sub(r"\[[^\]]*\]", "X", _LINK.sub("]", _CODE.sub("X", text)))
+        for sentence in _SENTENCE_END.split(text):
+            count = len(re.findall(r"[^\W_][\w.,%°/–−-]*", sentence))
+            if count > WORDS_A_SENTENCE:
+                yield f"{path}:{number}: a sentence of {count} words (max {WORDS_A_SENTENCE}): {sentence[:60].strip()}..."
+
+
+def offences(path: Path) -> Iterator[str]:
+    """All that is wrong with a file."""
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except UnicodeDecodeError:
+        return  # pictures
+    yield from words(path, lines)
+    if path.suffix == ".md":
+        yield from sentences(path, lines)
+
+
+def main() -> int:
+    rooms = [ROOT / room for room in ROOMS]
+    files = [p for p in project_files() if any(p == room or room in p.parents for room in rooms)]
+    found = [text for path in files for text in offences(path)]
+    for text in found:
+        print(text)
+    return 1 if found else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
