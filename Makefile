@@ -112,7 +112,7 @@ test-browser test-flash: test-%:
 	@scripts/setup.sh $*
 	@$(PYTHON) -m pytest -m $* $(TEST_ARGS)
 
-CHECKS := check-format check-lint check-types check-c check-layers check-paths check-formats check-cross check-registers
+CHECKS := check-format check-lint check-types check-c check-layers check-paths check-words check-formats check-cross check-registers
 .PHONY: $(CHECKS)
 check: setup-test sim $(CHECKS)
 	@echo "check: all passed"
@@ -152,6 +152,9 @@ check-layers:
 
 check-paths:
 	$(PYTHON) scripts/check/check_paths.py
+
+check-words:
+	$(PYTHON) scripts/check/check_words.py
 
 check-formats: sim
 	$(PYTHON) scripts/check/check_formats.py $(OUT)/simulator/ferrite.dict

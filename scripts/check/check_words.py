@@ -2,9 +2,9 @@
 """Checks the words: the field's terms instead of private ones, and short sentences in the documentation.
 
 TERMS has what to write and what it replaces. A page of Markdown is checked without its inline code, since names
-of options and commands are the program's. In a file of code, comments and names are checked, the parts of
-snake_case names as words. ORDINARY has the phrases in which such a word is plain English. To check another
-room add it to ROOMS.
+of options and commands are the program's. In a file of code, comments and all names are checked, the file's own
+included: parts of snake_case and CamelCase names are words. ORDINARY has the phrases in which such a word is plain
+English. To check another room add it to ROOMS_CHECKED.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from pathlib import Path
 from check_paths import ROOT, project_files
 
 # Folders and files, from the top of the project.
-ROOMS = ("docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
+ROOMS_CHECKED = ("docs", "README.md", "CONTRIBUTING.md", "CHANGELOG.md", "SECURITY.md")
 WORDS_A_SENTENCE = 25
 
 # What to write, and a pattern of what not to write.
@@ -67,9 +67,12 @@ ORDINARY = (
 _ORDINARY = re.compile("|".join(rf"\b{re.escape(phrase)}\b" for phrase in ORDINARY), re.IGNORECASE)
 _TERMS = [(use, re.compile(rf"\b(?:{pattern})\b", re.IGNORECASE)) for use, pattern in TERMS]
 _CODE = re.compile(r"`[^`\n]*`")
+_CAMEL = re.compile(r"(?<=[a-z])(?=[A-Z])")
 _LINK = re.compile(r"\]\([^)]*\)")
 # Lines that are no running text: tables, headings, pictures, rules.
 _NO_PROSE = re.compile(r"^\s*(?:\||#|!\[|---)")
+_ITEM = re.compile(r"\s*(?:[-*]|\d+\.) ")
+_WORD = re.compile(r"[^\W_][\w.,%°/–−-]*")
 _SENTENCE_END = re.compile(r"(?<=[.!?:;])\s+(?=[A-Z`\[(*\"0-9])")
 
 
@@ -77,7 +80,7 @@ def plain(path: Path, line: str) -> str:
     """A line without what is not to be judged."""
     if path.suffix == ".md":
         return _ORDINARY.sub("", _LINK.sub("]", _CODE.sub("X", line)))
-    return _ORDINARY.sub("", line.replace("_", " "))
+    return _ORDINARY.sub("", _CAMEL.sub(" ", line.replace("_", " ")))
 
 
 def words(path: Path, lines: list[str]) -> Iterator[str]:
@@ -95,26 +98,25 @@ def paragraphs(lines: list[str]) -> Iterator[tuple[int, str]]:
     for number, line in enumerate([*lines, ""], 1):
         fence = line.lstrip().startswith("```")
         fenced ^= fence
-        item = re.match(r"\s*(?:[-*]|\d+\.) ", line)
-        if text and (fenced or fence or item or not line.strip() or _NO_PROSE.match(line)):
+        item = _ITEM.match(line)
+        prose = bool(line.strip()) and not (fenced or fence or _NO_PROSE.match(line))
+        if text and (item or not prose):
             yield start, text
             text = ""
-        if line.strip() and not fenced and not fence and not _NO_PROSE.match(line):
-            if not text:
-                start, line = number, line[item.end() :] if item else line
-                if line.startswith("    "):  # an indented block of code
-                    continue
-            text += " " + line.strip()
+        if prose and (text or item or not line.startswith("    ")):  # four blanks: a block of code
+            start = start if text else number
+            text += " " + (line[item.end() :] if item else line.strip())
 
 
 def sentences(path: Path, lines: list[str]) -> Iterator[str]:
     """An offence for each long sentence of a page; code and a link count as one word each."""
     for number, text in paragraphs(lines):
-        text = re.sub(r"\[[^\]]*\]", "X", _LINK.sub("]", _CODE.sub("X", text)))
-        for sentence in _SENTENCE_END.split(text):
-            count = len(re.findall(r"[^\W_][\w.,%°/–−-]*", sentence))
+        short = re.sub(r"\[[^\]]*\]", "X", _LINK.sub("]", _CODE.sub("X", text)))
+        for sentence in _SENTENCE_END.split(short):
+            count = len(_WORD.findall(sentence))
             if count > WORDS_A_SENTENCE:
-                yield f"{path}:{number}: a sentence of {count} words (max {WORDS_A_SENTENCE}): {sentence[:60].strip()}..."
+                start = sentence[:60].strip()
+                yield f"{path}:{number}: {count} words in a sentence (max {WORDS_A_SENTENCE}): {start}..."
 
 
 def offences(path: Path) -> Iterator[str]:
@@ -126,10 +128,12 @@ def offences(path: Path) -> Iterator[str]:
     yield from words(path, lines)
     if path.suffix == ".md":
         yield from sentences(path, lines)
+    else:
+        yield from words(path, [path.stem])
 
 
 def main() -> int:
-    rooms = [ROOT / room for room in ROOMS]
+    rooms = [ROOT / room for room in ROOMS_CHECKED]
     files = [p for p in project_files() if any(p == room or room in p.parents for room in rooms)]
     found = [text for path in files for text in offences(path)]
     for text in found:

@@ -27,7 +27,7 @@ from reactor import Reactor
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-PAGES = [ROOT / "README.md", *sorted(DOCS.rglob("*.md"))]
+PAGES = [*sorted(ROOT.glob("*.md")), *sorted(DOCS.rglob("*.md"))]
 HOST = ROOT / "klippy"
 
 OPTION = re.compile(r"^(#?)([A-Za-z_][\w*]*):[ \t]*(.*)$")

@@ -92,7 +92,7 @@ def test_readings_typed_by_hand_calibrate_it_too(simulate: Simulate, tmp_path: P
     text = log.read_text()
     assert run.status == 0, run.stderr
     assert "set [induction_heater nozzle] estimator = tank" in text
-    # whole degrees typed every 5 s: docs/theory/Induction.md promises 4 degC
+    # whole degrees typed every 5 s: docs/guides/Induction_Calibration.md promises 4 degC
     assert run.summary["heater"]["settled_max_error_c"] < 4.0
 
 

@@ -1,4 +1,4 @@
-"""Heat in a moving filament: Horoshailo 2019's equations 6, 9 and 15 in Carslaw & Jaeger's form, and the wall
+"""Heat in a moving filament: Horoshailo 2019's equations 6, 9 and 15 as in Carslaw 1959, and the wall
 temperature at which the core of the filament melts.
 
 The medium moves along x with `speed_m_s`: v_t + U v_x = chi v_xx + source. The printed equations have six

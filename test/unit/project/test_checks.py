@@ -10,6 +10,7 @@ import pytest
 import check_formats
 import check_layers
 import check_paths
+import check_words
 
 
 def put(folder: Path, files: dict[str, str]) -> Path:
@@ -192,3 +193,55 @@ def test_the_form_of_other_firmware_is_met_to_the_letter_only(tmp_path: Path) ->
     asked = [other, other.replace("rest", "pause")]
     (met,) = complaints("\n".join(f"mcu.try_lookup_command({text!r})" for text in asked), built, tmp_path)
     assert "pause" in met
+
+
+# --- words
+
+
+def word_offences(text: str, folder: Path, name: str = "page.md") -> list[str]:
+    path = folder / name
+    path.write_text(text)
+    return list(check_words.offences(path))
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "A calm nozzle.",
+        "Found in source 001.",
+        "The least drive.",
+        "| a road laid | on a pile |\n",
+        "## Who told whom",
+    ],
+)
+def test_a_private_word_is_found(text: str, tmp_path: Path) -> None:
+    assert word_offences(text, tmp_path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "At least 20 °C, by least squares.",
+        "`induction_calm` and `control: practical` are names.",
+        "See [the plan](calm.md).",
+        "```\ncontrol: practical\n#practical_turn: 0.3\n```\n",
+        "The layers of a lottery, the player's plot.",
+    ],
+)
+def test_plain_english_and_names_of_the_program_are_fine(text: str, tmp_path: Path) -> None:
+    assert word_offences(text, tmp_path) == []
+
+
+@pytest.mark.parametrize(
+    "code", ["told_s = 1", "class CalmNozzle: ...", "x = 1  # nobody heard", "int most_w;"]
+)
+def test_names_and_comments_of_code_are_words(code: str, tmp_path: Path) -> None:
+    assert len(word_offences(code, tmp_path, "file.py")) == 1
+    assert len(word_offences("x = 1", tmp_path, "the_wishes.py")) == 1
+
+
+def test_a_long_sentence_is_found_wherever_its_lines_end(tmp_path: Path) -> None:
+    long = " ".join(["word"] * 13)
+    (found,) = word_offences(f"# Title\n\nShort. So {long}\n{long}. Short.\n", tmp_path)
+    assert "27 words" in found
+    assert word_offences(f"So {long}. Also {long}.\n\n| {long} | {long} |\n", tmp_path) == []
