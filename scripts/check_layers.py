@@ -29,7 +29,10 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
             " msgproto",
         ),
         ("link", "serialport serialhdl clockfit clocksync mcu mcu_io mcu_homing mcu_session"),
-        ("motion", "stepper stepstream kinematics lookahead g1path toolhead tempplan pathpieces"),
+        (
+            "motion",
+            "motionlimits stepper stepstream kinematics lookahead g1path toolhead tempplan pathpieces",
+        ),
         ("extras", "extras"),
         ("app", "webhooks printer klippy parsedump"),
         ("simulation", "simulation"),
