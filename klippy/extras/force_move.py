@@ -7,6 +7,7 @@ from typing import Any
 
 import chelper
 import stepstream
+from motionlimits import ACCEL, POSITION, SPEED, check_way, or_zero
 
 BUZZ_DISTANCE_MM = 1.0
 BUZZ_SPEED_MM_S = 4.0
@@ -110,11 +111,12 @@ class ForceMove:
     def cmd_FORCE_MOVE(self, gcmd: Any) -> None:
         """FORCE_MOVE STEPPER= DISTANCE=mm VELOCITY=mm/s [ACCEL=mm/s^2]."""
         stepper = self._stepper_of(gcmd)
-        distance = gcmd.get_float("DISTANCE")
-        speed = gcmd.get_float("VELOCITY", above=0.0)
-        accel = gcmd.get_float("ACCEL", 0.0, minval=0.0)
+        distance = gcmd.get_float("DISTANCE", **POSITION)
+        speed = gcmd.get_float("VELOCITY", **SPEED)
+        accel = or_zero(gcmd.get_float, "ACCEL", 0.0, ACCEL)
         if not distance:
             return
+        check_way(stepper.get_name(), distance, stepper.get_step_dist())
         self._force_enable(stepper)
         self.manual_move(stepper, distance, speed, accel)
 
@@ -123,7 +125,7 @@ class ForceMove:
         toolhead = self.printer.lookup_object("toolhead")
         toolhead.get_last_move_time()
         current = toolhead.get_position()
-        place = [gcmd.get_float(axis, current[i]) for i, axis in enumerate("XYZ")]
+        place = [gcmd.get_float(axis, current[i], **POSITION) for i, axis in enumerate("XYZ")]
         homed = gcmd.get("SET_HOMED", "xyz").lower()
         cleared = gcmd.get("CLEAR_HOMED", "").lower()
         if set(homed + cleared) - set("xyz"):

@@ -10,8 +10,12 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from gcode_command import CommandError
+from motionlimits import POSITION
+
 AXES = "XYZ"
 DEFAULT_RESOLUTION_MM = 1.0
+MAX_PIECES = 100_000  # of an arc: all are worked out before the first moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +52,13 @@ def arc_points(
         turn = -2.0 * math.pi if clockwise else 2.0 * math.pi
     radius = math.hypot(*centre)
     rise = end[c] - start[c]
-    count = max(1, math.floor(math.hypot(turn * radius, rise) / step_mm))
+    length = math.hypot(turn * radius, rise)
+    count = max(1, math.floor(length / step_mm))
+    if count > MAX_PIECES:
+        raise CommandError(
+            f"Arc too long: {length:g} mm; with pieces of {step_mm:g} mm ([gcode_arcs] resolution) it must have "
+            f"maximum of {step_mm * MAX_PIECES:g} mm"
+        )
     points = []
     for number in range(1, count):
         share = number / count
@@ -97,10 +107,10 @@ class ArcSupport:
         if gcmd.get_float("R", None) is not None:
             raise gcmd.error(f"{name} does not support R moves")
         start = list(status["gcode_position"])
-        end = [gcmd.get_float(axis, start[i]) for i, axis in enumerate(AXES)]
+        end = [gcmd.get_float(axis, start[i], **POSITION) for i, axis in enumerate(AXES)]
         plane = PLANES[self.plane_name]
         letters = "IJK"[plane.first], "IJK"[plane.second]
-        centre = gcmd.get_float(letters[0], 0.0), gcmd.get_float(letters[1], 0.0)
+        centre = gcmd.get_float(letters[0], 0.0, **POSITION), gcmd.get_float(letters[1], 0.0, **POSITION)
         if not any(centre):
             raise gcmd.error(
                 f"{name} requires {' or '.join(sorted(letters))} parameters in plane {self.plane_name}"

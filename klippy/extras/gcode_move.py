@@ -14,6 +14,7 @@ from typing import Any
 
 import g1path
 from lookahead import done_in_c
+from motionlimits import PERCENT, POSITION, SPEED
 from toolhead import Coord
 
 MM_PER_MIN = 1.0 / 60.0
@@ -265,11 +266,11 @@ class GCodeMove:
 
     def cmd_M220(self, gcmd: Any) -> None:
         """M220 S<percent>: speed factor."""
-        self.modes.speed_factor = gcmd.get_float("S", 100.0, above=0.0) / 100.0
+        self.modes.speed_factor = gcmd.get_float("S", 100.0, **PERCENT) / 100.0
 
     def cmd_M221(self, gcmd: Any) -> None:
         """M221 S<percent>: extrusion factor."""
-        factor = gcmd.get_float("S", 100.0, above=0.0) / 100.0
+        factor = gcmd.get_float("S", 100.0, **PERCENT) / 100.0
         modes = self.modes
         e_value = (self.last_position[3] - modes.base_position[3]) / modes.extrude_factor
         modes.base_position[3] = self.last_position[3] - e_value * factor
@@ -280,15 +281,15 @@ class GCodeMove:
         modes = self.modes
         deltas = [0.0] * 4
         for axis, letter in enumerate(AXES):
-            offset = gcmd.get_float(letter, None)
+            offset = gcmd.get_float(letter, None, **POSITION)
             if offset is None:
-                adjust = gcmd.get_float(f"{letter}_ADJUST", None)
+                adjust = gcmd.get_float(f"{letter}_ADJUST", None, **POSITION)
                 if adjust is None:
                     continue
                 offset = modes.homing_position[axis] + adjust
             deltas[axis] = offset - modes.homing_position[axis]
         move = gcmd.get_int("MOVE", 0)
-        speed = gcmd.get_float("MOVE_SPEED", modes.speed, above=0.0)
+        speed = gcmd.get_float("MOVE_SPEED", modes.speed, **SPEED)
         if move:
             target = [p + d for p, d in zip(self.last_position, deltas, strict=False)]
             target += self.last_position[4:]
@@ -319,7 +320,7 @@ class GCodeMove:
         if state is None:
             raise gcmd.error(f"Unknown g-code state: {name}")
         modes, move = self.modes, gcmd.get_int("MOVE", 0)
-        speed = gcmd.get_float("MOVE_SPEED", state.speed, above=0.0)
+        speed = gcmd.get_float("MOVE_SPEED", state.speed, **SPEED)
         target = [*state.last_position[:3], *self.last_position[3:]]
         if move:
             self._move(target, speed)

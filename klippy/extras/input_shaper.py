@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import chelper
+from motionlimits import DAMPING_RATIO, SHAPER_HZ, or_zero
 
 AXES = "xyz"
 DEFAULT_TYPE = "mzv"
@@ -152,8 +153,8 @@ class InputShaper:
             kind = gcmd.get(f"SHAPER_TYPE_{letter}", common or axis.kind).lower()
             if kind not in SHAPERS:
                 raise gcmd.error(f"Unsupported shaper type '{kind}' (known: {', '.join(SHAPERS)})")
-            frequency = gcmd.get_float(f"SHAPER_FREQ_{letter}", axis.frequency_hz, minval=0.0)
-            damping = gcmd.get_float(f"DAMPING_RATIO_{letter}", axis.damping_ratio, minval=0.0, below=1.0)
+            frequency = or_zero(gcmd.get_float, f"SHAPER_FREQ_{letter}", axis.frequency_hz, SHAPER_HZ)
+            damping = gcmd.get_float(f"DAMPING_RATIO_{letter}", axis.damping_ratio, **DAMPING_RATIO)
             changed.append(AxisShaper(axis.axis, kind, frequency, damping))
         if changed != self.axes:
             self._apply(changed)
@@ -169,8 +170,8 @@ def _read_axis(config: Any, axis: str) -> AxisShaper:
     return AxisShaper(
         axis,
         config.getchoice(f"shaper_type_{axis}", kinds, common),
-        config.getfloat(f"shaper_freq_{axis}", 0.0, minval=0.0),
-        config.getfloat(f"damping_ratio_{axis}", DEFAULT_DAMPING_RATIO, minval=0.0, below=1.0),
+        or_zero(config.getfloat, f"shaper_freq_{axis}", 0.0, SHAPER_HZ),
+        config.getfloat(f"damping_ratio_{axis}", DEFAULT_DAMPING_RATIO, **DAMPING_RATIO),
     )
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import chelper
 import stepper
 import stepstream
+from motionlimits import ACCEL, CORNER_SPEED, POSITION, SPEED, check_way, or_zero
 
 from .force_move import trapezoid
 
@@ -48,10 +49,10 @@ class ManualStepper:
             self.steppers = self.rail.get_steppers()
         else:
             self.steppers = [stepper.PrinterStepper(config)]
-        self.velocity = config.getfloat("velocity", DEFAULT_SPEED_MM_S, above=0.0)
-        self.accel = config.getfloat("accel", 0.0, minval=0.0)
-        self.position_min = config.getfloat("position_min", None)
-        self.position_max = config.getfloat("position_max", None)
+        self.velocity = config.getfloat("velocity", DEFAULT_SPEED_MM_S, **SPEED)
+        self.accel = or_zero(config.getfloat, "accel", 0.0, ACCEL)
+        self.position_min = config.getfloat("position_min", None, **POSITION)
+        self.position_max = config.getfloat("position_max", None, **POSITION)
         if None not in (self.position_min, self.position_max) and self.position_min >= self.position_max:
             raise config.error(
                 f"Section '{config.get_name()}': position_min {self.position_min:g} must be below position_max "
@@ -158,6 +159,10 @@ class ManualStepper:
         if (low is not None and position < low) or (high is not None and position > high):
             raise self.printer.command_error(f"Move out of range: manual_stepper {self.name} {position:.3f}")
 
+    def _check_way(self, way: float) -> None:
+        for motor in self.steppers:
+            check_way(f"manual_stepper {self.name}", way, motor.get_step_dist())
+
     # -- the toolhead that homing sees --
 
     def flush_step_generation(self) -> None:
@@ -220,6 +225,7 @@ class ManualStepper:
         """Raise if the axis leaves its range; slow the move down to the axis' bounds."""
         way = move.extra_d[number]
         start = self._toolhead().get_position()[4 + number]
+        check_way(f"manual_stepper {self.name}", way)
         self._check_range(start + way)
         bounds = self._limits
         alone = not move.is_kinematic_move and not move.axes_d[3]
@@ -264,9 +270,9 @@ class ManualStepper:
         if any(axis.get_axis_gcode_id() == letter for axis in others):
             raise gcmd.error(f"Axis '{letter}' already registered")
         limits = AxisLimits(
-            gcmd.get_float("LIMIT_VELOCITY", None, above=0.0),
-            gcmd.get_float("LIMIT_ACCEL", None, above=0.0),
-            gcmd.get_float("INSTANTANEOUS_CORNER_VELOCITY", DEFAULT_CORNER_VELOCITY, minval=0.0),
+            gcmd.get_float("LIMIT_VELOCITY", None, **SPEED),
+            gcmd.get_float("LIMIT_ACCEL", None, **ACCEL),
+            gcmd.get_float("INSTANTANEOUS_CORNER_VELOCITY", DEFAULT_CORNER_VELOCITY, **CORNER_SPEED),
         )
         self.sync_print_time()
         self._limits, self._axis_letter = limits, letter
@@ -282,16 +288,19 @@ class ManualStepper:
             self._set_gcode_axis(gcmd)
             return
         enable = gcmd.get_int("ENABLE", None, minval=0, maxval=1)
-        setpos = gcmd.get_float("SET_POSITION", None)
-        speed = gcmd.get_float("SPEED", self.velocity, above=0.0)
-        accel = gcmd.get_float("ACCEL", self.accel, minval=0.0)
+        setpos = gcmd.get_float("SET_POSITION", None, **POSITION)
+        speed = gcmd.get_float("SPEED", self.velocity, **SPEED)
+        accel = or_zero(gcmd.get_float, "ACCEL", self.accel, ACCEL)
         stop_on = gcmd.get_int("STOP_ON_ENDSTOP", 0, minval=-2, maxval=2)
         sync = bool(gcmd.get_int("SYNC", 1))
-        movepos = gcmd.get_float("MOVE", None)
+        movepos = gcmd.get_float("MOVE", None, **POSITION)
         if self._axis_letter and (setpos is not None or movepos is not None):
             raise gcmd.error(
                 f"manual_stepper {self.name} is axis {self._axis_letter} of G1: give it back with GCODE_AXIS= first"
             )
+        if movepos is not None:
+            self._check_range(movepos)
+            self._check_way(movepos - (self._position if setpos is None else setpos))
         if enable is not None:
             self.do_enable(bool(enable))
         if setpos is not None:

@@ -16,7 +16,9 @@ from pathlib import Path
 from typing import Any
 
 from extras import gcode_arcs
+from gcode_command import CommandError
 from lookahead import LookAheadQueue, Move
+from motionlimits import RIGHT_ANGLE_FACTOR
 from thermal.plan.requests import Wishes, read_comment
 
 _NUMBERED = re.compile(r"N\d+\s*(.*?)(?:\*\s*\d+\s*)?$")
@@ -24,7 +26,6 @@ _NUMBERED = re.compile(r"N\d+\s*(.*?)(?:\*\s*\d+\s*)?$")
 _LINE = re.compile(r"([A-Z]\d+(?:\.\d+)?|[A-Z_][A-Z0-9_]*)\s*(.*)")
 _WORD = re.compile(r"([A-Z])\s*([-+]?(?:\d+\.?\d*|\.\d+))")
 _PARAMETER = re.compile(r"([A-Z_]+)=(\S+)")
-RIGHT_ANGLE_FACTOR = math.sqrt(2.0) - 1.0
 BATCH_MOVES = 500
 FARTHEST_MM = 10000.0  # no printer is larger; the map of the part grows with its area
 
@@ -120,7 +121,7 @@ class GcodePath:
                 self.layer_begins = False
                 try:
                     self._take(line, number)
-                except (ValueError, ArithmeticError) as error:
+                except (ValueError, ArithmeticError, CommandError) as error:
                     raise ValueError(f"{path}, line {number + 1}: '{line.strip()[:60]}': {error}") from None
                 if self.layer_begins or len(self._ready) >= BATCH_MOVES:
                     yield self._hand_out()

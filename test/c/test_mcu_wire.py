@@ -171,8 +171,8 @@ def test_damaged_blocks_are_executed_once_and_in_order(plan: list[tuple[str, int
     for piece in stream:
         mcu.raw(piece)
     count = min(len(plan), 12)
-    # What a host does on time-out: a sync byte, then all that is not acknowledged. A damaged length byte can claim 64 bytes,
-    # which eight resends of the shortest block supply.
+    # What a host does on time-out: a sync byte, then all that is not acknowledged. A damaged length byte can claim
+    # 64 bytes, which eight resends of the shortest block supply.
     for _ in range(8):
         done = (mcu.decode(*mcu.sent[-1]).sequence - link.first) & 15 if len(mcu.sent) > before else 0
         mcu.raw(b"\x7e" + b"".join(link.block(index) for index in range(done, count)))
