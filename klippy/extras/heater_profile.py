@@ -89,7 +89,7 @@ class HeaterProfiles:
     def _list(self, gcmd: Any) -> None:
         wanted = gcmd.get("HEATER", None)
         if wanted is not None:
-            heater_tuning.heater_of(self.printer, gcmd)
+            wanted = heater_tuning.heater_of(self.printer, gcmd).name
         lines = []
         for (heater, name), tuning in sorted(self.profiles.items()):
             if wanted in (None, heater):

@@ -139,6 +139,10 @@ class PrinterHeaters:
         self.heaters[heater.name] = heater
         self.available_heaters.append(section_name)
         self.register_sensor(config, heater, gcode_id)
+        self.answer_to(heater.name, heater)
+
+    def answer_to(self, name: str, heater: AnyHeater) -> None:
+        """SET_HEATER_TEMPERATURE HEATER=name is for this heater."""
 
         def set_heater_temperature(gcmd: Any) -> None:
             self.set_temperature(heater, gcmd.get_float("TARGET", 0.0))
@@ -146,7 +150,7 @@ class PrinterHeaters:
         self.printer.lookup_object("gcode").register_mux_command(
             "SET_HEATER_TEMPERATURE",
             "HEATER",
-            heater.name,
+            name,
             set_heater_temperature,
             desc="Sets a heater temperature",
         )

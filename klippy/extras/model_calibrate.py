@@ -62,7 +62,7 @@ class ModelCalibrate:
         if self._fitting:
             raise gcmd.error("The last calibration is still being fitted")
         heater_run.need_fit(gcmd)
-        heater = heater_tuning.heater_of(self.printer, gcmd)
+        heater = heater_tuning.heater_of(self.printer, gcmd, sole_nozzle=True)
         session = heater_run.Session(self.printer, heater, "MODEL_CALIBRATE")
         now_c = session.check_sensor(gcmd)
         if now_c > WARM_C:

@@ -124,6 +124,29 @@ def test_ctrl_c_ends_the_demo_with_one_sentence(tmp_path: Path) -> None:
     assert demo.returncode == 130
 
 
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (
+            ("fault=4", "fault_code=300"),
+            ("Induction coil signal stands still", "'nozzle': last reading", "amplifier"),
+        ),
+        (("fault=2",), ("Induction heater 'nozzle'", "the coil's signal", "sensing lead open")),
+        (("fault=5",), ("Induction heater 'nozzle'", "the coil's signal", "sensing lead open")),
+    ],
+    ids=["signal stands still", "coil open", "sensing lead open"],
+)
+def test_a_fault_of_the_coil_s_signal_is_named_as_one(
+    simulate: Simulate, fault: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    """Not as one of a temperature sensor: this nozzle has none."""
+    run = simulate(
+        "M109 S200\nG4 P1000\n", settings=[f"simulator nozzle nozzle.{setting}" for setting in fault]
+    )
+    assert_clear(run, 3, *words)
+    assert "temperature sensor" not in run.stderr
+
+
 def test_an_unknown_command_is_mentioned_and_passed_over(simulate: Simulate) -> None:
     assert simulate("G28\nM9876\nG1 X10 F6000\n").status == 0
 

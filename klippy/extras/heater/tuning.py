@@ -5,6 +5,7 @@ Ordinary heaters and induction nozzles alike; an option given here is checked by
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -68,12 +69,49 @@ class _Overlay:
         return self._of(option).getchoice(option, *args, **kwargs)
 
 
-def heater_of(printer: Any, gcmd: Any) -> Any:
-    """The heater that a command names; an unknown one is the command's error, with the names there are."""
+def heater_of(printer: Any, gcmd: Any, sole_nozzle: bool = False) -> Any:
+    """The heater that HEATER= names: an induction nozzle by its section's name, too, and with `sole_nozzle` by none if
+    it is the only one. An unknown one is the command's error, with the names there are."""
+    nozzles = _nozzles(printer)
+    name = gcmd.get("HEATER", None) if sole_nozzle and nozzles else gcmd.get("HEATER")
+    if name is None:
+        if len(nozzles) > 1:
+            raise gcmd.error(
+                f"Error on '{gcmd.get_commandline()}': missing HEATER (choices: {', '.join(sorted(nozzles))})"
+            )
+        (name,) = nozzles
+    if name in nozzles:
+        return nozzles[name]
     try:
-        return printer.lookup_object("heaters").lookup_heater(gcmd.get("HEATER"))
+        return printer.lookup_object("heaters").lookup_heater(name)
     except error as e:
         raise gcmd.error(str(e)) from None
+
+
+def _nozzles(printer: Any) -> dict[str, Any]:
+    """Induction heaters by their sections' names."""
+    sections = printer.lookup_objects("induction_heater")
+    return {section.heater.section_name: section.heater for _, section in sections}
+
+
+Handler = Callable[[Any], None]
+
+
+def register_commands(printer: Any, nozzle: Any, commands: Sequence[tuple[str, Handler, str]]) -> None:
+    """Commands (name, handler, help) of an induction nozzle: HEATER= is its section's name or that of the extruder it
+    serves; if it is the only one, none is needed."""
+    gcode = printer.lookup_object("gcode")
+    for command, handler, text in commands:
+        gcode.register_mux_command(command, "HEATER", nozzle.section_name, handler, desc=text)
+
+    def on_connect() -> None:
+        names = [nozzle.name] if nozzle.name != nozzle.section_name else []
+        names += [None] if len(_nozzles(printer)) == 1 else []
+        for command, handler, _ in commands:
+            for name in names:
+                gcode.register_mux_command(command, "HEATER", name, handler)
+
+    printer.register_event_handler("klippy:connect", on_connect)
 
 
 def is_induction(heater: Any) -> bool:

@@ -23,6 +23,7 @@ from thermal.models import heat_loss
 from thermal.sensing import heat_balance_monitor, laws, temperature_filter
 
 from ..heater import run as heater_run
+from ..heater import tuning as heater_tuning
 from ..outputs import output_file
 from . import settings
 
@@ -63,14 +64,13 @@ class InductionCalibrate:
         self._fitting = False
 
     def register(self) -> None:
-        name = self.heater.section_name
-        for command, handler, text in (
+        commands = (
             ("INDUCTION_CALIBRATE", self.cmd_calibrate, "Calibrate the nozzle thermometer"),
             ("INDUCTION_STATUS", self.cmd_status, "State of the nozzle thermometer"),
             ("INDUCTION_ZERO", self.cmd_zero, "Correct the thermometer at one known temperature"),
             ("INDUCTION_REFERENCE", self.cmd_reference, "Tell a manual reference reading"),
-        ):
-            self.gcode.register_mux_command(command, "HEATER", name, handler, desc=text)
+        )
+        heater_tuning.register_commands(self.printer, self.heater, commands)
 
     def _say(self, text: str) -> None:
         self.gcode.respond_info(text)
@@ -145,7 +145,10 @@ class InductionCalibrate:
         """REFERENCE=manual: what an instrument of one's own shows now."""
         if self._run is None or self._reference is not None:
             raise gcmd.error("INDUCTION_REFERENCE is for a calibration with REFERENCE=manual")
-        self._run.reference(self.heater.now_s(), gcmd.get_float("TEMP", minval=-20.0, maxval=600.0))
+        temp_c = gcmd.get_float("TEMP", minval=-20.0, maxval=600.0)
+        self._run.reference(self.heater.now_s(), temp_c)
+        if not self.heater.parameters.supervise.calibrated:  # a law in force is quicker than a person
+            self.heater.show_reference(temp_c)
 
     def _on_timer(self, eventtime: float) -> float:
         run = self._run
@@ -157,6 +160,7 @@ class InductionCalibrate:
             if reading and (reading != self._seen[1] or now_s - self._seen[0] >= SAME_S):
                 self._seen = (now_s, reading)
                 run.reference(now_s, reading)
+                self.heater.show_reference(reading)
         if run.over:
             self._finish(run)
             return float(self._reactor.NEVER)

@@ -8,6 +8,7 @@ from typing import Any, TextIO
 
 from thermal.records import SampleBlock, TempEstimate
 
+from ..heater import tuning as heater_tuning
 from ..outputs import output_file
 
 BATCH_S = 0.100  # rows go to clients together
@@ -31,10 +32,8 @@ class InductionDump:
 
     def register(self) -> None:
         name = self.heater.section_name
-        gcode = self.printer.lookup_object("gcode")
-        gcode.register_mux_command(
-            "INDUCTION_DUMP", "HEATER", name, self.cmd_dump, desc="Write raw blocks to a CSV file"
-        )
+        command = ("INDUCTION_DUMP", self.cmd_dump, "Write raw blocks to a CSV file")
+        heater_tuning.register_commands(self.printer, self.heater, [command])
         hooks = self.printer.lookup_object("webhooks", None)
         if hooks is not None:
             hooks.register_mux_endpoint("induction/dump_samples", "heater", name, self._on_request)

@@ -36,6 +36,8 @@ DEFAULT_KI_W_PER_K_S = 10.0
 DEFAULT_KD_W_S_PER_K = 0.15
 DEFAULT_DERIVATIVE_S = 0.010
 DEFAULT_LEAD_S = 0.015
+# So far a nozzle warms on once a law that swings has cut the power; supervision leaves as much again.
+LATE_C = 5.0
 DEFAULT_BLOCK_SAMPLES = 192  # 1.6 ms at 120 kHz
 RECORDS_MOST = 7  # of 6 bytes fit one message
 CALM_MESSAGE_S = 0.0115  # while nothing happens: a message each 11.2 ms
@@ -159,10 +161,12 @@ def _control(
     if choice == "pid":
         return loop.Control(pid_control.PID, pid, power_max_w)
     if choice == "watermark":
-        return loop.Control(pid_control.WATERMARK, watermark, power_max_w, cycle_c=watermark.max_delta_c)
+        cycle_c, beyond_c = watermark.max_delta_c, watermark.max_delta_c + LATE_C
+        return loop.Control(pid_control.WATERMARK, watermark, power_max_w, cycle_c=cycle_c, beyond_c=beyond_c)
     if choice == "practical":
         cycle_c = heater_laws.PRACTICAL_BUSY_C
-        return loop.Control(two_period.PRACTICAL, table, power_max_w, cycle_c=cycle_c)
+        beyond_c = table.cutoff_c + LATE_C
+        return loop.Control(two_period.PRACTICAL, table, power_max_w, cycle_c=cycle_c, beyond_c=beyond_c)
     return loop.Control(predictive.MODEL, held, power_max_w, models=True)
 
 
