@@ -80,7 +80,7 @@ def test_a_file_that_asks_for_the_impossible_ends_with_its_error(
     [
         (
             ("fault=4", "fault_code=300"),
-            ("Induction coil signal stands still", "'nozzle': last reading", "amplifier"),
+            ("Induction coil signal stands still", "'nozzle': its last reading", "amplifier"),
         ),
         (("fault=2",), ("Induction heater 'nozzle'", "the coil's signal", "sensing lead open")),
         (("fault=5",), ("Induction heater 'nozzle'", "the coil's signal", "sensing lead open")),
