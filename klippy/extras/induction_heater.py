@@ -169,9 +169,9 @@ class InductionHeater:
         """After a stop of the board by its own guard: which heater, and what its signal last said."""
         if mcu is not self.unit.mcu or not reason.startswith("Induction"):
             return ""
-        news, (_, phase_ticks) = self.loop.state.estimate, self._given()
-        last = f"{news.temp_c:.1f} C, {self._now_s() - news.time_s:.1f} s ago" if news.valid else "none"
-        return f"Induction heater '{self.section_name}': last reading {last}; bridge at phase {phase_ticks}."
+        news = self.loop.state.estimate
+        last = f"its last reading was {news.temp_c:.0f} C" if news.valid else "there was no reading before"
+        return f"Induction heater '{self.section_name}': {last}."
 
     def _now_s(self) -> float:
         return self.unit.print_time_now(self._reactor.monotonic())

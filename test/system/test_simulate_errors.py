@@ -129,7 +129,7 @@ def test_ctrl_c_ends_the_demo_with_one_sentence(tmp_path: Path) -> None:
     [
         (
             ("fault=4", "fault_code=300"),
-            ("Induction coil signal stands still", "'nozzle': last reading", "amplifier"),
+            ("Induction coil signal stands still", "'nozzle': its last reading", "amplifier"),
         ),
         (("fault=2",), ("Induction heater 'nozzle'", "the coil's signal", "sensing lead open")),
         (("fault=5",), ("Induction heater 'nozzle'", "the coil's signal", "sensing lead open")),
