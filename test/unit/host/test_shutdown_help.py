@@ -9,7 +9,7 @@ import pytest
 
 from link.mcu_session import RECOVERY, SHUTDOWN_HELP, shutdown_help
 
-TABLE = Path(__file__).resolve().parents[2] / "src" / "shutdown_reasons.h"
+TABLE = Path(__file__).resolve().parents[3] / "src" / "shutdown_reasons.h"
 REASONS = re.findall(r'X\(\w+, "([^"]+)"\)', TABLE.read_text(encoding="utf-8"))
 GUARD = [reason for reason in REASONS if reason.startswith(("Induction coil", "Induction bridge"))]
 
