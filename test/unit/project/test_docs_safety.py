@@ -158,6 +158,7 @@ def loop_claims() -> Iterator[str]:
 
 def supervision_claims() -> Iterator[str]:
     p = parameters().supervise
+    yield f"or more than {p.over_c:g} °C above `max_temp` |"
     yield f"| {p.limit_blocks} estimates in a row ({milliseconds(p.limit_blocks):.0f} ms) |"
     yield f"| no samples arrive | {p.silence_s:g} s |"
     yield f"give no believable temperature | {p.invalid_s:g} s |"
