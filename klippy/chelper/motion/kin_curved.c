@@ -11,9 +11,7 @@
 #include <math.h>
 #include <stdlib.h>
 
-#include "itersolve.h"
-
-#include "kin_curved.h"
+#include "kinematics.h"
 
 /* Nearer to the centre of a polar machine the bed's angle has no meaning: treated as standing still (mm^2). */
 #define POLAR_CENTRE_MM2 1e-12

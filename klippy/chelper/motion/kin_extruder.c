@@ -16,10 +16,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-#include "itersolve.h"
-
-struct stepper_kinematics *extruder_stepper_alloc(void);
-void extruder_set_pressure_advance(struct stepper_kinematics *sk, double advance_s, double smooth_time_s);
+#include "kinematics.h"
 
 /* An edge this close to the end of a segment counts as past it: keeps pieces longer than rounding of print_time. */
 #define SHORTEST_PIECE_S 1e-9
