@@ -13,7 +13,7 @@ from typing import Any
 
 from gcode_command import CommandError
 
-Range = dict[str, float]
+Range = dict[str, Any]
 
 MIN_SPEED = 1e-3
 SPEED: Range = {"minval": MIN_SPEED, "maxval": 1e6}  # mm/s, or rad/s

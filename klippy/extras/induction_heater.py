@@ -12,6 +12,8 @@ import logging
 import math
 from typing import Any, Protocol
 
+from configfile import ConfigWrapper
+from roles import Printer
 from thermal.control import loop
 from thermal.records import PhaseCommand, TempEstimate
 from thermal.sensing import features, laws
@@ -79,7 +81,7 @@ class InductionHeater:
 
     def __init__(
         self,
-        printer: Any,
+        printer: Printer,
         name: str,
         unit: InductionUnit,
         parameters: loop.LoopParameters,
@@ -121,7 +123,7 @@ class InductionHeater:
         printer.register_event_handler("klippy:disconnect", self._stop)
         printer.register_event_handler("mcu:explain_shutdown", self._explain)
 
-    def serve(self, config: Any) -> InductionHeater:
+    def serve(self, config: ConfigWrapper) -> InductionHeater:
         """An extruder's section names this heater: take its name and its min_extrude_temp."""
         if self.served_by:
             users = f"[{self.served_by}] and [{config.get_name()}]"
@@ -134,7 +136,7 @@ class InductionHeater:
         self._show_limits(config)
         return self
 
-    def _show_limits(self, config: Any) -> None:
+    def _show_limits(self, config: ConfigWrapper) -> None:
         """Front ends look for a heater's limits among the settings of the extruder's own section."""
         for option, value in (("min_temp", self.min_temp), ("max_temp", self.max_temp)):
             if config.get(option, None, note_valid=False) is not None:
@@ -470,7 +472,7 @@ def _rounded(value: float | None) -> float | None:
 class InductionSection:
     """The object under the section's own name: detailed status, and the heater for others."""
 
-    def __init__(self, config: Any, heater: InductionHeater) -> None:
+    def __init__(self, config: ConfigWrapper, heater: InductionHeater) -> None:
         self.heater = heater
         self._config = config
         self.serve = heater.serve
@@ -501,7 +503,7 @@ class InductionSection:
             registry.answer_to(heater.section_name, heater)
 
 
-def load_config_prefix(config: Any) -> InductionSection:
+def load_config_prefix(config: ConfigWrapper) -> InductionSection:
     printer = config.get_printer()
     printer.load_object(config, "heaters")
     name = config.get_name().split()[-1]

@@ -14,7 +14,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import chelper
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
 from motionlimits import DAMPING_RATIO, SHAPER_HZ, or_zero
+from roles import Printer
 
 AXES = "xyz"
 DEFAULT_TYPE = "mzv"
@@ -96,7 +99,7 @@ class AxisShaper:
 class InputShaper:
     """Printer object 'input_shaper'."""
 
-    def __init__(self, printer: Any, axes: list[AxisShaper]) -> None:
+    def __init__(self, printer: Printer, axes: list[AxisShaper]) -> None:
         self.printer = printer
         self.axes = axes
         self._ffi, self._lib = chelper.get_ffi()
@@ -144,7 +147,7 @@ class InputShaper:
             )
         }
 
-    def cmd_SET_INPUT_SHAPER(self, gcmd: Any) -> None:
+    def cmd_SET_INPUT_SHAPER(self, gcmd: GCodeCommand) -> None:
         """SET_INPUT_SHAPER [SHAPER_FREQ_X=Hz] [DAMPING_RATIO_X=] [SHAPER_TYPE=|SHAPER_TYPE_X=] … also Y, Z."""
         common = gcmd.get("SHAPER_TYPE", None)
         changed = []
@@ -164,7 +167,7 @@ class InputShaper:
                 gcmd.respond_info(axis.describe())
 
 
-def _read_axis(config: Any, axis: str) -> AxisShaper:
+def _read_axis(config: ConfigWrapper, axis: str) -> AxisShaper:
     kinds = {name: name for name in SHAPERS}
     common = config.getchoice("shaper_type", kinds, DEFAULT_TYPE)
     return AxisShaper(
@@ -175,7 +178,7 @@ def _read_axis(config: Any, axis: str) -> AxisShaper:
     )
 
 
-def load_config(config: Any) -> InputShaper:
+def load_config(config: ConfigWrapper) -> InputShaper:
     shaper = InputShaper(config.get_printer(), [_read_axis(config, axis) for axis in AXES])
     shaper.register()
     return shaper

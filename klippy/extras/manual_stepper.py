@@ -13,6 +13,8 @@ from typing import Any
 import chelper
 import stepper
 import stepstream
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
 from motionlimits import ACCEL, CORNER_SPEED, POSITION, SPEED, check_way, or_zero
 
 from .force_move import trapezoid
@@ -38,7 +40,7 @@ class AxisLimits:
 class ManualStepper:
     """Printer object 'manual_stepper NAME'."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self.reactor = self.printer.get_reactor()
         self.name = config.get_name().split(None, 1)[-1]
@@ -255,7 +257,7 @@ class ManualStepper:
         self._position += way
         self._end_time = print_time + move.accel_t + move.cruise_t + move.decel_t
 
-    def _set_gcode_axis(self, gcmd: Any) -> None:
+    def _set_gcode_axis(self, gcmd: GCodeCommand) -> None:
         letter = gcmd.get("GCODE_AXIS").strip().upper()
         toolhead = self._toolhead()
         if not letter:
@@ -280,7 +282,7 @@ class ManualStepper:
 
     # -- command --
 
-    def cmd_MANUAL_STEPPER(self, gcmd: Any) -> None:
+    def cmd_MANUAL_STEPPER(self, gcmd: GCodeCommand) -> None:
         """MANUAL_STEPPER STEPPER= [ENABLE=0|1] [SET_POSITION=mm] [SPEED=] [ACCEL=] [MOVE=mm [STOP_ON_ENDSTOP=1|2|-1|-2]
         [SYNC=0]] or MANUAL_STEPPER STEPPER= GCODE_AXIS=letter [LIMIT_VELOCITY=] [LIMIT_ACCEL=]
         [INSTANTANEOUS_CORNER_VELOCITY=]."""
@@ -314,7 +316,7 @@ class ManualStepper:
             self.do_move(movepos, speed, accel, sync)
 
 
-def load_config_prefix(config: Any) -> ManualStepper:
+def load_config_prefix(config: ConfigWrapper) -> ManualStepper:
     manual = ManualStepper(config)
     manual.register()
     return manual

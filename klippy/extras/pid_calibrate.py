@@ -13,6 +13,9 @@ import logging
 from pathlib import Path
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
 from thermal.control import pid
 from thermal.identification import relay
 
@@ -30,7 +33,7 @@ INDUCTION_TIMES = {"swing_s": 20.0, "heat_s": 60.0, "gain_s": 5.0, "lost_c": 60.
 class PidCalibrate:
     """The command."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
 
     def register(self) -> None:
@@ -40,7 +43,7 @@ class PidCalibrate:
             desc="Find a heater's PID gains by swinging around TARGET",
         )
 
-    def cmd_PID_CALIBRATE(self, gcmd: Any) -> None:
+    def cmd_PID_CALIBRATE(self, gcmd: GCodeCommand) -> None:
         heater = heater_tuning.heater_of(self.printer, gcmd)
         session = heater_run.Session(self.printer, heater, "PID_CALIBRATE")
         most_c = heater.max_temp - (INDUCTION_SWING_C if session.induction else 0.0)
@@ -143,7 +146,7 @@ def _tuning(result: relay.RelayResult, induction: bool) -> heater_tuning.Tuning:
     return heater_tuning.Tuning(control="pid", **values)
 
 
-def load_config(config: Any) -> PidCalibrate:
+def load_config(config: ConfigWrapper) -> PidCalibrate:
     command = PidCalibrate(config.get_printer())
     command.register()
     return command

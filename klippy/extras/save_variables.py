@@ -6,6 +6,9 @@ import os
 from typing import Any
 
 import util
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
 
 from .gcode_macro import parse_literal
 
@@ -29,7 +32,7 @@ def lasting_literal(text: str) -> Any:
 class SaveVariables:
     """The object `save_variables`; its status is {"variables": {...}}."""
 
-    def __init__(self, printer: Any, path: str) -> None:
+    def __init__(self, printer: Printer, path: str) -> None:
         self.printer = printer
         self.filename = os.path.expanduser(path)
         self.variables: dict[str, Any] = {}
@@ -77,7 +80,7 @@ class SaveVariables:
                 f"Unable to save variables: {e.strerror}: {self.filename}"
             ) from None
 
-    def cmd_SAVE_VARIABLE(self, gcmd: Any) -> None:
+    def cmd_SAVE_VARIABLE(self, gcmd: GCodeCommand) -> None:
         """Set a variable and write the file."""
         name, text = gcmd.get("VARIABLE"), gcmd.get("VALUE")
         if name.lower() != name or not name.isidentifier():
@@ -91,7 +94,7 @@ class SaveVariables:
         self.variables = changed
 
 
-def load_config(config: Any) -> SaveVariables:
+def load_config(config: ConfigWrapper) -> SaveVariables:
     """Section [save_variables]."""
     variables = SaveVariables(config.get_printer(), config.get("filename"))
     variables.register()

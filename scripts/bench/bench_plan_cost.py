@@ -119,7 +119,7 @@ def _nothing(*args: object, **kwargs: object) -> object:
 class Section(temperature_plan.TemperaturePlanner):
     """[temperature_plan] on that printer, driven by hand."""
 
-    def __init__(self, printer: Printer) -> None:
+    def __init__(self, printer: Any) -> None:
         super().__init__(printer, temperature_plan.read_settings(sample_config(SECTION)))
         self._on_connect()
         self._on_ready()

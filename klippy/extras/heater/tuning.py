@@ -11,6 +11,8 @@ from typing import Any
 
 from configfile import ConfigWrapper, error
 from configtext import ConfigData, ConfigParser
+from gcode import GCodeCommand
+from roles import Printer
 from thermal.control import pid, two_period
 from thermal.records import ParameterError
 from thermal.sensing import heat_balance_monitor
@@ -69,7 +71,7 @@ class _Overlay:
         return self._of(option).getchoice(option, *args, **kwargs)
 
 
-def heater_of(printer: Any, gcmd: Any, sole_nozzle: bool = False) -> Any:
+def heater_of(printer: Printer, gcmd: GCodeCommand, sole_nozzle: bool = False) -> Any:
     """The heater that HEATER= names: an induction nozzle by its section's name, too, and with `sole_nozzle` by none if
     it is the only one. An unknown one is the command's error, with the names there are."""
     nozzles = _nozzles(printer)
@@ -88,7 +90,7 @@ def heater_of(printer: Any, gcmd: Any, sole_nozzle: bool = False) -> Any:
         raise gcmd.error(str(e)) from None
 
 
-def _nozzles(printer: Any) -> dict[str, Any]:
+def _nozzles(printer: Printer) -> dict[str, Any]:
     """Induction heaters by their sections' names."""
     sections = printer.lookup_objects("induction_heater")
     return {section.heater.section_name: section.heater for _, section in sections}
@@ -97,7 +99,7 @@ def _nozzles(printer: Any) -> dict[str, Any]:
 Handler = Callable[[Any], None]
 
 
-def register_commands(printer: Any, nozzle: Any, commands: Sequence[tuple[str, Handler, str]]) -> None:
+def register_commands(printer: Printer, nozzle: Any, commands: Sequence[tuple[str, Handler, str]]) -> None:
     """Commands (name, handler, help) of an induction nozzle: HEATER= is its section's name or that of the extruder it
     serves; if it is the only one, none is needed."""
     gcode = printer.lookup_object("gcode")
@@ -133,7 +135,7 @@ def section_of(heater: Any) -> str:
     return f"induction_heater {heater.section_name}" if is_induction(heater) else heater.settings.name
 
 
-def _as_config(printer: Any, section: str, tuning: dict[str, str]) -> ConfigWrapper:
+def _as_config(printer: Printer, section: str, tuning: dict[str, str]) -> ConfigWrapper:
     data = ConfigData()
     lines = "\n".join(f"{option}: {value}" for option, value in tuning.items())
     ConfigParser(data).parse_text(f"[{section}]\n{lines}\n", "tuning")
@@ -169,7 +171,7 @@ def options_of(heater: Any) -> Tuning:
     return Tuning(control=chosen.law.name, **texts)
 
 
-def read(heater: Any, config: Any, tuning: dict[str, str]) -> Any:
+def read(heater: Any, config: ConfigWrapper, tuning: dict[str, str]) -> Any:
     """What a section's tuning means for this heater. Raises the config's error, or ParameterError."""
     known = INDUCTION_OPTIONS if is_induction(heater) else ("control", *_all_options())
     strange = sorted(set(tuning) - set(known))
@@ -179,12 +181,12 @@ def read(heater: Any, config: Any, tuning: dict[str, str]) -> Any:
             f" ({config.where(strange[0])})."
         )
     if is_induction(heater):
-        overlay = _Overlay(heater.config, config, set(tuning))
+        overlay: Any = _Overlay(heater.config, config, set(tuning))
         return induction_settings.read_parameters(overlay, heater.unit.settings)
     return heater_laws.read_law(config, heater.get_max_power(), heater.get_smooth_time())
 
 
-def check(printer: Any, heater: Any, tuning: dict[str, str]) -> Any:
+def check(printer: Printer, heater: Any, tuning: dict[str, str]) -> Any:
     """What the tuning means for this heater. Raises command_error in plain words on one that cannot be."""
     try:
         return read(heater, _as_config(printer, section_of(heater), tuning), tuning)
@@ -196,7 +198,7 @@ def _all_options() -> list[str]:
     return [name for names in heater_laws.OPTIONS.values() for name in names]
 
 
-def use(printer: Any, heater: Any, tuning: dict[str, str]) -> None:
+def use(printer: Printer, heater: Any, tuning: dict[str, str]) -> None:
     """Work with this tuning from now on, target kept, at the present power. Raises command_error."""
     refuse_lent(heater)
     meant = check(printer, heater, tuning)
@@ -220,7 +222,7 @@ def use(printer: Any, heater: Any, tuning: dict[str, str]) -> None:
     )
 
 
-def stage(printer: Any, heater: Any, tuning: dict[str, str]) -> None:
+def stage(printer: Printer, heater: Any, tuning: dict[str, str]) -> None:
     """Put the tuning where SAVE_CONFIG finds it."""
     configfile = printer.lookup_object("configfile")
     section = section_of(heater)

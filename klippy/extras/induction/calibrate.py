@@ -18,6 +18,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from gcode import GCodeCommand
+from roles import Printer
 from thermal.identification import sweep
 from thermal.models import heat_loss
 from thermal.sensing import heat_balance_monitor, laws, temperature_filter
@@ -48,7 +50,7 @@ LOSS_UNCERTAINTY = 0.03  # of a calibrated two-node model
 class InductionCalibrate:
     """One heater's commands; one run at a time."""
 
-    def __init__(self, printer: Any, heater: Any, section: str, folder: str) -> None:
+    def __init__(self, printer: Printer, heater: Any, section: str, folder: str) -> None:
         self.printer = printer
         self.heater = heater
         self.section = section
@@ -77,7 +79,7 @@ class InductionCalibrate:
 
     # The run
 
-    def cmd_calibrate(self, gcmd: Any) -> None:
+    def cmd_calibrate(self, gcmd: GCodeCommand) -> None:
         reference = gcmd.get("REFERENCE", "manual")
         if self._fitting:
             raise gcmd.error("The last calibration is still being fitted")
@@ -119,7 +121,7 @@ class InductionCalibrate:
             while (self._run is not None or self._fitting) and not self.printer.is_shutdown():
                 eventtime = self._reactor.pause(eventtime + 0.1)
 
-    def _find_reference(self, gcmd: Any, name: str) -> Any:
+    def _find_reference(self, gcmd: GCodeCommand, name: str) -> Any:
         if name == "manual":
             return None
         for prefix in ("temperature_sensor ", "heater_generic ", ""):
@@ -136,12 +138,12 @@ class InductionCalibrate:
             " or REFERENCE=manual)"
         )
 
-    def cmd_abort(self, gcmd: Any) -> None:
+    def cmd_abort(self, gcmd: GCodeCommand) -> None:
         if self._run is None:
             raise gcmd.error("Nothing to abort")
         self._run.abort("ended by ABORT")
 
-    def cmd_reference(self, gcmd: Any) -> None:
+    def cmd_reference(self, gcmd: GCodeCommand) -> None:
         """REFERENCE=manual: what an instrument of one's own shows now."""
         if self._run is None or self._reference is not None:
             raise gcmd.error("INDUCTION_REFERENCE is for a calibration with REFERENCE=manual")
@@ -296,7 +298,7 @@ class InductionCalibrate:
 
     # One point, and a look
 
-    def cmd_zero(self, gcmd: Any) -> None:
+    def cmd_zero(self, gcmd: GCodeCommand) -> None:
         """The nozzle is at TEMP now: move the law's drifting number so that it says so."""
         temp_c = gcmd.get_float("TEMP", minval=-20.0, maxval=600.0)
         parameters, state = self.heater.parameters, self.heater.loop.state
@@ -317,7 +319,7 @@ class InductionCalibrate:
         self._stage(law, None)
         gcmd.respond_info(f"Thermometer moved by {shift_c:+.1f} C, now {temp_c:.1f} C. SAVE_CONFIG keeps it.")
 
-    def cmd_status(self, gcmd: Any) -> None:
+    def cmd_status(self, gcmd: GCodeCommand) -> None:
         status = self.heater.get_detail(self._reactor.monotonic())
         parameters = self.heater.parameters
         name, values = laws.coefficients_of(parameters.estimator.law)

@@ -6,6 +6,8 @@ import csv
 from pathlib import Path
 from typing import Any, TextIO
 
+from gcode import GCodeCommand
+from roles import Printer
 from thermal.records import SampleBlock, TempEstimate
 
 from ..heater import tuning as heater_tuning
@@ -19,7 +21,7 @@ HEADER = ("time", "phase", "count", "raw_mean", "raw_min", "raw_max", "temperatu
 class InductionDump:
     """Listens to the loop only while somebody wants rows."""
 
-    def __init__(self, printer: Any, heater: Any, folder: str) -> None:
+    def __init__(self, printer: Printer, heater: Any, folder: str) -> None:
         self.printer = printer
         self.heater = heater
         self._folder = Path(folder).expanduser()
@@ -94,7 +96,7 @@ class InductionDump:
 
     # File
 
-    def cmd_dump(self, gcmd: Any) -> None:
+    def cmd_dump(self, gcmd: GCodeCommand) -> None:
         if self._file is not None:
             raise gcmd.error("INDUCTION_DUMP is writing already")
         name = gcmd.get("FILE", f"induction-{self.heater.section_name}-dump.csv")

@@ -19,6 +19,9 @@ from collections import deque
 from dataclasses import replace
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
 from thermal.control.control_api import Reference
 from thermal.models.melt_exchange import NozzleLimits, idle_way
 from thermal.plan import requests
@@ -47,7 +50,7 @@ class TemperaturePlanner:
     plan: TemperaturePlan
     _nozzle: NozzleLimits
 
-    def __init__(self, printer: Any, settings: Settings) -> None:
+    def __init__(self, printer: Printer, settings: Settings) -> None:
         self.printer = printer
         self.settings = settings
         self.material = settings.material
@@ -440,7 +443,7 @@ class TemperaturePlanner:
 
     # Commands
 
-    def cmd_SET_SEGMENT_TEMPERATURE(self, gcmd: Any) -> None:
+    def cmd_SET_SEGMENT_TEMPERATURE(self, gcmd: GCodeCommand) -> None:
         temp_c = gcmd.get_float("TEMP", minval=0.0, maxval=self.heater.max_temp)
         until = gcmd.get("UNTIL", "").lower()
         if until not in ("", "layer", "feature", "object"):
@@ -448,11 +451,11 @@ class TemperaturePlanner:
         duration_s = gcmd.get_float("DURATION", math.inf, above=0.0)
         self._ask_for(gcmd, temp_c, until, duration_s)
 
-    def cmd_M104_1(self, gcmd: Any) -> None:
+    def cmd_M104_1(self, gcmd: GCodeCommand) -> None:
         """M104.1 S<degC>: the same, until the next one; S0 takes it back."""
         self._ask_for(gcmd, gcmd.get_float("S", minval=0.0, maxval=self.heater.max_temp), "", math.inf)
 
-    def _ask_for(self, gcmd: Any, temp_c: float, until: str, duration_s: float) -> None:
+    def _ask_for(self, gcmd: GCodeCommand, temp_c: float, until: str, duration_s: float) -> None:
         if temp_c and temp_c < self.heater.min_extrude_c:
             raise gcmd.error(
                 f"A segment cannot be laid at {temp_c:.0f} C: min_extrude_temp is {self.heater.min_extrude_c:.0f} C"
@@ -463,7 +466,7 @@ class TemperaturePlanner:
             )
         self._mark(self._state.explicitly(temp_c or math.nan, until, duration_s))
 
-    def cmd_TEMPERATURE_PLAN(self, gcmd: Any) -> None:
+    def cmd_TEMPERATURE_PLAN(self, gcmd: GCodeCommand) -> None:
         enable = gcmd.get_int("ENABLE", None, minval=0, maxval=1)
         material = gcmd.get("MATERIAL", None)
         interface_c = gcmd.get_float("INTERFACE", None, minval=0.0, maxval=500.0)
@@ -536,7 +539,7 @@ def report_line(books: Summary, material: Material) -> str:
     )
 
 
-def load_config(config: Any) -> TemperaturePlanner:
+def load_config(config: ConfigWrapper) -> TemperaturePlanner:
     planner = TemperaturePlanner(config.get_printer(), read_settings(config))
     planner.register()
     return planner

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from configfile import ConfigWrapper
 from thermal.control.loop import LoopParameters
 from thermal.models.melt_exchange import NozzleLimits
 from thermal.plan import requests
@@ -39,21 +40,21 @@ class Settings:
     written_at: Mapping[str, str]  # options of the table: file and line
 
 
-def _refusal(config: Any, option: str, what: str) -> Exception:
+def _refusal(config: ConfigWrapper, option: str, what: str) -> Exception:
     error: Exception = config.error(
         f"Option '{option}' in section '{config.get_name()}': {what} ({config.where(option)})."
     )
     return error
 
 
-def _read(config: Any, option: str, reader: Callable[[str], Any]) -> Any:
+def _read(config: ConfigWrapper, option: str, reader: Callable[[str], Any]) -> Any:
     try:
         return reader(config.get(option, ""))
     except ValueError as e:
         raise _refusal(config, option, str(e)) from None
 
 
-def _table(config: Any, material: Material) -> requests.WishTable:
+def _table(config: ConfigWrapper, material: Material) -> requests.WishTable:
     """All that is asked for by name. The window would clamp what lies outside it, and the user never know."""
     table = requests.WishTable(
         {requests.feature_name(k): v for k, v in _read(config, "features", requests.read_names).items()},
@@ -72,7 +73,7 @@ def _table(config: Any, material: Material) -> requests.WishTable:
     return table
 
 
-def _record(config: Any) -> str | None:
+def _record(config: ConfigWrapper) -> str | None:
     """A file that can be written, as far as can be told without making it."""
     text = config.get("record", None)
     if text is None:
@@ -89,7 +90,7 @@ def _record(config: Any) -> str | None:
     raise _refusal(config, "record", f"{wrong}; the name of a file in a folder that exists is needed")
 
 
-def _material(config: Any) -> Material:
+def _material(config: ConfigWrapper) -> Material:
     names = {name: name for name in MATERIALS} | {name.lower(): name for name in MATERIALS}
     base = MATERIALS[config.getchoice("material", names, "PLA")]
     low_c = config.getfloat("melt_min", base.low_c, minval=100.0, maxval=500.0)
@@ -122,7 +123,7 @@ def nozzle_limits(settings: Settings, parameters: LoopParameters, min_extrude_c:
     )
 
 
-def read_settings(config: Any) -> Settings:
+def read_settings(config: ConfigWrapper) -> Settings:
     """The section's options. Raises the config's error."""
     name = config.get("heater", "extruder")
     material = _material(config)

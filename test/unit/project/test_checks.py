@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 from pathlib import Path
 
@@ -192,3 +193,20 @@ def test_the_form_of_other_firmware_is_met_to_the_letter_only(tmp_path: Path) ->
     asked = [other, other.replace("rest", "pause")]
     (met,) = complaints("\n".join(f"mcu.try_lookup_command({text!r})" for text in asked), built, tmp_path)
     assert "pause" in met
+
+
+# --- types
+
+
+def test_less_than_a_tenth_of_the_arguments_in_extras_is_of_any_type(root: Path) -> None:
+    """Roles (roles.py, ConfigWrapper, GCodeCommand) say what a section needs; Any says nothing."""
+    arguments = [
+        argument
+        for path in (root / "klippy" / "extras").rglob("*.py")
+        for function in ast.walk(ast.parse(path.read_text()))
+        if isinstance(function, ast.FunctionDef)
+        for argument in (*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs)
+        if argument.arg not in ("self", "cls")
+    ]
+    untyped = [a for a in arguments if a.annotation is not None and ast.unparse(a.annotation) == "Any"]
+    assert len(untyped) < 0.1 * len(arguments)
