@@ -184,9 +184,9 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
         raise BadInput(f"{options.gcode}: no line of it extrudes while it moves")
     if found.other_tool_line >= 0:
         leave_out_tools(options, found.other_tool_line + 1)
-    if settings.craft.follow_mm > 0.0:
+    if settings.options.follow_mm > 0.0:
         print(
-            f"interface_temp: {known.craft.interface_c} is what the material's window lets the whole path come"
+            f"interface_temp: {known.options.interface_c} is what the material's window lets the whole path come"
             " nearest to; planned with it"
         )
     tell(found, plain, settings.material)

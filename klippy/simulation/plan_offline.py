@@ -71,9 +71,9 @@ def steady(settings: Settings, plain: Summary, paced: Summary) -> Settings:
     `plain`: of the file at its own speed, whose fixed temperature tells the usual weld; `paced`: with hot layers slowed
     down, which tells what the window can still make of the ends of the path.
     """
-    least_c = settings.craft.interface_c or 0.0
+    least_c = settings.options.interface_c or 0.0
     kept_c = weld.held_c(plain.interface_5_50_95_c[1][1], paced.band_c, least_c)
-    return replace(settings, craft=replace(settings.craft, interface_c=round(kept_c), follow_mm=0.0))
+    return replace(settings, options=replace(settings.options, interface_c=round(kept_c), follow_mm=0.0))
 
 
 class WholeFile(NamedTuple):
@@ -89,7 +89,7 @@ def plan_whole(settings: Settings, run: Callable[[Settings], OfflinePlan]) -> Wh
     config says how. `run` plans the file."""
     plain = run(replace(settings, slowest=1.0, longest_pause_s=0.0))
     paces = settings.slowest < 1.0 or settings.longest_pause_s > 0.0
-    if settings.craft.follow_mm > 0.0 and plain.moves:
+    if settings.options.follow_mm > 0.0 and plain.moves:
         paced = run(settings) if paces else plain
         settings = steady(settings, plain.summary, paced.summary)
         return WholeFile(run(settings), plain, settings)
@@ -114,7 +114,7 @@ class Planning:
         self._paces: list[PaceChange] = []
         self._paced_s = 0.0
         self._fan = 0.0
-        self._pieces = PathPieces(math.pi / 4.0 * settings.craft.filament_mm**2)
+        self._pieces = PathPieces(math.pi / 4.0 * settings.options.filament_mm**2)
         self._plan: TemperaturePlan | None = None
         self._owners: list[tuple[TimedMove, int, int]] = []  # (move, its layer, pieces that are laid)
         self._rows: list[Laid] = []  # of moves not yet whole
@@ -168,7 +168,7 @@ class Planning:
         """Made when the first path comes: by then the file has told its bed."""
         if self._plan is None:
             settings = self._settings
-            self._plan = TemperaturePlan(self._nozzle, settings.material, self._around(), settings.craft)
+            self._plan = TemperaturePlan(self._nozzle, settings.material, self._around(), settings.options)
         return self._plan
 
     def _take(self, moves: Sequence[TimedMove]) -> None:

@@ -96,7 +96,7 @@ def offline(
 
     found, plain, known = plan_offline.plan_whole(settings, run)
     figures = plan_report.figures(found, settings.material, plain.summary)
-    figures["interface_wanted_c"] = known.craft.interface_c
+    figures["interface_wanted_c"] = known.options.interface_c
     figures["duration_fixed_s"] = round(plain.duration_s, 1)
     return found, figures, bench_plan_cost.cost_us(path)
 

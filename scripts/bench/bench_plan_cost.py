@@ -108,6 +108,9 @@ class Printer:
     def _wake(self, timer: object, time_s: float) -> None:
         self.woken = True
 
+    def register_event_handler(self, event: str, handler: object) -> None:
+        """No event is sent here."""
+
     def lookup_object(self, name: str, default: Any = None) -> Any:
         return self._objects.get(name, default)
 
@@ -124,7 +127,7 @@ class Section(temperature_plan.TemperaturePlanner):
         self._on_connect()
         self._on_ready()
 
-    def _set_factor(self, factor: float) -> None:
+    def set_speed(self, factor: float) -> None:
         """The pace is off."""
 
     def moves(self, row: Any, count: int, time_s: float) -> None:

@@ -116,7 +116,7 @@ def test_the_offline_plan_knows_the_nozzle_of_the_config(tmp_path: Path) -> None
     options = program().parse([str(gcode), "--config", str(config)])
     access, settings, induction = program().read_config(options)
     offline, planner = program().limits_of("induction", access, settings), watch(config, gcode).planner
-    assert induction and offline == planner._nozzle
+    assert induction and offline == planner.session.nozzle
     assert (offline.max_c, offline.min_extrude_c, offline.capacity.at(25.0)) == (285.0, 181.0, 0.45)
     assert (offline.exchange.ua_w_k, offline.exchange.volume_mm3) == (0.0333, 3.0)
 
