@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
@@ -29,13 +30,16 @@ CONSTANTS = {"CLOCK_FREQ": 72_000_000, "ADC_MAX": 4095, "PWM_MAX": 255, "MCU": "
 HEATER = {"sensor_type": "Generic 3950", "control": "watermark", "min_temp": "0"}
 DEFAULTS: dict[str, dict[str, str]] = {
     "printer": {"max_velocity": "200", "max_accel": "2000"},
-    "extruder": {"nozzle_diameter": "0.4", "filament_diameter": "1.75"},
     "heater_bed": {"heater_pin": "path1", "sensor_pin": "path2", "max_temp": "500", **HEATER},
     "fan": {"pin": "path3"},
     "exclude_object": {},
     "gcode_arcs": {},
 }
-EXTRUDER_HEATER = {"heater_pin": "path4", "sensor_pin": "path5", "max_temp": "300", **HEATER}
+EXTRUDER = {
+    "nozzle_diameter": "0.4", "filament_diameter": "1.75", "max_extrude_only_distance": "1000",
+    "max_extrude_cross_section": "50",
+}  # fmt: skip
+_TOOL = re.compile(r"extruder\d+")
 # They write files, read others, or end the run.
 WITHOUT_EFFECT = (
     "SAVE_CONFIG", "SAVE_VARIABLE", "RESTART", "FIRMWARE_RESTART", "M112", "SDCARD_PRINT_FILE", "M23", "M24",
@@ -117,14 +121,22 @@ def complete(data: ConfigData) -> None:
     if not any(name.startswith("stepper") for name in sections):
         data.set("printer", "kinematics", "none", origin)
     defaults = dict(DEFAULTS)
-    if "extruder" not in sections or not {"heater", "shared_heater"} & set(sections["extruder"].options):
-        defaults["extruder"] = {**DEFAULTS["extruder"], **EXTRUDER_HEATER}
-    if "gcode_macro M106" in sections or "gcode_macro m106" in sections:
+    if {"gcode_macro m106", "gcode_macro m107"} & {name.lower() for name in sections}:
         del defaults["fan"]
+    for name in {"extruder", *(name for name in sections if _TOOL.fullmatch(name))}:
+        defaults[name] = _extruder(name, set(sections[name].options) if name in sections else set())
     for name, options in defaults.items():
         section = sections.setdefault(name, SectionText(name, origin))
         for option, value in options.items():
             section.options.setdefault(option, OptionText(value, origin))
+
+
+def _extruder(name: str, has: set[str]) -> dict[str, str]:
+    """What its section may lack; one without a nozzle has limits of motion that stop no file."""
+    heater = {"heater_pin": f"path_{name}1", "sensor_pin": f"path_{name}2", "max_temp": "300", **HEATER}
+    return (heater if not has & {"heater", "shared_heater"} else {}) | (
+        EXTRUDER if "nozzle_diameter" not in has else {}
+    )
 
 
 class PathPrinter(Printer):
