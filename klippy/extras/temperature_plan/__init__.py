@@ -14,17 +14,10 @@ import math
 from dataclasses import replace
 from typing import Any
 
-<<<<<<< HEAD
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
 from roles import Printer
-from thermal.control.control_api import Reference
-from thermal.models.melt_exchange import NozzleLimits, idle_way
-from thermal.plan import requests
-from thermal.plan.layer_time import Pace, Pacer, Place
-=======
 from thermal.plan.layer_time import Pace
->>>>>>> house-i
 from thermal.plan.materials import MATERIALS, Material
 from thermal.plan.planner import Laid, Summary
 from thermal.plan.session import Session, Turn
@@ -41,22 +34,8 @@ SOON_S = 0.05  # and at most, but for new motion
 class TemperaturePlanner(PathEvents):
     """One heater's plan."""
 
-<<<<<<< HEAD
-    plan: TemperaturePlan
-    _nozzle: NozzleLimits
-
     def __init__(self, printer: Printer, settings: Settings) -> None:
-        self.printer = printer
-        self.settings = settings
-        self.material = settings.material
-        self.craft = settings.craft
-        self.around = settings.surroundings
-        self.enabled = settings.enabled
-        self.heater: Any = None
-=======
-    def __init__(self, printer: Any, settings: Settings) -> None:
         super().__init__(printer, settings)
->>>>>>> house-i
         self._reactor = printer.get_reactor()
         self._print_stats: Any = None
         self._timer: Any = None
@@ -247,35 +226,8 @@ class TemperaturePlanner(PathEvents):
 
     # Commands
 
-<<<<<<< HEAD
-    def cmd_SET_SEGMENT_TEMPERATURE(self, gcmd: GCodeCommand) -> None:
-        temp_c = gcmd.get_float("TEMP", minval=0.0, maxval=self.heater.max_temp)
-        until = gcmd.get("UNTIL", "").lower()
-        if until not in ("", "layer", "feature", "object"):
-            raise gcmd.error(f"UNTIL is layer, feature or object, not '{until}'")
-        duration_s = gcmd.get_float("DURATION", math.inf, above=0.0)
-        self._ask_for(gcmd, temp_c, until, duration_s)
-
-    def cmd_M104_1(self, gcmd: GCodeCommand) -> None:
-        """M104.1 S<degC>: the same, until the next one; S0 takes it back."""
-        self._ask_for(gcmd, gcmd.get_float("S", minval=0.0, maxval=self.heater.max_temp), "", math.inf)
-
-    def _ask_for(self, gcmd: GCodeCommand, temp_c: float, until: str, duration_s: float) -> None:
-        if temp_c and temp_c < self.heater.min_extrude_c:
-            raise gcmd.error(
-                f"A segment cannot be laid at {temp_c:.0f} C: min_extrude_temp is {self.heater.min_extrude_c:.0f} C"
-            )
-        if not self.enabled:
-            gcmd.respond_info(
-                "The temperature plan is disabled: this changes nothing until TEMPERATURE_PLAN ENABLE=1"
-            )
-        self._mark(self._state.explicitly(temp_c or math.nan, until, duration_s))
-
     def cmd_TEMPERATURE_PLAN(self, gcmd: GCodeCommand) -> None:
-=======
-    def cmd_TEMPERATURE_PLAN(self, gcmd: Any) -> None:
         session, own = self.session, self.settings.material
->>>>>>> house-i
         enable = gcmd.get_int("ENABLE", None, minval=0, maxval=1)
         name = gcmd.get("MATERIAL", None)
         interface_c = gcmd.get_float("INTERFACE", None, minval=0.0, maxval=500.0)
