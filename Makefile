@@ -135,6 +135,7 @@ check-c:
 	    $$compiler $(STRICT_C) -D_GNU_SOURCE -Isrc -Isrc/simulator $(SIM_PORT) && \
 	    $$compiler $(STRICT_C) -D_GNU_SOURCE $(WORLD_INCLUDES) $(WORLD_SOURCES) && \
 	    $$compiler $(STRICT_C) $(UNICORN_CFLAGS) $(EMULATOR_INCLUDES) $(EMULATOR_STM32F334_SOURCES) || exit 1; done
+	printf '%s\n' $(HOST_C) | xargs -P $(JOBS) -I{} gcc $(filter-out -fsyntax-only,$(STRICT_C)) -fanalyzer -Iklippy -c {} -o /dev/null
 	cppcheck --quiet --std=c11 --error-exitcode=1 --inline-suppr -j $(JOBS) \
 	    --enable=warning,performance,portability --suppress=missingIncludeSystem \
 	    -U DICTIONARY_PASS -U OVERSAMPLE_KERNEL '-D_Noreturn=__attribute__((noreturn))' \

@@ -13,6 +13,7 @@ from typing import Any
 
 import configabsent
 import configtext
+import util
 from configtext import ConfigData, ConfigError, Origin
 
 error = ConfigError
@@ -457,7 +458,7 @@ class PrinterConfig:
             self.printer.lookup_object("gcode").request_restart("restart")
 
     def _write(self, path: str) -> str:
-        """Replace the config file in one step; returns the path of the backup."""
+        """Replace the config file; returns the path of the backup."""
         user_text, _ = configtext.split_autosave(configtext.read_text(path))
         edited = configtext.comment_out(user_text, self._saved)
         self._check_includes(edited, path)
@@ -465,13 +466,7 @@ class PrinterConfig:
         text = edited.rstrip("\n") + "\n" + ("\n" + block if block else "")
         stem, ending = os.path.splitext(path)
         backup = stem + time.strftime("-%Y%m%d_%H%M%S") + ending
-        temporary = stem + "_autosave" + ending
-        with open(temporary, "w", encoding="utf-8") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-        os.rename(path, backup)
-        os.rename(temporary, path)
+        util.replace_file(path, text, backup)
         return backup
 
     def _check_includes(self, edited: str, path: str) -> None:

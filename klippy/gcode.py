@@ -67,10 +67,14 @@ class _MuxCommand:
         self.handlers: dict[str | None, Callable[[GCodeCommand], None]] = {}
 
     def __call__(self, gcmd: GCodeCommand) -> None:
-        value = gcmd.get(self.key) if None not in self.handlers else gcmd.get(self.key, None)
+        value = gcmd.get(self.key, None)
         handler = self.handlers.get(value)
         if handler is None:
             choices = ", ".join(sorted(str(name) for name in self.handlers if name is not None))
+            if value is None:
+                raise gcmd.error(
+                    f"Error on '{gcmd.get_commandline()}': missing {self.key} (choices: {choices})"
+                )
             raise gcmd.error(f"The value '{value}' is not valid for {self.key} (choices: {choices})")
         handler(gcmd)
 

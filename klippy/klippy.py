@@ -12,13 +12,25 @@ import sys
 import time
 from typing import Any
 
-import queuelogger
-import util
-from link import serialport
-from printer import Printer
-from reactor import Reactor
-
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
+_BAD_USE = 2
+
+try:
+    import queuelogger
+    import util
+    from link import serialport
+    from printer import Printer
+    from reactor import Reactor
+except ModuleNotFoundError as e:
+    if __name__ != "__main__":
+        raise
+    print(
+        f"klippy.py: this Python lacks the package '{e.name}'; run `make setup` in {ROOT} once, then start with "
+        f"{ROOT}/.venv/bin/python {os.path.abspath(__file__)}",
+        file=sys.stderr,
+    )
+    sys.exit(_BAD_USE)
+
 __all__ = ["Printer", "main"]
 
 _RESTART_DELAY_S = 0.5  # lets clients see the socket vanish

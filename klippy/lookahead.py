@@ -32,6 +32,7 @@ from typing import Any, Protocol
 
 import chelper
 from gcode import Coord
+from motionlimits import MIN_SPEED, too_slow
 
 __all__ = ["Coord", "LookAheadQueue", "Move", "done_in_c", "is_done_in_c"]
 
@@ -106,6 +107,8 @@ class Move:
     def __init__(
         self, toolhead: Limits, start_pos: Sequence[float], end_pos: Sequence[float], speed: float
     ) -> None:
+        if not speed >= MIN_SPEED:
+            raise too_slow(speed)
         self.toolhead = toolhead
         self.start_pos = (start_pos[0], start_pos[1], start_pos[2], start_pos[3])
         self.timing_callbacks: list[Callable[[float], None]] | None = None

@@ -54,6 +54,7 @@ class Printer:
 
     config_error = configfile.ConfigError
     command_error = gcode.CommandError
+    CONFIG = configfile.PrinterConfig
     # Modules that make objects of their own, before and after the sections of the config are loaded
     CORE_FIRST: tuple[str, ...] = ("pins", "mcu")
     CORE_LAST: tuple[str, ...] = ("toolhead",)
@@ -177,7 +178,7 @@ class Printer:
 
     # --- start-up ---
     def _load_config(self) -> None:
-        loader = configfile.PrinterConfig(self)
+        loader = self.CONFIG(self)
         self.add_object("configfile", loader)
         config = loader.read_main_config()
         if self.start_args.get("debuginput") is None or self.log_listener is not None:

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import chelper
+import motionlimits
 import stepstream
+from motionlimits import LENGTH, POSITION, SPEED
 
 QUEUE_STEP = "queue_step oid=%c interval=%u count=%hu add=%hi"
 SET_NEXT_STEP_DIR = "set_next_step_dir oid=%c dir=%c"
@@ -316,14 +318,18 @@ def parse_step_distance(
         config.get("gear_ratio", note_valid=note_valid)
     else:
         rotation_dist = config.getfloat("rotation_distance", above=0.0, note_valid=note_valid)
-    microsteps = config.getint("microsteps", minval=1, note_valid=note_valid)
-    full_steps = config.getint("full_steps_per_rotation", 200, minval=1, note_valid=note_valid)
+    microsteps = config.getint("microsteps", minval=1, maxval=motionlimits.STEPS_MAX, note_valid=note_valid)
+    full_steps = config.getint(
+        "full_steps_per_rotation", 200, minval=1, maxval=motionlimits.STEPS_MAX, note_valid=note_valid
+    )
     if full_steps % 4:
         raise config.error(
             f"Option 'full_steps_per_rotation' in section '{config.get_name()}' is {full_steps}; it must be a multiple "
             "of 4 (200 for a motor of 1.8 degrees a step, 400 for 0.9 degrees)."
         )
-    return rotation_dist, full_steps * microsteps * parse_gear_ratio(config, note_valid)
+    steps_per_rotation = full_steps * microsteps * parse_gear_ratio(config, note_valid)
+    motionlimits.check_step(config, rotation_dist, steps_per_rotation, units_in_radians)
+    return rotation_dist, steps_per_rotation
 
 
 def PrinterStepper(config: Any, units_in_radians: bool = False) -> MCU_stepper:
@@ -408,8 +414,8 @@ class GenericPrinterRail:
         mcu_endstop = self._main_endstop(config)
         self.position_endstop = self._find_position_endstop(config, mcu_endstop, default_position_endstop)
         if need_position_minmax:
-            self.position_min = config.getfloat("position_min", 0.0)
-            self.position_max = config.getfloat("position_max", above=self.position_min)
+            self.position_min = config.getfloat("position_min", 0.0, **POSITION)
+            self.position_max = config.getfloat("position_max", above=self.position_min, **POSITION)
         else:
             self.position_min, self.position_max = 0.0, self.position_endstop
         if not self.position_min <= self.position_endstop <= self.position_max:
@@ -431,14 +437,14 @@ class GenericPrinterRail:
         if virtual is not None:
             return virtual()
         if default is None:
-            return config.getfloat("position_endstop")
-        return config.getfloat("position_endstop", default)
+            return config.getfloat("position_endstop", **POSITION)
+        return config.getfloat("position_endstop", default, **POSITION)
 
     def _read_homing(self, config: Any) -> None:
-        self.homing_speed = config.getfloat("homing_speed", 5.0, above=0.0)
-        self.second_homing_speed = config.getfloat("second_homing_speed", self.homing_speed / 2.0, above=0.0)
-        self.homing_retract_speed = config.getfloat("homing_retract_speed", self.homing_speed, above=0.0)
-        self.homing_retract_dist = config.getfloat("homing_retract_dist", 5.0, minval=0.0)
+        self.homing_speed = config.getfloat("homing_speed", 5.0, **SPEED)
+        self.second_homing_speed = config.getfloat("second_homing_speed", self.homing_speed / 2.0, **SPEED)
+        self.homing_retract_speed = config.getfloat("homing_retract_speed", self.homing_speed, **SPEED)
+        self.homing_retract_dist = config.getfloat("homing_retract_dist", 5.0, **LENGTH)
         self.homing_positive_dir = _homing_direction(
             config, self.position_min, self.position_max, self.position_endstop
         )

@@ -19,11 +19,14 @@ import importlib
 import logging
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import chelper
+import motionlimits
 import stepstream
 from lookahead import Coord, LookAheadQueue, Move, done_in_c, is_done_in_c
+from motionlimits import VelocityLimits
 
 __all__ = ["Coord", "LookAheadQueue", "Move", "ToolHead", "add_printer_objects"]
 
@@ -47,8 +50,6 @@ WAIT_POLL_S = 0.100
 # Motion beside the head's while it rests: worked out this far ahead, this often.
 OTHERS_AHEAD_S = 0.200
 OTHERS_PERIOD_S = 0.050
-# (sqrt(2) - 1) relates the corner deviation to the speed of a right angle: sin(45)/(1 - sin(45)) = 1/(sqrt(2) - 1)
-RIGHT_ANGLE_FACTOR = math.sqrt(2.0) - 1.0
 
 
 class DripModeEndSignal(Exception):
@@ -77,7 +78,7 @@ class ToolHead:
         self.trapq = self._streams.new_trapq()
         self._listeners: list[Callable[[Sequence[Move]], None]] = []
         self._record_listeners: list[Callable[[Any, int, float], None]] = []
-        self._read_limits(config)
+        self._set_limits(motionlimits.read_velocity_limits(config))
 
         self.print_time = 0.0
         self._at_rest = True  # nothing planned runs on: print_time may have passed
@@ -97,21 +98,10 @@ class ToolHead:
 
     # -- set-up --
 
-    def _read_limits(self, config: Any) -> None:
-        self.max_velocity = config.getfloat("max_velocity", above=0.0)
-        self.max_accel = config.getfloat("max_accel", above=0.0)
-        default_ratio = 0.5
-        to_decel = config.getfloat("max_accel_to_decel", None, above=0.0)  # before it was a ratio
-        if to_decel is not None:
-            config.deprecate("max_accel_to_decel")
-            default_ratio = 1.0 - min(1.0, to_decel / self.max_accel)
-        self.min_cruise_ratio = config.getfloat("minimum_cruise_ratio", default_ratio, minval=0.0, below=1.0)
-        self.square_corner_velocity = config.getfloat("square_corner_velocity", 5.0, minval=0.0)
-        self._derive_limits()
-
-    def _derive_limits(self) -> None:
-        self.junction_deviation = self.square_corner_velocity**2 * RIGHT_ANGLE_FACTOR / self.max_accel
-        self.max_accel_to_decel = self.max_accel * (1.0 - self.min_cruise_ratio)
+    def _set_limits(self, limits: VelocityLimits) -> None:
+        self.max_velocity, self.max_accel = limits.velocity, limits.accel
+        self.min_cruise_ratio, self.square_corner_velocity = limits.cruise_ratio, limits.corner_velocity
+        self.junction_deviation, self.max_accel_to_decel = limits.junction_deviation, limits.accel_to_decel
 
     def _load_kinematics(self, config: Any) -> Any:
         name = config.get("kinematics")
@@ -547,48 +537,31 @@ class ToolHead:
 
     def cmd_G4(self, gcmd: Any) -> None:
         """G4 P<milliseconds>."""
-        self.dwell(gcmd.get_float("P", 0.0, minval=0.0) / 1000.0)
+        self.dwell(gcmd.get_float("P", 0.0, **motionlimits.DWELL_MS) / 1000.0)
 
     def cmd_M400(self, gcmd: Any) -> None:
         """Wait for the moves to end."""
         self.wait_moves()
 
     def cmd_M204(self, gcmd: Any) -> None:
-        """M204 S<accel>, or P<print> T<travel>: the lower of both. Slicers send P or T alone, too, for a kind of
-        move that is not told apart here: that changes nothing."""
-        accel = gcmd.get_float("S", None, above=0.0)
-        if accel is None:
-            printing = gcmd.get_float("P", None, above=0.0)
-            travel = gcmd.get_float("T", None, above=0.0)
-            if printing is None or travel is None:
-                return
-            accel = min(printing, travel)
-        self.max_accel = accel
-        self._derive_limits()
+        """M204 S<accel>, or P<print> T<travel>."""
+        self._change_limits(motionlimits.parse_m204(gcmd))
 
     def cmd_SET_VELOCITY_LIMIT(self, gcmd: Any) -> None:
         """SET_VELOCITY_LIMIT VELOCITY= ACCEL= MINIMUM_CRUISE_RATIO= SQUARE_CORNER_VELOCITY=; without any: report."""
-        velocity = gcmd.get_float("VELOCITY", None, above=0.0)
-        accel = gcmd.get_float("ACCEL", None, above=0.0)
-        corner = gcmd.get_float("SQUARE_CORNER_VELOCITY", None, minval=0.0)
-        ratio = gcmd.get_float("MINIMUM_CRUISE_RATIO", None, minval=0.0, below=1.0)
-        to_decel = gcmd.get_float("ACCEL_TO_DECEL", None, above=0.0)
-        if ratio is None and to_decel is not None:
-            ratio = 1.0 - min(1.0, to_decel / (accel or self.max_accel))
-        if velocity is not None:
-            self.max_velocity = velocity
-        self.max_accel = self.max_accel if accel is None else accel
-        self.square_corner_velocity = self.square_corner_velocity if corner is None else corner
-        self.min_cruise_ratio = self.min_cruise_ratio if ratio is None else ratio
-        self._derive_limits()
-        text = (
-            f"max_velocity: {self.max_velocity:.6f}\nmax_accel: {self.max_accel:.6f}\n"
-            f"minimum_cruise_ratio: {self.min_cruise_ratio:.6f}\n"
-            f"square_corner_velocity: {self.square_corner_velocity:.6f}"
-        )
+        changes = motionlimits.parse_set_velocity_limit(gcmd, self.max_accel)
+        text = self._change_limits(changes).describe()
         self.printer.set_rollover_info("toolhead", f"toolhead: {text}")
-        if velocity is None and accel is None and corner is None and ratio is None:
+        if not changes:
             gcmd.respond_info(text, log=False)
+
+    def _change_limits(self, changes: dict[str, float]) -> VelocityLimits:
+        before = VelocityLimits(
+            self.max_velocity, self.max_accel, self.min_cruise_ratio, self.square_corner_velocity
+        )
+        limits = replace(before, **changes)
+        self._set_limits(limits)
+        return limits
 
 
 def add_printer_objects(config: Any) -> None:

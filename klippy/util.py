@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import fcntl
 import logging
 import os
 import pty
+import stat
 import subprocess
 import termios
 
@@ -26,6 +28,54 @@ def create_pty(link_path: str) -> int:
     attributes[3] &= ~termios.ECHO
     termios.tcsetattr(our_end, termios.TCSANOW, attributes)
     return our_end
+
+
+def replace_file(path: str, text: str, backup: str | None = None) -> None:
+    """Write a file in one step: at every moment, whatever is killed, `path` holds all of the old text or of the new.
+
+    The old file's permissions stay, its owner where we may, and a symbolic link stays a link. `backup` becomes a copy
+    of the old file first. Raises OSError; then the old file is untouched.
+    """
+    target = os.path.realpath(path)
+    try:
+        with open(target, "rb") as file:
+            before, old = os.fstat(file.fileno()), file.read()
+    except FileNotFoundError:
+        before = None
+    else:
+        if backup is not None:
+            _install(backup, old, before)
+    _install(target, text.encode("utf-8"), before)
+
+
+def _install(path: str, content: bytes, like: os.stat_result | None) -> None:
+    """Put a file into place, on disk when this returns, with the permissions of `like` (None: the usual ones)."""
+    folder, name = os.path.split(os.path.abspath(path))
+    # in the same folder: only a rename within one file system is atomic; hidden from `[include *.cfg]`
+    temporary = os.path.join(folder, f".{name}.new")
+    with contextlib.suppress(FileNotFoundError):
+        os.unlink(temporary)  # of a write that was killed
+    try:
+        mode = 0o666 if like is None else stat.S_IRUSR | stat.S_IWUSR
+        with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+            if like is not None:
+                with contextlib.suppress(OSError):  # only root may give files away
+                    os.fchown(file.fileno(), like.st_uid, like.st_gid)
+                os.fchmod(file.fileno(), stat.S_IMODE(like.st_mode))
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except OSError:
+        with contextlib.suppress(OSError):
+            os.unlink(temporary)
+        raise
+    with contextlib.suppress(OSError):  # some network file systems cannot; the file is in place already
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
 
 
 def get_cpu_info() -> str:

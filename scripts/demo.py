@@ -6,6 +6,8 @@ Runs scripts/simulate.py, then writes the page and the picture from its trace an
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
 import argparse
 import subprocess
 import sys
@@ -23,6 +25,8 @@ sys.path.insert(0, str(ROOT / "klippy"))
 from simulation.report import ReportError, write_report  # noqa: E402  (the path above comes first)
 from simulation.report.figures import Figure  # noqa: E402
 
+INTERRUPT_WAIT_S = 5.0
+
 
 def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(description="Print a part on the simulated induction printer.")
@@ -38,7 +42,15 @@ def simulate(config: Path, gcode: Path, out: Path) -> int:
     """Prints the file; leaves trace.csv and summary.json in `out`. Returns simulate.py's exit status."""
     command = [sys.executable, str(ROOT / "scripts" / "simulate.py"), str(config), str(gcode)]
     command += ["--trace", str(out / "trace.csv"), "--summary", str(out / "summary.json")]
-    return subprocess.run(command, check=False).returncode
+    with subprocess.Popen(command) as program:
+        try:
+            return program.wait()
+        except KeyboardInterrupt:  # the terminal has told both of us, and the program says so
+            try:
+                return program.wait(INTERRUPT_WAIT_S)
+            except subprocess.TimeoutExpired:
+                program.terminate()
+                raise
 
 
 def show(figures: Sequence[Figure]) -> None:

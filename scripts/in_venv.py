@@ -12,15 +12,20 @@ from pathlib import Path
 from types import TracebackType
 
 PYTHON = Path(__file__).resolve().parent.parent / ".venv" / "bin" / "python"
+INTERRUPTED = 130  # exit status, as shells have it
 
 
 def _explain(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-    """A printer's own environment has less than these programs need, and an old one less than a new version."""
+    """A printer's own environment has less than these programs need, and an old one less than a new version. Whoever
+    presses Ctrl-C knows why the program ends."""
     if isinstance(error, ModuleNotFoundError):
         text = f"{sys.argv[0]}: Python package '{error.name}' is missing; `make setup` installs it into .venv"
         print(text, file=sys.stderr)
-    else:
-        sys.__excepthook__(kind, error, trace)
+        sys.exit(2)
+    if isinstance(error, KeyboardInterrupt):
+        print(f"{Path(sys.argv[0]).stem}: interrupted", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+    sys.__excepthook__(kind, error, trace)
 
 
 def _enter() -> None:

@@ -19,7 +19,11 @@ def _start(module: str) -> int:
         os.environ.setdefault("MAKEFLAGS", f"PYTHON={sys.executable}")
     for folder in ("scripts", "klippy"):
         sys.path.insert(0, str(ROOT / folder))
-    return int(importlib.import_module(module).main(sys.argv[1:]) or 0)
+    try:
+        return int(importlib.import_module(module).main(sys.argv[1:]) or 0)
+    except KeyboardInterrupt:
+        print(f"{Path(sys.argv[0]).stem}: interrupted", file=sys.stderr)
+        return 130  # as shells have it
 
 
 def klippy() -> int:

@@ -16,6 +16,7 @@ import in_venv  # noqa: F401  # isort: skip
 import argparse
 import difflib
 import json
+import logging
 import math
 import sys
 from collections.abc import Sequence
@@ -32,7 +33,7 @@ import configtext
 from configfile import ConfigWrapper
 from extras import temperature_plan
 from extras.induction import settings as induction_settings
-from simulation import gcode_path, plan_emit, plan_offline
+from simulation import plan_emit, plan_offline
 from simulation.report import plan as plan_report
 from thermal.models.heat_loss import HeatCapacity, LossLaw
 from thermal.models.melt_exchange import NozzleLimits
@@ -127,12 +128,6 @@ def limits_of(heater: str, config: ConfigWrapper, settings: temperature_plan.Set
     return replace(HEATERS[heater], min_c=0.0, max_c=high_c, min_extrude_c=low_c)
 
 
-def other_nozzles(config: ConfigWrapper) -> frozenset[int]:
-    """Numbers of the tools with a nozzle of their own: [extruder1] and so on."""
-    names = (section.get_name() for section in config.get_prefix_sections("extruder"))
-    return frozenset(int(name[8:]) for name in names if name[8:].isdigit())
-
-
 def leave_out_tools(options: argparse.Namespace, line: int) -> None:
     """Say so; G-code with their lines in it cannot be written."""
     if options.emit:
@@ -167,8 +162,6 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
     """Everything asked for; the figures."""
     config, settings, induction = read_config(options)
     heater = options.heater or ("induction" if induction else "slow")
-    limits = gcode_path.read_limits(config.getsection("printer"), config.getsection("extruder"))
-    arc_mm = config.getsection("gcode_arcs").getfloat("resolution", 1.0, above=0.0)
     base_c = 0.5 * (settings.material.low_c + settings.material.high_c)
     with Progress(console=Console(stderr=True), transient=True) as progress:
         total = sum(1 for _ in options.gcode.open("rb"))
@@ -176,17 +169,19 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
 
         def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
             nozzle = limits_of(heater, config, settings)
-            planning = plan_offline.Planning(settings, nozzle, replace(limits), arc_mm, other_nozzles(config))
-            return planning.run(options.gcode, base_c, lambda lines: progress.update(task, completed=lines))
+            planning = plan_offline.OfflineRun(
+                settings, nozzle, base_c, lambda lines: progress.update(task, completed=lines)
+            )
+            return planning.run(options.config, options.gcode)
 
         found, plain, known = plan_offline.plan_whole(settings, run)
     if not found.moves:
         raise BadInput(f"{options.gcode}: no line of it extrudes while it moves")
     if found.other_tool_line >= 0:
         leave_out_tools(options, found.other_tool_line + 1)
-    if settings.craft.follow_mm > 0.0:
+    if settings.options.follow_mm > 0.0:
         print(
-            f"interface_temp: {known.craft.interface_c} is what the material's window lets the whole path come"
+            f"interface_temp: {known.options.interface_c} is what the material's window lets the whole path come"
             " nearest to; planned with it"
         )
     tell(found, plain, settings.material)
@@ -200,6 +195,7 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     options = parse(argv)
+    logging.getLogger().addHandler(logging.NullHandler())  # what the host has to say is in its error
     try:
         figures = plan(options)
         if options.json:

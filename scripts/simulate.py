@@ -4,7 +4,7 @@
     scripts/simulate.py config/sim-induction.cfg part.gcode --trace trace.csv --summary summary.json
 
 Exit status: 0 printed (or stopped by --until), 2 bad input, 3 the printer shut down (the reason is on stderr
-and in the summary).
+and in the summary), 130 interrupted.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class BadInput(Exception):
 def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description="Print a G-code file on the simulated printer.",
-        epilog="Exit status: 0 printed, 2 bad input, 3 the printer shut down.",
+        epilog="Exit status: 0 printed, 2 bad input, 3 the printer shut down, 130 interrupted.",
     )
     parser.add_argument("config", type=Path, help="printer.cfg with simulator sections")
     parser.add_argument("gcode", type=Path, help="file to print")

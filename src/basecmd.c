@@ -111,12 +111,13 @@ oid_next(uint8_t *cursor, void *type)
     if (!pool.oid_count)
         return NULL;
     const struct oid_slot *slot = pool.oids + *cursor, *const end = pool.oids + pool.oid_count;
-    while (slot < end && slot->type != type)
-        slot++;
-    if (slot >= end)
-        return NULL;
-    *cursor = (uint8_t)(slot - pool.oids + 1);
-    return slot->object;
+    while (slot != end) {
+        if (slot++->type == type) {
+            *cursor = (uint8_t)(slot - pool.oids);
+            return slot[-1].object;
+        }
+    }
+    return NULL;
 }
 
 /****************************************************************

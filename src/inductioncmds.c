@@ -126,13 +126,13 @@ switch_off(struct induction *u)
 static _Noreturn void
 trip(struct induction *u, enum guard_trip reason)
 {
+    static const enum shutdown_reason reasons[] = {
+        [GUARD_TRIP_LOW] = SHUTDOWN_INDUCTION_LOW,         [GUARD_TRIP_HIGH] = SHUTDOWN_INDUCTION_HIGH,
+        [GUARD_TRIP_CLIPPED] = SHUTDOWN_INDUCTION_CLIPPED, [GUARD_TRIP_STUCK] = SHUTDOWN_INDUCTION_STUCK,
+        [GUARD_TRIP_TIMEOUT] = SHUTDOWN_INDUCTION_TIMEOUT,
+    };
     switch_off(u);
-    switch (reason) {
-    case GUARD_TRIP_LOW: shutdown(SHUTDOWN_INDUCTION_LOW);
-    case GUARD_TRIP_HIGH: shutdown(SHUTDOWN_INDUCTION_HIGH);
-    case GUARD_TRIP_TIMEOUT: shutdown(SHUTDOWN_INDUCTION_TIMEOUT);
-    default: shutdown(SHUTDOWN_ADC_RANGE);  /* clipped or stuck; induction_query says which */
-    }
+    shutdown(reasons[reason]);
 }
 
 /* When phase_timer must run next; 0 if it need not. */
@@ -583,7 +583,7 @@ command_induction_query(const struct command_args *args)
 }
 DECL_COMMAND_FLAGS(command_induction_query, HF_IN_SHUTDOWN, "induction_query oid=%c");
 
-/* With interrupts disabled; may run twice. */
+/* With interrupts disabled; may run twice.  The pending entries go back to the pool with everybody else's. */
 void
 induction_shutdown(void)
 {
@@ -591,8 +591,7 @@ induction_shutdown(void)
     if (!u)
         return;
     switch_off(u);
-    for (struct phase_node *node; (node = phase_pop(&u->track));)
-        move_free(node);
+    u->track.first = u->track.last = NULL;
     u->reporting = u->strayed = 0;
     u->block_tail = u->block_head;
     u->resync = 1;

@@ -111,4 +111,4 @@ endif
 menuconfig: setup
 	@$(PYTHON) -c 'import menuconfig' 2>/dev/null || $(PYTHON) -m pip install --quiet --disable-pip-version-check \
 		$$(grep '^kconfiglib==' requirements-dev.txt)
-	@srctree=src KCONFIG_CONFIG=$(KCONFIG_CONFIG) $(PYTHON) -m menuconfig Kconfig
+	@srctree=src KCONFIG_CONFIG=$(KCONFIG_CONFIG) $(PYTHON) scripts/run_menuconfig.py Kconfig

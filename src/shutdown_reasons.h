@@ -54,10 +54,12 @@
     /* induction heater */ \
     X(SHUTDOWN_INDUCTION_CONFIG, "Invalid induction configuration") \
     X(SHUTDOWN_INDUCTION_PHASE, "Induction phase out of range") \
-    X(SHUTDOWN_INDUCTION_TIMEOUT, "Missed scheduling of next induction phase") \
+    X(SHUTDOWN_INDUCTION_TIMEOUT, "Induction bridge off: no phase command from the host in time") \
     X(SHUTDOWN_INDUCTION_ORDER, "Induction phase commands out of order") \
-    X(SHUTDOWN_INDUCTION_LOW, "Induction signal below limit") \
-    X(SHUTDOWN_INDUCTION_HIGH, "Induction signal above limit") \
+    X(SHUTDOWN_INDUCTION_LOW, "Induction coil signal below its limit") \
+    X(SHUTDOWN_INDUCTION_HIGH, "Induction coil signal above its limit") \
+    X(SHUTDOWN_INDUCTION_CLIPPED, "Induction coil signal at the end of the ADC's range") \
+    X(SHUTDOWN_INDUCTION_STUCK, "Induction coil signal stands still") \
     X(SHUTDOWN_BRIDGE_ID, "Not a valid bridge") \
     X(SHUTDOWN_BRIDGE_PERIOD, "Bridge period out of range") \
     X(SHUTDOWN_SYNC_ADC, "Synchronous ADC cannot be set up so") \

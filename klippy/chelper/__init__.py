@@ -1,16 +1,15 @@
 """The C helper: compiles the host's C files into one shared library when stale and loads it through cffi.
 
 The C files of motion and link are below this folder, those of the thermal chain beside their Python in klippy/thermal/.
-Every C file NAME.c may come with NAME.cdef, the declarations Python may use; all of them are concatenated, so rooms
-can add files without touching each other's. The library is named after a hash of everything that goes into it, so an
-unchanged tree never compiles and two trees never mix.
+helper_api.h includes the headers that Python sees. cffi's form of them is made with the library and lies beside it.
+Both are named after a hash of all that goes into them: an unchanged tree never compiles, and two trees never mix.
 """
 
 from __future__ import annotations
 
 import hashlib
 import os
-import subprocess
+import runpy
 import tempfile
 import threading
 import time
@@ -19,8 +18,13 @@ from typing import Any
 
 import cffi
 
+from .compiler import HelperError, read_headers, run_compiler
+
+__all__ = ["HelperError", "build", "get_ffi"]
+
 HOST_DIR = Path(__file__).resolve().parents[1]
 SOURCE_DIRS = (HOST_DIR / "chelper", HOST_DIR / "thermal")
+API_HEADER = "chelper/helper_api.h"
 BUILD_DIR = HOST_DIR.parent / "out" / "chelper"
 # -fno-math-errno: sqrt() inline in the step solver. Kept strict otherwise: results must not depend on the machine.
 COMPILE_FLAGS = (
@@ -37,18 +41,16 @@ COMPILE_FLAGS = (
 LINK_FLAGS = ("-lm", "-lpthread")
 
 
-class HelperError(Exception):
-    """The helper library could not be built or loaded; the text is for people."""
-
-
 def _files(*suffixes: str) -> list[Path]:
     return sorted(p for folder in SOURCE_DIRS for p in folder.rglob("*") if p.suffix in suffixes)
 
 
 def _content_hash() -> str:
-    digest = hashlib.sha256(" ".join(COMPILE_FLAGS + LINK_FLAGS).encode())
-    for path in _files(".c", ".h", ".cdef"):
+    digest = hashlib.sha256(" ".join((*COMPILE_FLAGS, *LINK_FLAGS, cffi.__version__)).encode())
+    for path in _files(".c", ".h"):
         digest.update(str(path.relative_to(HOST_DIR)).encode() + b"\0" + path.read_bytes() + b"\0")
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 
@@ -65,40 +67,48 @@ def _writable_build_dir() -> Path:
     return cache
 
 
+def _structures(ffi: Any) -> dict[str, list[str]]:
+    """Fields of every structure of which more than the name is declared."""
+    fields = {name: ffi.typeof(f"struct {name}").fields for name in ffi.list_types()[1]}
+    return {f"struct {name}": [field for field, _ in rows] for name, rows in fields.items() if rows}
+
+
 def _compile(target: Path) -> None:
-    """Compile beside the target and rename, so that two processes starting at once do no harm."""
-    compiler = os.environ.get("CC", "gcc")
-    handle, scratch_name = tempfile.mkstemp(suffix=".so", dir=target.parent)
-    os.close(handle)
-    scratch = Path(scratch_name)
-    command = [
-        compiler,
-        *COMPILE_FLAGS,
-        f"-I{HOST_DIR}",
-        "-o",
-        str(scratch),
-        *map(str, _files(".c")),
-        *LINK_FLAGS,
+    """Library and declarations, made elsewhere and moved, so that two processes starting at once do no harm.
+
+    The library holds the layout that the C compiler gave every structure: sizes and places of fields, for _load.
+    """
+    ffi = cffi.FFI()
+    ffi.cdef(read_headers([Path(API_HEADER)], f"-I{HOST_DIR}") + "extern const uint32_t chelper_layout[];")
+    ffi.set_source(target.stem, None, compiler_verbose=0)
+    structures = _structures(ffi)
+    layout = [
+        expression
+        for name, fields in structures.items()
+        for expression in (f"sizeof({name})", *(f"offsetof({name}, {field})" for field in fields))
     ]
-    try:
-        result = subprocess.run(command, capture_output=True, text=True, check=False)
-        if result.returncode:
-            raise HelperError(f"The C helper in {HOST_DIR} does not compile:\n{result.stderr.strip()}")
-        scratch.chmod(0o755)
-        scratch.replace(target)
-    except FileNotFoundError:
-        raise HelperError(
-            f"The host needs the C compiler '{compiler}' once, to build its helper library, and it is not installed. "
-            "On Debian: sudo apt-get install gcc libc6-dev. Another compiler can be named in the variable CC."
-        ) from None
-    finally:
-        scratch.unlink(missing_ok=True)
+    with tempfile.TemporaryDirectory(dir=target.parent) as scratch:
+        library, declarations, table = (Path(scratch, f"helper.{suffix}") for suffix in ("so", "py", "c"))
+        ffi.emit_python_code(str(declarations))
+        with declarations.open("a") as text:
+            print(f"structures = {structures}", file=text)
+        table.write_text(
+            f'#include <stddef.h>\n#include <stdint.h>\n#include "{API_HEADER}"\n'
+            f"const uint32_t chelper_layout[] = {{{', '.join(layout)}}};\n"
+        )
+        files = map(str, (table, *_files(".c")))
+        run_compiler(
+            [*COMPILE_FLAGS, f"-I{HOST_DIR}", "-o", str(library), *files, *LINK_FLAGS],
+            f"The C helper in {HOST_DIR}",
+        )
+        declarations.replace(target.with_suffix(".py"))
+        library.replace(target)
 
 
 def _remove_outdated(directory: Path) -> None:
     """Drop libraries older than an hour (another host may be about to load a younger one)."""
     limit = time.time() - 3600.0
-    for old in directory.glob("c_helper-*.so"):
+    for old in directory.glob("c_helper-*"):
         try:
             if old.stat().st_mtime < limit:
                 old.unlink()  # a process that still uses it keeps its mapping
@@ -120,6 +130,22 @@ def build() -> Path:
     return target
 
 
+def _load(path: Path) -> tuple[Any, Any]:
+    made = runpy.run_path(str(path.with_suffix(".py")))
+    ffi, structures = made["ffi"], made["structures"]
+    lib = ffi.dlopen(str(path))
+    layout = iter(lib.chelper_layout[0 : sum(1 + len(fields) for fields in structures.values())])
+    for name, fields in structures.items():
+        here = [ffi.sizeof(name), *(ffi.offsetof(name, field) for field in fields)]
+        there = [next(layout) for _ in here]
+        if here != there:
+            raise HelperError(
+                f"{path.name} does not fit its declarations: the size of {name} and the places of "
+                f"{', '.join(fields)} are {there} in C and {here} in Python."
+            )
+    return ffi, lib
+
+
 _lock = threading.Lock()
 _loaded: tuple[Any, Any] | None = None
 
@@ -131,8 +157,5 @@ def get_ffi() -> tuple[Any, Any]:
         return _loaded
     with _lock:
         if _loaded is None:
-            path = build()
-            ffi = cffi.FFI()
-            ffi.cdef("\n".join(p.read_text() for p in _files(".cdef")))
-            _loaded = (ffi, ffi.dlopen(str(path)))
+            _loaded = _load(build())
         return _loaded

@@ -15,6 +15,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeVar
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 from . import query_adc
 
 SAMPLE_TIME_S = 0.001
@@ -59,7 +62,7 @@ class ReadingRange:
 class PrinterADCtoTemperature:
     """One ADC pin with its curve."""
 
-    def __init__(self, printer: Any, name: str, pin: str, curve: Curve) -> None:
+    def __init__(self, printer: Printer, name: str, pin: str, curve: Curve) -> None:
         self.printer = printer
         self.name = name
         self.curve = curve
@@ -99,7 +102,7 @@ class PrinterADCtoTemperature:
 Sensor = TypeVar("Sensor", bound=PrinterADCtoTemperature)
 
 
-def build_sensor(config: Any, kind: Callable[[Any, str, str, Any], Sensor], curve: Any) -> Sensor:
+def build_sensor(config: ConfigWrapper, kind: Callable[[Any, str, str, Any], Sensor], curve: Any) -> Sensor:
     """Sensor on the section's sensor_pin; QUERY_ADC knows it by its section."""
     sensor = kind(config.get_printer(), config.get_name(), config.get("sensor_pin"), curve)
     query_adc.register_adc(config, config.get_name(), sensor.mcu_adc)
@@ -218,7 +221,7 @@ def _pt1000_points() -> list[tuple[float, float]]:
 
 
 def read_voltage_sensor(
-    config: Any, points: Sequence[tuple[float, float]], table_section: Any
+    config: ConfigWrapper, points: Sequence[tuple[float, float]], table_section: Any
 ) -> PrinterADCtoTemperature:
     """Sensor of an amplifier.
 
@@ -236,7 +239,7 @@ def read_voltage_sensor(
 
 
 def read_resistance_sensor(
-    config: Any, points: Sequence[tuple[float, float]], table_section: Any
+    config: ConfigWrapper, points: Sequence[tuple[float, float]], table_section: Any
 ) -> PrinterADCtoTemperature:
     """Sensor of a resistor with pull-up."""
     pullup_ohm = config.getfloat("pullup_resistor", 4700.0, above=0.0)
@@ -249,7 +252,7 @@ def read_resistance_sensor(
     return _sensor(config, curve)
 
 
-def _sensor(config: Any, curve: Curve) -> PrinterADCtoTemperature:
+def _sensor(config: ConfigWrapper, curve: Curve) -> PrinterADCtoTemperature:
     return build_sensor(config, PrinterADCtoTemperature, curve)
 
 
@@ -262,7 +265,7 @@ def register_builtin(heaters: Any) -> None:
     heaters.add_sensor_factory("PT1000", lambda c: read_resistance_sensor(c, _pt1000_points(), c))
 
 
-def _read_table(config: Any, value_option: str) -> list[tuple[float, float]]:
+def _read_table(config: ConfigWrapper, value_option: str) -> list[tuple[float, float]]:
     """temperature1/VALUE1, temperature2/VALUE2 ... as far as they go; at least two."""
     points = []
     index = 1
@@ -273,7 +276,7 @@ def _read_table(config: Any, value_option: str) -> list[tuple[float, float]]:
     return points
 
 
-def load_config_prefix(config: Any) -> None:
+def load_config_prefix(config: ConfigWrapper) -> None:
     """A custom table: its name becomes a sensor_type."""
     heaters = config.get_printer().load_object(config, "heaters")
     name = " ".join(config.get_name().split()[1:])

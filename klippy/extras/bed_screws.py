@@ -9,6 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 from .manual_probe import verify_no_manual_probe
 from .screws_tilt_adjust import Screw, read_screws
 
@@ -32,7 +36,7 @@ class Travel:
 class BedScrews:
     """Printer object 'bed_screws'."""
 
-    def __init__(self, printer: Any, rounds: dict[str, list[Screw]], travel: Travel) -> None:
+    def __init__(self, printer: Printer, rounds: dict[str, list[Screw]], travel: Travel) -> None:
         self.printer = printer
         self.rounds = rounds  # state -> places; the first round comes first
         self.travel = travel
@@ -74,7 +78,7 @@ class BedScrews:
             "than about 1/8 turn; ABORT"
         )
 
-    def cmd_BED_SCREWS_ADJUST(self, gcmd: Any) -> None:
+    def cmd_BED_SCREWS_ADJUST(self, gcmd: GCodeCommand) -> None:
         """Begin at the first screw."""
         verify_no_manual_probe(self.printer)
         toolhead = self.printer.lookup_object("toolhead")
@@ -86,17 +90,17 @@ class BedScrews:
         for name, text in COMMANDS.items():
             self._gcode.register_command(name, getattr(self, f"cmd_{name}"), desc=text)
 
-    def cmd_ACCEPT(self, gcmd: Any) -> None:
+    def cmd_ACCEPT(self, gcmd: GCodeCommand) -> None:
         """No turn was needed."""
         self._accepted += 1
         self._next()
 
-    def cmd_ADJUSTED(self, gcmd: Any) -> None:
+    def cmd_ADJUSTED(self, gcmd: GCodeCommand) -> None:
         """It was turned: all have to be looked at again."""
         self._accepted = 0
         self._next()
 
-    def cmd_ABORT(self, gcmd: Any) -> None:
+    def cmd_ABORT(self, gcmd: GCodeCommand) -> None:
         """Give up."""
         self._end("Bed screws tool aborted")
 
@@ -120,7 +124,7 @@ class BedScrews:
         self._gcode.respond_info(text)
 
 
-def load_config(config: Any) -> BedScrews:
+def load_config(config: ConfigWrapper) -> BedScrews:
     screws = read_screws(config, 3)
     fine = []
     for number, screw in enumerate(screws, 1):

@@ -13,6 +13,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 from .probe import PrinterProbe
 from .probing.switch import ProbeSwitch
 
@@ -41,7 +44,7 @@ def pulse_width_s(angle: float) -> float:
 class BLTouch(ProbeSwitch):
     """The probe's switch, brought out and back by its own commands."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self._z_offset = config.getfloat("z_offset")
         self._each_sample = config.getboolean("stow_on_each_sample", True)
@@ -126,7 +129,7 @@ class BLTouch(ProbeSwitch):
 
     # -- commands --
 
-    def cmd_BLTOUCH_DEBUG(self, gcmd: Any) -> None:
+    def cmd_BLTOUCH_DEBUG(self, gcmd: GCodeCommand) -> None:
         """BLTOUCH_DEBUG COMMAND=<name>."""
         command = gcmd.get("COMMAND", None)
         if command not in ANGLES:
@@ -135,7 +138,7 @@ class BLTouch(ProbeSwitch):
         gcmd.respond_info(f"Sending BLTOUCH_DEBUG COMMAND={command}")
         self._signal(command, self._move_time_s)
 
-    def cmd_BLTOUCH_STORE(self, gcmd: Any) -> None:
+    def cmd_BLTOUCH_STORE(self, gcmd: GCodeCommand) -> None:
         """BLTOUCH_STORE MODE=5V|OD: V3.1 keeps the mode; it must be named before and after."""
         mode = gcmd.get("MODE", None)
         if mode not in OUTPUT_MODES:
@@ -146,7 +149,7 @@ class BLTouch(ProbeSwitch):
             self._signal(command, self._move_time_s)
 
 
-def load_config(config: Any) -> BLTouch:
+def load_config(config: ConfigWrapper) -> BLTouch:
     bltouch = BLTouch(config)
     bltouch.register()
     config.get_printer().add_object("probe", PrinterProbe(config, bltouch))

@@ -9,13 +9,13 @@ A value in <angle brackets> is not a pin: the alias is reserved, so that using i
 
 from __future__ import annotations
 
-from typing import Any
+from configfile import ConfigWrapper
 
 
 class PrinterBoardAliases:
     """The object `board_pins`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         pins = config.get_printer().lookup_object("pins")
         resolvers = [pins.get_pin_resolver(name) for name in config.getlist("mcu", ("mcu",))]
         options = ["aliases", *config.get_prefix_options("aliases_")]
@@ -29,11 +29,11 @@ class PrinterBoardAliases:
                         resolver.alias_pin(alias, value)
 
 
-def load_config(config: Any) -> PrinterBoardAliases:
+def load_config(config: ConfigWrapper) -> PrinterBoardAliases:
     """Section [board_pins]."""
     return PrinterBoardAliases(config)
 
 
-def load_config_prefix(config: Any) -> PrinterBoardAliases:
+def load_config_prefix(config: ConfigWrapper) -> PrinterBoardAliases:
     """Section [board_pins NAME]."""
     return PrinterBoardAliases(config)

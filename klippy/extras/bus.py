@@ -13,6 +13,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+
 
 def _hex(data: Sequence[int]) -> str:
     return bytes(data).hex()  # as configuration commands write bytes
@@ -154,7 +156,7 @@ class MCU_SPI:
         return params
 
 
-def _same_chip(config: Any, pins: Sequence[Mapping[str, Any]], mcu: Any) -> None:
+def _same_chip(config: ConfigWrapper, pins: Sequence[Mapping[str, Any]], mcu: Any) -> None:
     for params in pins:
         if params["chip"] is not mcu:
             raise config.error(
@@ -163,7 +165,7 @@ def _same_chip(config: Any, pins: Sequence[Mapping[str, Any]], mcu: Any) -> None
 
 
 def MCU_SPI_from_config(
-    config: Any,
+    config: ConfigWrapper,
     mode: int,
     pin_option: str = "cs_pin",
     default_speed: int = 100000,
@@ -289,7 +291,9 @@ class MCU_I2C:
         return self.i2c_transfer(write, read_len, retry=retry)
 
 
-def MCU_I2C_from_config(config: Any, default_addr: int | None = None, default_speed: int = 100000) -> MCU_I2C:
+def MCU_I2C_from_config(
+    config: ConfigWrapper, default_addr: int | None = None, default_speed: int = 100000
+) -> MCU_I2C:
     """The device of a section, by its I2C options."""
     printer = config.get_printer()
     name = config.get("i2c_mcu", "mcu")
@@ -297,7 +301,7 @@ def MCU_I2C_from_config(config: Any, default_addr: int | None = None, default_sp
     if mcu is None:
         raise config.error(f"Section '{config.get_name()}': there is no [mcu {name}] (option 'i2c_mcu').")
     speed = config.getint("i2c_speed", default_speed, minval=100000)
-    limits = {"minval": 0, "maxval": 127}
+    limits: dict[str, Any] = {"minval": 0, "maxval": 127}
     if default_addr is None:
         address = config.getint("i2c_address", **limits)
     else:

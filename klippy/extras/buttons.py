@@ -15,6 +15,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 QUERY_TIME_S = 0.002
 RETRANSMIT_COUNT = 50
 BUTTONS_PER_GROUP = 8  # of one MCU object
@@ -32,7 +35,7 @@ PushCallback = Callable[[float], None]
 class MCU_buttons:
     """Up to eight pins of one MCU."""
 
-    def __init__(self, printer: Any, mcu: Any) -> None:
+    def __init__(self, printer: Printer, mcu: Any) -> None:
         self.reactor = printer.get_reactor()
         self.mcu = mcu
         self._pins: list[tuple[str, int]] = []  # name, pull-up
@@ -92,7 +95,7 @@ class MCU_buttons:
 class AdcPin:
     """The buttons of one analog pin: each is a range of resistance to ground."""
 
-    def __init__(self, printer: Any, pin: str, pullup_ohm: float) -> None:
+    def __init__(self, printer: Printer, pin: str, pullup_ohm: float) -> None:
         self.reactor = printer.get_reactor()
         self._pullup_ohm = pullup_ohm
         self._buttons: list[tuple[float, float, StateCallback]] = []
@@ -166,7 +169,7 @@ def _on_push(callback: PushCallback) -> StateCallback:
 class PrinterButtons:
     """The object `buttons`."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self._groups: list[MCU_buttons] = []
         self._adc_pins: dict[str, AdcPin] = {}
@@ -220,6 +223,6 @@ class PrinterButtons:
         self.register_buttons([pin1, pin2], encoder.on_state)
 
 
-def load_config(config: Any) -> PrinterButtons:
+def load_config(config: ConfigWrapper) -> PrinterButtons:
     """Loaded by whoever has buttons."""
     return PrinterButtons(config.get_printer())

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+
 from . import fan
 
 _PERIOD_S = 1.0
@@ -21,7 +23,7 @@ class ControllerFanSettings:
     idle_timeout_s: float
 
 
-def read_settings(config: Any) -> ControllerFanSettings:
+def read_settings(config: ConfigWrapper) -> ControllerFanSettings:
     fan_speed = config.getfloat("fan_speed", 1.0, minval=0.0, maxval=1.0)
     return ControllerFanSettings(
         config.getlist("heater", ("extruder",)),
@@ -35,7 +37,7 @@ def read_settings(config: Any) -> ControllerFanSettings:
 class ControllerFan:
     """The object `controller_fan NAME`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self.reactor = self.printer.get_reactor()
         self.name = config.get_name()
@@ -88,7 +90,7 @@ class ControllerFan:
         return eventtime + _PERIOD_S
 
 
-def load_config_prefix(config: Any) -> ControllerFan:
+def load_config_prefix(config: ConfigWrapper) -> ControllerFan:
     """Section [controller_fan NAME]."""
     controller_fan = ControllerFan(config)
     controller_fan.register()

@@ -5,11 +5,15 @@ from __future__ import annotations
 import logging
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 
 class DelayedGcode:
     """One template with a timer. It may set its own timer again; then it repeats."""
 
-    def __init__(self, printer: Any, name: str, template: Any, initial_delay_s: float) -> None:
+    def __init__(self, printer: Printer, name: str, template: Any, initial_delay_s: float) -> None:
         self.printer = printer
         self.name = name
         self.reactor = printer.get_reactor()
@@ -53,12 +57,12 @@ class DelayedGcode:
 
     cmd_UPDATE_DELAYED_GCODE_help = "Update the duration of a delayed_gcode"
 
-    def cmd_UPDATE_DELAYED_GCODE(self, gcmd: Any) -> None:
+    def cmd_UPDATE_DELAYED_GCODE(self, gcmd: GCodeCommand) -> None:
         """Run it in DURATION seconds; 0: not at all."""
         self._set(gcmd.get_float("DURATION", minval=0.0))
 
 
-def load_config_prefix(config: Any) -> DelayedGcode:
+def load_config_prefix(config: ConfigWrapper) -> DelayedGcode:
     """Section [delayed_gcode NAME]."""
     printer = config.get_printer()
     template = printer.load_object(config, "gcode_macro").load_template(config, "gcode")

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 _VALID_S = 5.0  # an M73 counts that long after the print it belongs to has stopped
 
 
 class DisplayStatus:
     """The object `display_status`."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self._progress: float | None = None
         self._progress_until = 0.0
@@ -43,22 +47,22 @@ class DisplayStatus:
         idle = self.printer.lookup_object("idle_timeout", None)
         return idle is not None and idle.get_status(eventtime)["state"] == "Printing"
 
-    def cmd_M73(self, gcmd: Any) -> None:
+    def cmd_M73(self, gcmd: GCodeCommand) -> None:
         """Set the progress in percent."""
         percent = gcmd.get_float("P", 0.0)
         self._progress = min(1.0, max(0.0, percent / 100.0))
         self._progress_until = self.printer.get_reactor().monotonic() + _VALID_S
 
-    def cmd_M117(self, gcmd: Any) -> None:
+    def cmd_M117(self, gcmd: GCodeCommand) -> None:
         """Show a message."""
         self.message = gcmd.get_raw_command_parameters() or None
 
-    def cmd_SET_DISPLAY_TEXT(self, gcmd: Any) -> None:
+    def cmd_SET_DISPLAY_TEXT(self, gcmd: GCodeCommand) -> None:
         """Show a message, or none."""
         self.message = gcmd.get("MSG", None)
 
 
-def load_config(config: Any) -> DisplayStatus:
+def load_config(config: ConfigWrapper) -> DisplayStatus:
     """Section [display_status]."""
     status = DisplayStatus(config.get_printer())
     status.register()

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 from .gcode_macro import parse_literal
 
 PREFIX = "param_"
@@ -16,7 +19,7 @@ PREFIX = "param_"
 class DisplayTemplate:
     """The object `display_template NAME`; its status are its parameters' defaults."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self.name = config.get_name().split(maxsplit=1)[-1]
         self.parameters: dict[str, Any] = {}
@@ -39,7 +42,7 @@ class DisplayTemplate:
         return "".join(self._template.render(names).split("\n"))
 
 
-def parse_parameters(gcmd: Any, template: DisplayTemplate) -> dict[str, Any]:
+def parse_parameters(gcmd: GCodeCommand, template: DisplayTemplate) -> dict[str, Any]:
     """The PARAM_x=literal of a command that assigns a template. Raises a command error."""
     parameters: dict[str, Any] = {}
     for key, text in gcmd.get_command_parameters().items():
@@ -55,6 +58,6 @@ def parse_parameters(gcmd: Any, template: DisplayTemplate) -> dict[str, Any]:
     return parameters
 
 
-def load_config_prefix(config: Any) -> DisplayTemplate:
+def load_config_prefix(config: ConfigWrapper) -> DisplayTemplate:
     """Section [display_template NAME]."""
     return DisplayTemplate(config)

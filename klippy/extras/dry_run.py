@@ -12,6 +12,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 _Z, _E = 2, 3
 HEATING = (
     "M104",
@@ -51,7 +55,7 @@ class LiftedPath:
 class DryRun:
     """The object `dry_run`."""
 
-    def __init__(self, printer: Any, z_offset_mm: float) -> None:
+    def __init__(self, printer: Printer, z_offset_mm: float) -> None:
         self.printer = printer
         self._z_offset_mm = z_offset_mm  # default
         self._reactor = printer.get_reactor()
@@ -69,7 +73,7 @@ class DryRun:
     def get_status(self, eventtime: float) -> dict[str, Any]:
         return {"enabled": self._path is not None, "file": self._file}
 
-    def cmd_DRY_RUN(self, gcmd: Any) -> None:
+    def cmd_DRY_RUN(self, gcmd: GCodeCommand) -> None:
         name = gcmd.get("FILENAME", "")
         enable = bool(gcmd.get_int("ENABLE", 1 if name else None, minval=0, maxval=1))
         z_offset_mm = gcmd.get_float("Z_OFFSET", self._z_offset_mm, minval=0.0)
@@ -109,7 +113,7 @@ class DryRun:
                 self._gcode.register_command(command, self._leave_out)
         self._gcode.respond_info(f"Dry run: {z_offset_mm:g} mm above the path, no heat, no filament")
 
-    def _leave_out(self, gcmd: Any) -> None:
+    def _leave_out(self, gcmd: GCodeCommand) -> None:
         self._left_out += 1
 
     def _end(self) -> None:
@@ -136,7 +140,7 @@ class DryRun:
         return eventtime + POLL_S
 
 
-def load_config(config: Any) -> DryRun:
+def load_config(config: ConfigWrapper) -> DryRun:
     run = DryRun(config.get_printer(), config.getfloat("z_offset", 10.0, minval=0.0))
     run.register()
     return run

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any
+from configfile import ConfigWrapper
 
 
 class DuplicatePinOverride:
     """The object `duplicate_pin_override`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         pins = config.get_printer().lookup_object("pins")
         for description in config.getlist("pins"):
             pins.parse_pin(description)
 
 
-def load_config(config: Any) -> DuplicatePinOverride:
+def load_config(config: ConfigWrapper) -> DuplicatePinOverride:
     """Section [duplicate_pin_override]."""
     return DuplicatePinOverride(config)

@@ -16,6 +16,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import stepper
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
 
 DRIVERS = ("tmc2130", "tmc2208", "tmc2209", "tmc2240", "tmc2660", "tmc5160")
 
@@ -40,7 +43,7 @@ def spread(counts: Counter[int], phases: int) -> tuple[int, int, int]:
     return min(arc, key=cost), first, last
 
 
-def find_driver(printer: Any, stepper_name: str) -> Any:
+def find_driver(printer: Printer, stepper_name: str) -> Any:
     """The object of the motor's driver if it can tell the phase, else None."""
     for kind in DRIVERS:
         driver = printer.lookup_object(f"{kind} {stepper_name}", None)
@@ -61,7 +64,7 @@ class PhaseLog:
 class PhaseTracker:
     """Printer object 'endstop_phase'."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self._config = config
         self.logs: dict[str, PhaseLog] = {}
@@ -97,7 +100,7 @@ class PhaseTracker:
             log.counts[phase] += 1
             log.last = {"phase": phase, "phases": log.phases, "mcu_position": position}
 
-    def cmd_ENDSTOP_PHASE_CALIBRATE(self, gcmd: Any) -> None:
+    def cmd_ENDSTOP_PHASE_CALIBRATE(self, gcmd: GCodeCommand) -> None:
         """ENDSTOP_PHASE_CALIBRATE [STEPPER=<name>]."""
         name = gcmd.get("STEPPER", None)
         if name is None:
@@ -122,7 +125,7 @@ class PhaseTracker:
         return f"{name}: trigger_phase={best}/{log.phases} (range {first} to {last})"
 
 
-def _trigger_phase(config: Any) -> tuple[int, int] | None:
+def _trigger_phase(config: ConfigWrapper) -> tuple[int, int] | None:
     """Option trigger_phase: phase/phases."""
     parts = config.getintlist("trigger_phase", None, sep="/", count=2)
     if parts is None:
@@ -139,7 +142,7 @@ def _trigger_phase(config: Any) -> tuple[int, int] | None:
 class EndstopPhase:
     """Printer object 'endstop_phase STEPPER': corrects the homing of one motor."""
 
-    def __init__(self, config: Any, tracker: PhaseTracker) -> None:
+    def __init__(self, config: ConfigWrapper, tracker: PhaseTracker) -> None:
         self.printer = config.get_printer()
         self.tracker = tracker
         self.name = config.get_name().split(None, 1)[1]
@@ -156,7 +159,7 @@ class EndstopPhase:
         self.align_zero = config.getboolean("endstop_align_zero", False)
         self.accuracy = self._read_accuracy(config)
 
-    def _read_accuracy(self, config: Any) -> int:
+    def _read_accuracy(self, config: ConfigWrapper) -> int:
         """Phases by which the switch may be off, to either side."""
         accuracy_mm = config.getfloat("endstop_accuracy", None, above=0.0)
         if accuracy_mm is None:
@@ -204,13 +207,13 @@ class EndstopPhase:
                 homing_state.set_stepper_adjustment(self.name, shift)
 
 
-def load_config(config: Any) -> PhaseTracker:
+def load_config(config: ConfigWrapper) -> PhaseTracker:
     tracker = PhaseTracker(config)
     tracker.register()
     return tracker
 
 
-def load_config_prefix(config: Any) -> EndstopPhase:
+def load_config_prefix(config: ConfigWrapper) -> EndstopPhase:
     tracker = config.get_printer().load_object(config, "endstop_phase")
     phase = EndstopPhase(config, tracker)
     phase.register()

@@ -14,6 +14,10 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 _E = 3
 _EVEN_OUT_MM_S = (
     30.0  # speed of the retraction or prime that evens out; the extruder's own limits hold as well
@@ -89,7 +93,7 @@ class ObjectFilter:
 class ExcludeObject:
     """The object `exclude_object`."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.gcode = printer.lookup_object("gcode")
         self.objects: list[dict[str, Any]] = []
@@ -156,7 +160,7 @@ class ExcludeObject:
     def _is_known(self, name: str) -> bool:
         return any(entry["name"] == name for entry in self.objects)
 
-    def cmd_EXCLUDE_OBJECT_DEFINE(self, gcmd: Any) -> None:
+    def cmd_EXCLUDE_OBJECT_DEFINE(self, gcmd: GCodeCommand) -> None:
         """An object of the file: NAME, CENTER=X,Y, POLYGON=[[x,y],...] and whatever else the slicer tells."""
         if gcmd.get("RESET", None):
             self._forget()
@@ -182,7 +186,7 @@ class ExcludeObject:
             ) from None
         self._add(name.upper(), facts)
 
-    def _list_objects(self, gcmd: Any) -> None:
+    def _list_objects(self, gcmd: GCodeCommand) -> None:
         if gcmd.get("JSON", None) is not None:
             gcmd.respond_info(f"Known objects: {json.dumps(self.objects)}")
         else:
@@ -193,14 +197,14 @@ class ExcludeObject:
         self._decide()
         self.printer.send_event("exclude_object:current", name)
 
-    def cmd_EXCLUDE_OBJECT_START(self, gcmd: Any) -> None:
+    def cmd_EXCLUDE_OBJECT_START(self, gcmd: GCodeCommand) -> None:
         """What follows belongs to the object NAME."""
         name = gcmd.get("NAME").upper()
         if not self._is_known(name):
             self._add(name, {})
         self._enter(name)
 
-    def cmd_EXCLUDE_OBJECT_END(self, gcmd: Any) -> None:
+    def cmd_EXCLUDE_OBJECT_END(self, gcmd: GCodeCommand) -> None:
         """The current object ends."""
         name = gcmd.get("NAME", None)
         if self.current_object is None:
@@ -212,7 +216,7 @@ class ExcludeObject:
             )
         self._enter(None)
 
-    def cmd_EXCLUDE_OBJECT(self, gcmd: Any) -> None:
+    def cmd_EXCLUDE_OBJECT(self, gcmd: GCodeCommand) -> None:
         """Exclude NAME or the CURRENT one; RESET=1 takes one or all exclusions back; without parameters: list."""
         name = gcmd.get("NAME", None)
         if gcmd.get("RESET", None):
@@ -244,7 +248,7 @@ def _numbers(values: Any) -> list[float]:
     return values
 
 
-def load_config(config: Any) -> ExcludeObject:
+def load_config(config: ConfigWrapper) -> ExcludeObject:
     """Section [exclude_object]."""
     config.get_printer().load_object(config, "gcode_move")
     module = ExcludeObject(config.get_printer())

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
 from kinematics.extruder import ExtruderStepper
+from roles import Printer
 
 
 class PrinterExtruderStepper:
     """Printer object 'extruder_stepper NAME'."""
 
-    def __init__(self, printer: Any, motor: ExtruderStepper, extruder_name: str) -> None:
+    def __init__(self, printer: Printer, motor: ExtruderStepper, extruder_name: str) -> None:
         self.printer = printer
         self.extruder_stepper = motor
         self.extruder_name = extruder_name
@@ -28,7 +30,7 @@ class PrinterExtruderStepper:
         return self.extruder_stepper.get_status(eventtime)
 
 
-def load_config_prefix(config: Any) -> PrinterExtruderStepper:
+def load_config_prefix(config: ConfigWrapper) -> PrinterExtruderStepper:
     motor = PrinterExtruderStepper(config.get_printer(), ExtruderStepper(config), config.get("extruder"))
     motor.register()
     return motor

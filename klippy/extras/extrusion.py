@@ -12,6 +12,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
 from thermal.plan.extrusion import DieSwell, Overrun, exit_diameter, fit_die_swell, oozed_mm
 
 WATCH_S = 0.25
@@ -24,7 +27,7 @@ class Extrusion:
 
     def __init__(
         self,
-        printer: Any,
+        printer: Printer,
         swell: DieSwell | None,
         overrun: Overrun | None,
         filament_mm: float,
@@ -78,7 +81,7 @@ class Extrusion:
         reheated = self._was_cold and self._hot(eventtime)
         return oozed_mm(self.overrun, eventtime - self._extruded_s, reheated)
 
-    def cmd_EXTRUSION_CALIBRATE(self, gcmd: Any) -> None:
+    def cmd_EXTRUSION_CALIBRATE(self, gcmd: GCodeCommand) -> None:
         speeds = _numbers(gcmd, "SPEEDS")
         if gcmd.get("WIDTHS", None) is None:
             self._strands(gcmd, speeds)
@@ -99,7 +102,7 @@ class Extrusion:
         lines.append("SAVE_CONFIG keeps it.")
         gcmd.respond_info("\n".join(lines))
 
-    def _strands(self, gcmd: Any, speeds: list[float]) -> None:
+    def _strands(self, gcmd: GCodeCommand, speeds: list[float]) -> None:
         """One strand for each speed, with a rest between to take it off."""
         length_mm = gcmd.get_float("LENGTH", 15.0, above=0.0, maxval=100.0)
         pause_s = gcmd.get_float("PAUSE", 10.0, minval=0.0, maxval=120.0)
@@ -113,7 +116,7 @@ class Extrusion:
             f"Measure each strand some cm below the nozzle, then EXTRUSION_CALIBRATE SPEEDS={shown} WIDTHS=..."
         )
 
-    def _check_strands(self, gcmd: Any, speed_mm_s: float, length_mm: float) -> None:
+    def _check_strands(self, gcmd: GCodeCommand, speed_mm_s: float, length_mm: float) -> None:
         """What would spoil the strands, before any filament is spent."""
         toolhead = self.printer.lookup_object("toolhead")
         eventtime, extruder = self._reactor.monotonic(), toolhead.get_extruder()
@@ -147,7 +150,7 @@ class Extrusion:
         finally:
             run("RESTORE_GCODE_STATE NAME=extrusion_craft")
 
-    def cmd_PRIME_OOZE(self, gcmd: Any) -> None:
+    def cmd_PRIME_OOZE(self, gcmd: GCodeCommand) -> None:
         if self.overrun is None:
             raise gcmd.error("PRIME_OOZE needs the options overrun_length and overrun_time in [extrusion]")
         toolhead = self.printer.lookup_object("toolhead")
@@ -161,7 +164,7 @@ class Extrusion:
         gcmd.respond_info(f"Pushed {length_mm:.3f} mm for what has oozed")
 
 
-def _numbers(gcmd: Any, name: str) -> list[float]:
+def _numbers(gcmd: GCodeCommand, name: str) -> list[float]:
     text = gcmd.get(name)
     try:
         values = [float(part) for part in text.split(",")]
@@ -172,7 +175,7 @@ def _numbers(gcmd: Any, name: str) -> list[float]:
     return values
 
 
-def load_config(config: Any) -> Extrusion:
+def load_config(config: ConfigWrapper) -> Extrusion:
     printer = config.get_printer()
     hole_mm = config.getfloat("die_swell_hole", None, above=0.0)
     gain_s = config.getfloat("die_swell_gain", 0.0, minval=0.0)

@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 from . import pulse_counter
 from .outputs.scheduled_pin import ScheduledPin
 
@@ -24,7 +27,7 @@ class FanSettings:
     shutdown_speed: float
 
 
-def read_settings(config: Any, default_shutdown_speed: float) -> FanSettings:
+def read_settings(config: ConfigWrapper, default_shutdown_speed: float) -> FanSettings:
     """The options every fan has."""
     return FanSettings(
         max_power=config.getfloat("max_power", 1.0, above=0.0, maxval=1.0),
@@ -39,7 +42,7 @@ def read_settings(config: Any, default_shutdown_speed: float) -> FanSettings:
 class Fan:
     """A fan on a PWM pin, with an optional tachometer."""
 
-    def __init__(self, config: Any, default_shutdown_speed: float = 0.0) -> None:
+    def __init__(self, config: ConfigWrapper, default_shutdown_speed: float = 0.0) -> None:
         self.printer = config.get_printer()
         self.settings = read_settings(config, default_shutdown_speed)
         self.last_fan_value = 0.0
@@ -107,22 +110,22 @@ class Fan:
 class PrinterFan:
     """The object `fan`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.fan = Fan(config)
         self.get_status = self.fan.get_status
         gcode = config.get_printer().lookup_object("gcode")
         gcode.register_command("M106", self.cmd_M106)
         gcode.register_command("M107", self.cmd_M107)
 
-    def cmd_M106(self, gcmd: Any) -> None:
+    def cmd_M106(self, gcmd: GCodeCommand) -> None:
         """Set the speed, S0..255."""
         self.fan.set_speed_from_command(gcmd.get_float("S", 255.0, minval=0.0) / 255.0)
 
-    def cmd_M107(self, gcmd: Any) -> None:
+    def cmd_M107(self, gcmd: GCodeCommand) -> None:
         """Off."""
         self.fan.set_speed_from_command(0.0)
 
 
-def load_config(config: Any) -> PrinterFan:
+def load_config(config: ConfigWrapper) -> PrinterFan:
     """Section [fan]."""
     return PrinterFan(config)

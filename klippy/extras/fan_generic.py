@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
 
 from . import fan
 
@@ -10,7 +11,7 @@ from . import fan
 class PrinterFanGeneric:
     """The object `fan_generic NAME`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self.fan = fan.Fan(config, default_shutdown_speed=0.0)
         self.get_status = self.fan.get_status
@@ -22,7 +23,7 @@ class PrinterFanGeneric:
             "SET_FAN_SPEED", "FAN", name, self.cmd_SET_FAN_SPEED, desc="Sets the speed of a fan"
         )
 
-    def cmd_SET_FAN_SPEED(self, gcmd: Any) -> None:
+    def cmd_SET_FAN_SPEED(self, gcmd: GCodeCommand) -> None:
         """SPEED 0..1, in step with the moves queued so far; or TEMPLATE=name to follow."""
         if gcmd.get("TEMPLATE", None) is not None:
             self._templates.assign(
@@ -33,7 +34,7 @@ class PrinterFanGeneric:
         self.fan.set_speed_from_command(gcmd.get_float("SPEED", minval=0.0, maxval=1.0))
 
 
-def load_config_prefix(config: Any) -> PrinterFanGeneric:
+def load_config_prefix(config: ConfigWrapper) -> PrinterFanGeneric:
     """Section [fan_generic NAME]."""
     generic = PrinterFanGeneric(config)
     generic.register(config.get_name().split(maxsplit=1)[1])

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+
 from .filament_switch_sensor import RunoutHelper
 
 CHECK_PERIOD_S = 0.250
@@ -16,7 +18,7 @@ CHECK_PERIOD_S = 0.250
 class EncoderSensor:
     """The object `filament_motion_sensor NAME`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = printer = config.get_printer()
         self.reactor = printer.get_reactor()
         self.extruder_name = config.get("extruder")
@@ -77,7 +79,7 @@ class EncoderSensor:
         self.runout_helper.note_filament_present(eventtime, True)
 
 
-def load_config_prefix(config: Any) -> EncoderSensor:
+def load_config_prefix(config: ConfigWrapper) -> EncoderSensor:
     """Section [filament_motion_sensor NAME]."""
     sensor = EncoderSensor(config)
     sensor.register()

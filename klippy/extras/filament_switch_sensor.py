@@ -13,6 +13,9 @@ import logging
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 START_DELAY_S = 2.0  # after ready: the switches tell their state first
 
 
@@ -28,7 +31,7 @@ class RunoutSettings:
 class RunoutHelper:
     """What happens when filament comes and goes."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.name = config.get_name().split()[-1]
         self.printer = printer = config.get_printer()
         self.reactor = printer.get_reactor()
@@ -56,7 +59,7 @@ class RunoutHelper:
         ):
             self.gcode.register_mux_command(command, "SENSOR", self.name, handler, desc=text)
 
-    def _template(self, config: Any, option: str) -> Any:
+    def _template(self, config: ConfigWrapper, option: str) -> Any:
         """The option's template; without one of runout, pausing alone needs an empty one."""
         if config.get(option, None) is None:
             needed = option == "runout_gcode" and self.settings.pause_on_runout
@@ -107,12 +110,12 @@ class RunoutHelper:
     def get_status(self, eventtime: float) -> dict[str, bool]:
         return {"filament_detected": bool(self.filament_present), "enabled": bool(self.sensor_enabled)}
 
-    def cmd_QUERY_FILAMENT_SENSOR(self, gcmd: Any) -> None:
+    def cmd_QUERY_FILAMENT_SENSOR(self, gcmd: GCodeCommand) -> None:
         """Say whether there is filament."""
         state = "filament detected" if self.filament_present else "filament not detected"
         gcmd.respond_info(f"Filament Sensor {self.name}: {state}")
 
-    def cmd_SET_FILAMENT_SENSOR(self, gcmd: Any) -> None:
+    def cmd_SET_FILAMENT_SENSOR(self, gcmd: GCodeCommand) -> None:
         """Switch the sensor on or off."""
         self.sensor_enabled = bool(gcmd.get_int("ENABLE", 1))
 
@@ -120,7 +123,7 @@ class RunoutHelper:
 class SwitchSensor:
     """The object `filament_switch_sensor NAME`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         buttons = config.get_printer().load_object(config, "buttons")
         self.runout_helper = RunoutHelper(config)
         self.get_status = self.runout_helper.get_status
@@ -130,6 +133,6 @@ class SwitchSensor:
         self.runout_helper.note_filament_present(eventtime, bool(state))
 
 
-def load_config_prefix(config: Any) -> SwitchSensor:
+def load_config_prefix(config: ConfigWrapper) -> SwitchSensor:
     """Section [filament_switch_sensor NAME]."""
     return SwitchSensor(config)

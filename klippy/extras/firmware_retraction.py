@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 
 @dataclass(frozen=True, slots=True)
 class Retraction:
@@ -24,7 +28,7 @@ STATE = "_firmware_retraction"
 class FirmwareRetraction:
     """Printer object 'firmware_retraction'."""
 
-    def __init__(self, printer: Any, values: Retraction) -> None:
+    def __init__(self, printer: Printer, values: Retraction) -> None:
         self.printer = printer
         self.values = values
         self.is_retracted = False
@@ -41,7 +45,7 @@ class FirmwareRetraction:
     def get_status(self, eventtime: float) -> dict[str, Any]:
         return {f.name: getattr(self.values, f.name) for f in fields(Retraction)}
 
-    def cmd_SET_RETRACTION(self, gcmd: Any) -> None:
+    def cmd_SET_RETRACTION(self, gcmd: GCodeCommand) -> None:
         """SET_RETRACTION [RETRACT_LENGTH=] [RETRACT_SPEED=] [UNRETRACT_EXTRA_LENGTH=] [UNRETRACT_SPEED=]."""
         self.values = replace(
             self.values,
@@ -52,7 +56,7 @@ class FirmwareRetraction:
         )
         self.is_retracted = False
 
-    def cmd_GET_RETRACTION(self, gcmd: Any) -> None:
+    def cmd_GET_RETRACTION(self, gcmd: GCodeCommand) -> None:
         """Report the values."""
         gcmd.respond_info(
             " ".join(f"{name.upper()}={value:.5f}" for name, value in self.get_status(0.0).items())
@@ -65,13 +69,13 @@ class FirmwareRetraction:
             f"RESTORE_GCODE_STATE NAME={STATE}"
         )
 
-    def cmd_G10(self, gcmd: Any) -> None:
+    def cmd_G10(self, gcmd: GCodeCommand) -> None:
         """Retract, once."""
         if not self.is_retracted:
             self._extrude(-self.values.retract_length, self.values.retract_speed)
             self.is_retracted = True
 
-    def cmd_G11(self, gcmd: Any) -> None:
+    def cmd_G11(self, gcmd: GCodeCommand) -> None:
         """Undo G10."""
         if self.is_retracted:
             length = self.values.retract_length + self.values.unretract_extra_length
@@ -79,7 +83,7 @@ class FirmwareRetraction:
             self.is_retracted = False
 
 
-def load_config(config: Any) -> FirmwareRetraction:
+def load_config(config: ConfigWrapper) -> FirmwareRetraction:
     values = Retraction(
         **{
             f.name: config.getfloat(f.name, f.default, minval=LOWEST.get(f.name, MIN_SPEED_MM_S))

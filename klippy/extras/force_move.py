@@ -7,6 +7,10 @@ from typing import Any
 
 import chelper
 import stepstream
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from motionlimits import ACCEL, POSITION, SPEED, check_way, or_zero
+from roles import Printer
 
 BUZZ_DISTANCE_MM = 1.0
 BUZZ_SPEED_MM_S = 4.0
@@ -28,7 +32,7 @@ def trapezoid(distance: float, speed: float, accel: float) -> tuple[float, float
 class ForceMove:
     """Printer object 'force_move'."""
 
-    def __init__(self, printer: Any, is_enabled: bool) -> None:
+    def __init__(self, printer: Printer, is_enabled: bool) -> None:
         self.printer = printer
         self.is_enabled = is_enabled
         self.steppers: dict[str, Any] = {}
@@ -50,7 +54,7 @@ class ForceMove:
                 desc="Force a low-level kinematic position",
             )  # fmt: skip
 
-    def register_stepper(self, config: Any, mcu_stepper: Any) -> None:
+    def register_stepper(self, config: ConfigWrapper, mcu_stepper: Any) -> None:
         self.steppers[mcu_stepper.get_name()] = mcu_stepper
 
     def lookup_stepper(self, name: str) -> Any:
@@ -80,7 +84,7 @@ class ForceMove:
             stepper.set_stepper_kinematics(old_solver)
             self._lib.itersolve_free(solver)
 
-    def _stepper_of(self, gcmd: Any) -> Any:
+    def _stepper_of(self, gcmd: GCodeCommand) -> Any:
         name = gcmd.get("STEPPER")
         if name not in self.steppers:
             raise gcmd.error(f"Unknown stepper {name} (known: {', '.join(self.steppers)})")
@@ -91,7 +95,7 @@ class ForceMove:
         enable = self.printer.lookup_object("stepper_enable")
         return enable.set_motors_enable([stepper.get_name()], True, at_once=True)
 
-    def cmd_STEPPER_BUZZ(self, gcmd: Any) -> None:
+    def cmd_STEPPER_BUZZ(self, gcmd: GCodeCommand) -> None:
         """STEPPER_BUZZ STEPPER=<name>: ten times forth and back by 1 mm."""
         stepper = self._stepper_of(gcmd)
         was_off = self._force_enable(stepper)
@@ -107,23 +111,24 @@ class ForceMove:
         if was_off:
             self.printer.lookup_object("stepper_enable").set_motors_enable([stepper.get_name()], False)
 
-    def cmd_FORCE_MOVE(self, gcmd: Any) -> None:
+    def cmd_FORCE_MOVE(self, gcmd: GCodeCommand) -> None:
         """FORCE_MOVE STEPPER= DISTANCE=mm VELOCITY=mm/s [ACCEL=mm/s^2]."""
         stepper = self._stepper_of(gcmd)
-        distance = gcmd.get_float("DISTANCE")
-        speed = gcmd.get_float("VELOCITY", above=0.0)
-        accel = gcmd.get_float("ACCEL", 0.0, minval=0.0)
+        distance = gcmd.get_float("DISTANCE", **POSITION)
+        speed = gcmd.get_float("VELOCITY", **SPEED)
+        accel = or_zero(gcmd.get_float, "ACCEL", 0.0, ACCEL)
         if not distance:
             return
+        check_way(stepper.get_name(), distance, stepper.get_step_dist())
         self._force_enable(stepper)
         self.manual_move(stepper, distance, speed, accel)
 
-    def cmd_SET_KINEMATIC_POSITION(self, gcmd: Any) -> None:
+    def cmd_SET_KINEMATIC_POSITION(self, gcmd: GCodeCommand) -> None:
         """SET_KINEMATIC_POSITION [X=] [Y=] [Z=] [SET_HOMED=xyz] [CLEAR_HOMED=xyz]."""
         toolhead = self.printer.lookup_object("toolhead")
         toolhead.get_last_move_time()
         current = toolhead.get_position()
-        place = [gcmd.get_float(axis, current[i]) for i, axis in enumerate("XYZ")]
+        place = [gcmd.get_float(axis, current[i], **POSITION) for i, axis in enumerate("XYZ")]
         homed = gcmd.get("SET_HOMED", "xyz").lower()
         cleared = gcmd.get("CLEAR_HOMED", "").lower()
         if set(homed + cleared) - set("xyz"):
@@ -132,7 +137,7 @@ class ForceMove:
         toolhead.get_kinematics().clear_homing_state(cleared)
 
 
-def load_config(config: Any) -> ForceMove:
+def load_config(config: ConfigWrapper) -> ForceMove:
     force_move = ForceMove(config.get_printer(), config.getboolean("enable_force_move", False))
     force_move.register_commands()
     return force_move

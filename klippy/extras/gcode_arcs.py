@@ -8,10 +8,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from gcode_command import CommandError
+from motionlimits import POSITION
+from roles import Printer
 
 AXES = "XYZ"
 DEFAULT_RESOLUTION_MM = 1.0
+MAX_PIECES = 100_000  # of an arc: all are worked out before the first moves
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +54,13 @@ def arc_points(
         turn = -2.0 * math.pi if clockwise else 2.0 * math.pi
     radius = math.hypot(*centre)
     rise = end[c] - start[c]
-    count = max(1, math.floor(math.hypot(turn * radius, rise) / step_mm))
+    length = math.hypot(turn * radius, rise)
+    count = max(1, math.floor(length / step_mm))
+    if count > MAX_PIECES:
+        raise CommandError(
+            f"Arc too long: {length:g} mm; with pieces of {step_mm:g} mm ([gcode_arcs] resolution) it must have "
+            f"maximum of {step_mm * MAX_PIECES:g} mm"
+        )
     points = []
     for number in range(1, count):
         share = number / count
@@ -64,7 +76,7 @@ def arc_points(
 class ArcSupport:
     """Printer object 'gcode_arcs'."""
 
-    def __init__(self, printer: Any, resolution_mm: float) -> None:
+    def __init__(self, printer: Printer, resolution_mm: float) -> None:
         self.printer = printer
         self.resolution_mm = resolution_mm
         self.plane_name = "G17"
@@ -77,19 +89,19 @@ class ArcSupport:
         self.gcode.register_command("G2", self.cmd_G2)
         self.gcode.register_command("G3", self.cmd_G3)
 
-    def cmd_plane(self, gcmd: Any) -> None:
+    def cmd_plane(self, gcmd: GCodeCommand) -> None:
         """G17, G18, G19: the plane of the arcs to come."""
         self.plane_name = gcmd.get_command()
 
-    def cmd_G2(self, gcmd: Any) -> None:
+    def cmd_G2(self, gcmd: GCodeCommand) -> None:
         """Clockwise arc."""
         self._arc(gcmd, True)
 
-    def cmd_G3(self, gcmd: Any) -> None:
+    def cmd_G3(self, gcmd: GCodeCommand) -> None:
         """Counterclockwise arc."""
         self._arc(gcmd, False)
 
-    def _arc(self, gcmd: Any, clockwise: bool) -> None:
+    def _arc(self, gcmd: GCodeCommand, clockwise: bool) -> None:
         status = self.gcode_move.get_status()
         name = gcmd.get_command()
         if not status["absolute_coordinates"]:
@@ -97,10 +109,10 @@ class ArcSupport:
         if gcmd.get_float("R", None) is not None:
             raise gcmd.error(f"{name} does not support R moves")
         start = list(status["gcode_position"])
-        end = [gcmd.get_float(axis, start[i]) for i, axis in enumerate(AXES)]
+        end = [gcmd.get_float(axis, start[i], **POSITION) for i, axis in enumerate(AXES)]
         plane = PLANES[self.plane_name]
         letters = "IJK"[plane.first], "IJK"[plane.second]
-        centre = gcmd.get_float(letters[0], 0.0), gcmd.get_float(letters[1], 0.0)
+        centre = gcmd.get_float(letters[0], 0.0, **POSITION), gcmd.get_float(letters[1], 0.0, **POSITION)
         if not any(centre):
             raise gcmd.error(
                 f"{name} requires {' or '.join(sorted(letters))} parameters in plane {self.plane_name}"
@@ -108,7 +120,9 @@ class ArcSupport:
         points = arc_points(plane, start, end, centre, clockwise, self.resolution_mm)
         self._run(gcmd, points, start[3], status["absolute_extrude"])
 
-    def _run(self, gcmd: Any, points: list[list[float]], e_start: float, absolute_extrude: bool) -> None:
+    def _run(
+        self, gcmd: GCodeCommand, points: list[list[float]], e_start: float, absolute_extrude: bool
+    ) -> None:
         e_value = gcmd.get_float("E", None)
         speed = gcmd.get_float("F", None, above=0.0)
         for number, point in enumerate(points, 1):
@@ -122,7 +136,7 @@ class ArcSupport:
             self.gcode_move.cmd_G1(self.gcode.create_gcode_command("G1", "G1", params))
 
 
-def load_config(config: Any) -> ArcSupport:
+def load_config(config: ConfigWrapper) -> ArcSupport:
     config.get_printer().load_object(config, "gcode_move")
     arcs = ArcSupport(config.get_printer(), config.getfloat("resolution", DEFAULT_RESOLUTION_MM, above=0.0))
     arcs.register_commands()

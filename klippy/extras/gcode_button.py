@@ -5,11 +5,14 @@ from __future__ import annotations
 import logging
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 
 class GCodeButton:
     """The object `gcode_button NAME`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self.name = config.get_name().split()[-1]
         self.last_state = 0
@@ -35,7 +38,7 @@ class GCodeButton:
     def get_status(self, eventtime: float) -> dict[str, str]:
         return {"state": "PRESSED" if self.last_state else "RELEASED"}
 
-    def cmd_QUERY_BUTTON(self, gcmd: Any) -> None:
+    def cmd_QUERY_BUTTON(self, gcmd: GCodeCommand) -> None:
         """The button's state."""
         gcmd.respond_info(f"{self.name}: {self.get_status(0.0)['state']}")
 
@@ -52,7 +55,7 @@ class GCodeButton:
             self._gcode.respond_error(f"Script of gcode_button '{self.name}' failed: {e}")
 
 
-def load_config_prefix(config: Any) -> GCodeButton:
+def load_config_prefix(config: ConfigWrapper) -> GCodeButton:
     """Section [gcode_button NAME]."""
     button = GCodeButton(config)
     button.register()

@@ -16,7 +16,10 @@ from typing import Any
 import jinja2
 import jinja2.sandbox
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
 from gcode_command import is_traditional
+from roles import Printer
 
 CONTAINER_METHODS = frozenset({"__contains__", "__delitem__", "__getitem__", "__len__", "__setitem__"})
 
@@ -34,7 +37,7 @@ class MacroSandbox(jinja2.sandbox.SandboxedEnvironment):
 class StatusView:
     """`printer` inside a template: status of any object, read once per rendering."""
 
-    def __init__(self, printer: Any, eventtime: float | None = None) -> None:
+    def __init__(self, printer: Printer, eventtime: float | None = None) -> None:
         self._printer = printer
         self._eventtime = eventtime
         self._seen: dict[str, Any] = {}
@@ -62,7 +65,7 @@ class TemplateWrapper:
     """One compiled template."""
 
     def __init__(
-        self, printer: Any, environment: jinja2.Environment, name: str, script: str, where: str = ""
+        self, printer: Printer, environment: jinja2.Environment, name: str, script: str, where: str = ""
     ) -> None:
         self.printer = printer
         self.name = name
@@ -98,7 +101,7 @@ class TemplateWrapper:
 class PrinterGCodeMacro:
     """The object `gcode_macro`: makes templates."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self._environment = MacroSandbox(
             block_start_string="{%",
@@ -108,7 +111,9 @@ class PrinterGCodeMacro:
             extensions=["jinja2.ext.do", "jinja2.ext.loopcontrols"],
         )
 
-    def load_template(self, config: Any, option: str, default: str | None = None) -> TemplateWrapper:
+    def load_template(
+        self, config: ConfigWrapper, option: str, default: str | None = None
+    ) -> TemplateWrapper:
         """The template written in an option."""
         script = config.get(option) if default is None else config.get(option, default)
         return TemplateWrapper(
@@ -172,7 +177,9 @@ def _frozen(value: Any) -> Any:
 class GCodeMacro:
     """One macro; its status is its variables."""
 
-    def __init__(self, printer: Any, name: str, template: TemplateWrapper, variables: dict[str, Any]) -> None:
+    def __init__(
+        self, printer: Printer, name: str, template: TemplateWrapper, variables: dict[str, Any]
+    ) -> None:
         self.printer = printer
         self.name = name
         self.alias = name.upper()
@@ -214,7 +221,7 @@ class GCodeMacro:
         """The variables, as they are now: the macro may change what its dicts and lists hold later."""
         return {name: _frozen(value) for name, value in self.variables.items()}
 
-    def cmd_SET_GCODE_VARIABLE(self, gcmd: Any) -> None:
+    def cmd_SET_GCODE_VARIABLE(self, gcmd: GCodeCommand) -> None:
         """Give a variable a new value."""
         variable, text = gcmd.get("VARIABLE"), gcmd.get("VALUE")
         if variable not in self.variables:
@@ -225,7 +232,7 @@ class GCodeMacro:
             raise gcmd.error(f"Unable to parse '{text}' as a literal: {e}") from None
         self.variables = {**self.variables, variable: value}
 
-    def cmd(self, gcmd: Any) -> None:
+    def cmd(self, gcmd: GCodeCommand) -> None:
         """Run the macro."""
         if self._running:
             raise gcmd.error(f"Macro {self.alias} called recursively")
@@ -242,12 +249,12 @@ class GCodeMacro:
             self._running = False
 
 
-def load_config(config: Any) -> PrinterGCodeMacro:
+def load_config(config: ConfigWrapper) -> PrinterGCodeMacro:
     """Loaded by whoever has templates."""
     return PrinterGCodeMacro(config.get_printer())
 
 
-def _read_variables(config: Any) -> dict[str, Any]:
+def _read_variables(config: ConfigWrapper) -> dict[str, Any]:
     prefix = "variable_"
     variables: dict[str, Any] = {}
     for option in config.get_prefix_options(prefix):
@@ -262,7 +269,7 @@ def _read_variables(config: Any) -> dict[str, Any]:
     return variables
 
 
-def load_config_prefix(config: Any) -> GCodeMacro:
+def load_config_prefix(config: ConfigWrapper) -> GCodeMacro:
     """Section [gcode_macro NAME]."""
     words = config.get_name().split()
     if len(words) != 2:

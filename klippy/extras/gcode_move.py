@@ -13,7 +13,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import g1path
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
 from lookahead import done_in_c
+from motionlimits import PERCENT, POSITION, SPEED
+from roles import Printer
 from toolhead import Coord
 
 MM_PER_MIN = 1.0 / 60.0
@@ -52,7 +56,7 @@ class _Modes:
 class GCodeMove:
     """Printer object 'gcode_move'."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.toolhead: Any = None
         self.transform: Any = None
@@ -166,7 +170,7 @@ class GCodeMove:
     # -- moves --
 
     @done_in_c
-    def cmd_G1(self, gcmd: Any) -> None:
+    def cmd_G1(self, gcmd: GCodeCommand) -> None:
         """G0, G1 [X] [Y] [Z] [E] [F]."""
         params = gcmd.get_command_parameters()
         modes, target = self.modes, self.last_position[:]
@@ -211,7 +215,7 @@ class GCodeMove:
         x, y, _, e = self.last_position[:4]
         return target[3] > e and (target[0] != x or target[1] != y)
 
-    def _bad_number(self, gcmd: Any) -> Exception:
+    def _bad_number(self, gcmd: GCodeCommand) -> Exception:
         """The error that names the parameter at fault."""
         for letter, text in gcmd.get_command_parameters().items():
             try:
@@ -225,30 +229,30 @@ class GCodeMove:
 
     # -- modes --
 
-    def cmd_G20(self, gcmd: Any) -> None:
+    def cmd_G20(self, gcmd: GCodeCommand) -> None:
         """Inches are not supported."""
         raise gcmd.error("Machine does not support G20 (inches) command")
 
-    def cmd_G21(self, gcmd: Any) -> None:
+    def cmd_G21(self, gcmd: GCodeCommand) -> None:
         """Millimetres: always."""
 
-    def cmd_M82(self, gcmd: Any) -> None:
+    def cmd_M82(self, gcmd: GCodeCommand) -> None:
         """Absolute extrusion."""
         self.modes.absolute_extrude = True
 
-    def cmd_M83(self, gcmd: Any) -> None:
+    def cmd_M83(self, gcmd: GCodeCommand) -> None:
         """Relative extrusion."""
         self.modes.absolute_extrude = False
 
-    def cmd_G90(self, gcmd: Any) -> None:
+    def cmd_G90(self, gcmd: GCodeCommand) -> None:
         """Absolute coordinates."""
         self.modes.absolute_coord = True
 
-    def cmd_G91(self, gcmd: Any) -> None:
+    def cmd_G91(self, gcmd: GCodeCommand) -> None:
         """Relative coordinates."""
         self.modes.absolute_coord = False
 
-    def cmd_G92(self, gcmd: Any) -> None:
+    def cmd_G92(self, gcmd: GCodeCommand) -> None:
         """G92 [X] [Y] [Z] [E]: the place where the head is gets these coordinates; all zero without any."""
         offsets = [gcmd.get_float(axis, None) for axis in (*AXES, *self._extra_letters)]
         if all(offset is None for offset in offsets):
@@ -259,36 +263,36 @@ class GCodeMove:
                 scaled = offset * self.modes.extrude_factor if axis == 3 else offset
                 self.modes.base_position[axis] = self.last_position[axis] - scaled
 
-    def cmd_M114(self, gcmd: Any) -> None:
+    def cmd_M114(self, gcmd: GCodeCommand) -> None:
         """Report the position."""
         gcmd.respond_raw("X:{:.3f} Y:{:.3f} Z:{:.3f} E:{:.3f}".format(*self.get_gcode_position()))
 
-    def cmd_M220(self, gcmd: Any) -> None:
+    def cmd_M220(self, gcmd: GCodeCommand) -> None:
         """M220 S<percent>: speed factor."""
-        self.modes.speed_factor = gcmd.get_float("S", 100.0, above=0.0) / 100.0
+        self.modes.speed_factor = gcmd.get_float("S", 100.0, **PERCENT) / 100.0
 
-    def cmd_M221(self, gcmd: Any) -> None:
+    def cmd_M221(self, gcmd: GCodeCommand) -> None:
         """M221 S<percent>: extrusion factor."""
-        factor = gcmd.get_float("S", 100.0, above=0.0) / 100.0
+        factor = gcmd.get_float("S", 100.0, **PERCENT) / 100.0
         modes = self.modes
         e_value = (self.last_position[3] - modes.base_position[3]) / modes.extrude_factor
         modes.base_position[3] = self.last_position[3] - e_value * factor
         modes.extrude_factor = factor
 
-    def cmd_SET_GCODE_OFFSET(self, gcmd: Any) -> None:
+    def cmd_SET_GCODE_OFFSET(self, gcmd: GCodeCommand) -> None:
         """SET_GCODE_OFFSET [X|X_ADJUST|Y|…=mm] [MOVE=1 [MOVE_SPEED=mm/s]]."""
         modes = self.modes
         deltas = [0.0] * 4
         for axis, letter in enumerate(AXES):
-            offset = gcmd.get_float(letter, None)
+            offset = gcmd.get_float(letter, None, **POSITION)
             if offset is None:
-                adjust = gcmd.get_float(f"{letter}_ADJUST", None)
+                adjust = gcmd.get_float(f"{letter}_ADJUST", None, **POSITION)
                 if adjust is None:
                     continue
                 offset = modes.homing_position[axis] + adjust
             deltas[axis] = offset - modes.homing_position[axis]
         move = gcmd.get_int("MOVE", 0)
-        speed = gcmd.get_float("MOVE_SPEED", modes.speed, above=0.0)
+        speed = gcmd.get_float("MOVE_SPEED", modes.speed, **SPEED)
         if move:
             target = [p + d for p, d in zip(self.last_position, deltas, strict=False)]
             target += self.last_position[4:]
@@ -298,7 +302,7 @@ class GCodeMove:
             modes.base_position[axis] += delta
             modes.homing_position[axis] += delta
 
-    def cmd_SAVE_GCODE_STATE(self, gcmd: Any) -> None:
+    def cmd_SAVE_GCODE_STATE(self, gcmd: GCodeCommand) -> None:
         """SAVE_GCODE_STATE [NAME=]."""
         modes = self.modes
         self.saved_states[gcmd.get("NAME", "default")] = SavedState(
@@ -312,14 +316,14 @@ class GCodeMove:
             modes.extrude_factor,
         )
 
-    def cmd_RESTORE_GCODE_STATE(self, gcmd: Any) -> None:
+    def cmd_RESTORE_GCODE_STATE(self, gcmd: GCodeCommand) -> None:
         """RESTORE_GCODE_STATE [NAME=] [MOVE=1 [MOVE_SPEED=mm/s]]."""
         name = gcmd.get("NAME", "default")
         state = self.saved_states.get(name)
         if state is None:
             raise gcmd.error(f"Unknown g-code state: {name}")
         modes, move = self.modes, gcmd.get_int("MOVE", 0)
-        speed = gcmd.get_float("MOVE_SPEED", state.speed, above=0.0)
+        speed = gcmd.get_float("MOVE_SPEED", state.speed, **SPEED)
         target = [*state.last_position[:3], *self.last_position[3:]]
         if move:
             self._move(target, speed)
@@ -340,7 +344,7 @@ class GCodeMove:
 
     # -- report --
 
-    def cmd_GET_POSITION(self, gcmd: Any) -> None:
+    def cmd_GET_POSITION(self, gcmd: GCodeCommand) -> None:
         """Positions at every stage from steps to G-code."""
         toolhead = self.printer.lookup_object("toolhead", None)
         if toolhead is None:
@@ -378,7 +382,7 @@ class GCodeMove:
         return Coord
 
 
-def load_config(config: Any) -> GCodeMove:
+def load_config(config: ConfigWrapper) -> GCodeMove:
     move = GCodeMove(config.get_printer())
     move.register_commands()
     return move

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+
 from . import fan
 
 _PERIOD_S = 1.0
@@ -12,7 +14,7 @@ _PERIOD_S = 1.0
 class PrinterHeaterFan:
     """Switches between `fan_speed` and off once a second."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self.reactor = self.printer.get_reactor()
         self.printer.load_object(config, "heaters", None)
@@ -45,7 +47,7 @@ class PrinterHeaterFan:
         return eventtime + _PERIOD_S
 
 
-def load_config_prefix(config: Any) -> PrinterHeaterFan:
+def load_config_prefix(config: ConfigWrapper) -> PrinterHeaterFan:
     """Section [heater_fan NAME]."""
     heater_fan = PrinterHeaterFan(config)
     heater_fan.register()

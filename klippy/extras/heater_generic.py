@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
 
-def load_config_prefix(config: Any) -> Any:
+
+def load_config_prefix(config: ConfigWrapper) -> Any:
     heaters = config.get_printer().load_object(config, "heaters")
     return heaters.setup_heater(config)

@@ -15,6 +15,10 @@ from __future__ import annotations
 import re
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 from .heater import laws as heater_laws
 from .heater import tuning as heater_tuning
 
@@ -26,7 +30,7 @@ VERBS = ("SAVE", "LOAD", "USE", "REMOVE")
 class HeaterProfiles:
     """All profiles of all heaters."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.profiles: dict[tuple[str, str], dict[str, str]] = {}  # (heater, profile) → tuning
         self._sections: dict[tuple[str, str], Any] = {}  # the same, as written in the config
@@ -40,7 +44,7 @@ class HeaterProfiles:
         )
         self.printer.register_event_handler("klippy:connect", self._check)
 
-    def read(self, config: Any) -> None:
+    def read(self, config: ConfigWrapper) -> None:
         """One section [heater_profile HEATER NAME]."""
         words = config.get_name().split()
         if len(words) != 3:
@@ -63,7 +67,7 @@ class HeaterProfiles:
                 raise config.error(f"Section '{config.get_name()}': {e} ({config.where()}).") from None
             heater_tuning.read(heater, config, self.profiles[name, config.get_name().split()[2]])
 
-    def cmd_HEATER_PROFILE(self, gcmd: Any) -> None:
+    def cmd_HEATER_PROFILE(self, gcmd: GCodeCommand) -> None:
         verbs = [verb for verb in VERBS if gcmd.get(verb, None) is not None]
         if gcmd.get("LIST", None) is not None and not verbs:
             self._list(gcmd)
@@ -86,10 +90,10 @@ class HeaterProfiles:
         else:
             self._load(gcmd, heater, name, tuning, keep=verbs[0] == "USE")
 
-    def _list(self, gcmd: Any) -> None:
+    def _list(self, gcmd: GCodeCommand) -> None:
         wanted = gcmd.get("HEATER", None)
         if wanted is not None:
-            heater_tuning.heater_of(self.printer, gcmd)
+            wanted = heater_tuning.heater_of(self.printer, gcmd).name
         lines = []
         for (heater, name), tuning in sorted(self.profiles.items()):
             if wanted in (None, heater):
@@ -97,7 +101,7 @@ class HeaterProfiles:
                 lines.append(f"{heater} {name}{mark}: " + " ".join(f"{k}={v}" for k, v in tuning.items()))
         gcmd.respond_info("\n".join(lines) or "There are no heater profiles")
 
-    def _save(self, gcmd: Any, heater: Any, name: str) -> None:
+    def _save(self, gcmd: GCodeCommand, heater: Any, name: str) -> None:
         heater_tuning.refuse_lent(heater)
         tuning = dict(heater_tuning.options_of(heater))
         configfile = self.printer.lookup_object("configfile")
@@ -111,7 +115,7 @@ class HeaterProfiles:
             f"Profile '{name}' of heater '{heater.name}' saved; SAVE_CONFIG writes it to the file"
         )
 
-    def _load(self, gcmd: Any, heater: Any, name: str, tuning: dict[str, str], keep: bool) -> None:
+    def _load(self, gcmd: GCodeCommand, heater: Any, name: str, tuning: dict[str, str], keep: bool) -> None:
         heater_tuning.use(self.printer, heater, tuning)
         self.loaded[heater.name] = name
         if keep:
@@ -119,7 +123,7 @@ class HeaterProfiles:
         end = "; SAVE_CONFIG makes it the heater's own" if keep else " until the next restart"
         gcmd.respond_info(f"Heater '{heater.name}' works with profile '{name}'{end}")
 
-    def _remove(self, gcmd: Any, heater: Any, name: str) -> None:
+    def _remove(self, gcmd: GCodeCommand, heater: Any, name: str) -> None:
         del self.profiles[heater.name, name]
         if self.loaded.get(heater.name) == name:
             del self.loaded[heater.name]
@@ -135,7 +139,7 @@ class HeaterProfiles:
         return {"profiles": names, "loaded": dict(self.loaded)}
 
 
-def load_config(config: Any) -> HeaterProfiles:
+def load_config(config: ConfigWrapper) -> HeaterProfiles:
     profiles = HeaterProfiles(config.get_printer())
     profiles.register()
     for section in config.get_prefix_sections(f"{SECTION} "):
@@ -143,7 +147,7 @@ def load_config(config: Any) -> HeaterProfiles:
     return profiles
 
 
-def load_config_prefix(config: Any) -> HeaterProfiles:
+def load_config_prefix(config: ConfigWrapper) -> HeaterProfiles:
     """A profile is read with all the others."""
     profiles: HeaterProfiles = config.get_printer().load_object(config, SECTION)
     return profiles

@@ -12,6 +12,10 @@ import math
 from collections.abc import Callable
 from typing import Any, Protocol
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 from .heater import onoff as heater_onoff
 from .heater.laws import read_law
 from .heater.ordinary import MAX_HEAT_TIME_S, AnySensor, Heater, is_batch, range_error, read_settings
@@ -39,7 +43,7 @@ class AnyHeater(Protocol):
 SensorFactory = Callable[[Any], AnySensor]
 
 
-def build_heater(config: Any, sensor: AnySensor) -> Heater:
+def build_heater(config: ConfigWrapper, sensor: AnySensor) -> Heater:
     """Heater of a section with heater_pin; loads its verify_heater watch."""
     printer = config.get_printer()
     settings = read_settings(config)
@@ -52,7 +56,7 @@ def build_heater(config: Any, sensor: AnySensor) -> Heater:
     return finish_heater(config, Heater(printer, settings, sensor, law, pwm))
 
 
-def finish_heater(config: Any, heater: Heater) -> Heater:
+def finish_heater(config: ConfigWrapper, heater: Heater) -> Heater:
     """Its watch, and what flows through it."""
     config.get_printer().load_object(config, f"verify_heater {heater.name}")
     if config.get_name().startswith("extruder"):
@@ -64,7 +68,7 @@ def finish_heater(config: Any, heater: Heater) -> Heater:
 class PrinterHeaters:
     """Sensor types, heaters and the commands that address any of them."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.sensor_factories: dict[str, SensorFactory] = {}
         self.heaters: dict[str, AnyHeater] = {}
@@ -97,7 +101,7 @@ class PrinterHeaters:
         """The same under the other name in use."""
         self.add_sensor_factory(sensor_type, sensor_factory)
 
-    def setup_sensor(self, config: Any) -> AnySensor:
+    def setup_sensor(self, config: ConfigWrapper) -> AnySensor:
         """Sensor object of a section's `sensor_type`."""
         self._load_builtin(config)
         sensor_type = config.get("sensor_type")
@@ -109,7 +113,7 @@ class PrinterHeaters:
             )
         return factory(config)
 
-    def _load_builtin(self, config: Any) -> None:
+    def _load_builtin(self, config: ConfigWrapper) -> None:
         """Built-in types, then the sections that define custom ones, wherever they stand."""
         if self._builtin_loaded:
             return
@@ -119,7 +123,7 @@ class PrinterHeaters:
             for section in config.get_prefix_sections(f"{module} "):
                 self.printer.load_object(config, section.get_name())
 
-    def setup_heater(self, config: Any, gcode_id: str | None = None) -> Any:
+    def setup_heater(self, config: ConfigWrapper, gcode_id: str | None = None) -> Any:
         """The heater of a section: an ordinary one, or the one its option `heater` names."""
         section_name = config.get_name()
         name = section_name.split()[-1]
@@ -133,25 +137,29 @@ class PrinterHeaters:
         self.add_heater(config, heater, gcode_id)
         return heater
 
-    def add_heater(self, config: Any, heater: Any, gcode_id: str | None = None) -> None:
+    def add_heater(self, config: ConfigWrapper, heater: Any, gcode_id: str | None = None) -> None:
         """Make a finished heater known under its section."""
         section_name = config.get_name()
         self.heaters[heater.name] = heater
         self.available_heaters.append(section_name)
         self.register_sensor(config, heater, gcode_id)
+        self.answer_to(heater.name, heater)
 
-        def set_heater_temperature(gcmd: Any) -> None:
+    def answer_to(self, name: str, heater: AnyHeater) -> None:
+        """SET_HEATER_TEMPERATURE HEATER=name is for this heater."""
+
+        def set_heater_temperature(gcmd: GCodeCommand) -> None:
             self.set_temperature(heater, gcmd.get_float("TARGET", 0.0))
 
         self.printer.lookup_object("gcode").register_mux_command(
             "SET_HEATER_TEMPERATURE",
             "HEATER",
-            heater.name,
+            name,
             set_heater_temperature,
             desc="Sets a heater temperature",
         )
 
-    def register_sensor(self, config: Any, psensor: Any, gcode_id: str | None = None) -> None:
+    def register_sensor(self, config: ConfigWrapper, psensor: Any, gcode_id: str | None = None) -> None:
         """A sensor (or heater) for status listings, and for M105 if it has an id there."""
         self.available_sensors.append(config.get_name())
         if gcode_id is None:
@@ -162,7 +170,7 @@ class PrinterHeaters:
             raise config.error(f"G-Code sensor id {gcode_id} already registered")
         self.gcode_id_to_sensor[gcode_id] = psensor
 
-    def register_monitor(self, config: Any) -> None:
+    def register_monitor(self, config: ConfigWrapper) -> None:
         """A section that only watches temperatures."""
         self.available_monitors.append(config.get_name())
 
@@ -227,15 +235,15 @@ class PrinterHeaters:
     def _on_restart(self, print_time: float) -> None:
         self.turn_off_all_heaters()
 
-    def cmd_M105(self, gcmd: Any) -> None:
+    def cmd_M105(self, gcmd: GCodeCommand) -> None:
         line = self._report(self.printer.get_reactor().monotonic())
         if not gcmd.ack(line):
             gcmd.respond_raw(line)
 
-    def cmd_TURN_OFF_HEATERS(self, gcmd: Any) -> None:
+    def cmd_TURN_OFF_HEATERS(self, gcmd: GCodeCommand) -> None:
         self.turn_off_all_heaters()
 
-    def cmd_TEMPERATURE_WAIT(self, gcmd: Any) -> None:
+    def cmd_TEMPERATURE_WAIT(self, gcmd: GCodeCommand) -> None:
         name = gcmd.get("SENSOR")
         if name not in self.available_sensors:
             known = ", ".join(self.available_sensors)
@@ -253,7 +261,7 @@ class PrinterHeaters:
         self._wait_while(outside)
 
 
-def load_config(config: Any) -> PrinterHeaters:
+def load_config(config: ConfigWrapper) -> PrinterHeaters:
     heaters = PrinterHeaters(config.get_printer())
     heaters.register()
     for module in TUNING:

@@ -13,6 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 # An endstop is looked at this often at least while homing (s); also bounded to about a step.
 ENDSTOP_SAMPLE_S = 0.000015
 ENDSTOP_SAMPLE_COUNT = 4
@@ -51,7 +55,7 @@ class StepperPosition:
 class HomingMove:
     """A move towards one or more endstops."""
 
-    def __init__(self, printer: Any, endstops: Sequence[tuple[Any, str]], toolhead: Any = None) -> None:
+    def __init__(self, printer: Printer, endstops: Sequence[tuple[Any, str]], toolhead: Any = None) -> None:
         self.printer = printer
         self.endstops = [(e, n) for e, n in endstops if e.get_steppers()]
         self.toolhead = toolhead or printer.lookup_object("toolhead")
@@ -206,7 +210,7 @@ class HomingMove:
 class Homing:
     """What a kinematics needs to home its rails."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.toolhead = printer.lookup_object("toolhead")
         self.changed_axes: list[int] = []
@@ -313,7 +317,7 @@ class Homing:
 class PrinterHoming:
     """Printer object 'homing'."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
 
     def register_commands(self) -> None:
@@ -341,7 +345,7 @@ class PrinterHoming:
             raise self.printer.command_error("Probe triggered prior to movement")
         return result
 
-    def cmd_G28(self, gcmd: Any) -> None:
+    def cmd_G28(self, gcmd: GCodeCommand) -> None:
         """G28 [X] [Y] [Z]: home these axes, all without any."""
         params = gcmd.get_command_parameters()
         axes = [number for number, name in enumerate(AXES) if name in params] or [0, 1, 2]
@@ -357,7 +361,7 @@ class PrinterHoming:
             raise
 
 
-def load_config(config: Any) -> PrinterHoming:
+def load_config(config: ConfigWrapper) -> PrinterHoming:
     homing = PrinterHoming(config.get_printer())
     homing.register_commands()
     return homing

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 
 class HomingHeaters:
     """Switches the named heaters off for homing moves of the named steppers (None: all)."""
 
     def __init__(
-        self, printer: Any, steppers: tuple[str, ...] | None, heaters: tuple[str, ...] | None
+        self, printer: Printer, steppers: tuple[str, ...] | None, heaters: tuple[str, ...] | None
     ) -> None:
         self.printer = printer
         self._steppers = steppers
@@ -71,7 +74,7 @@ class HomingHeaters:
             self.printer.lookup_object("heaters").lookup_heater(name).set_temp(target_c)
 
 
-def load_config(config: Any) -> HomingHeaters:
+def load_config(config: ConfigWrapper) -> HomingHeaters:
     """Section [homing_heaters]."""
     printer = config.get_printer()
     printer.load_object(config, "heaters")

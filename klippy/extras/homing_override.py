@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 
 class HomingOverride:
     """Replaces G28 for the axes it is responsible for."""
 
-    def __init__(self, printer: Any, axes: str, start_pos: list[float | None], template: Any) -> None:
+    def __init__(self, printer: Printer, axes: str, start_pos: list[float | None], template: Any) -> None:
         self.printer = printer
         self.axes = axes
         self.start_pos = start_pos
@@ -21,7 +25,7 @@ class HomingOverride:
         self.prev_G28 = gcode.register_command("G28", None)
         gcode.register_command("G28", self.cmd_G28)
 
-    def cmd_G28(self, gcmd: Any) -> None:
+    def cmd_G28(self, gcmd: GCodeCommand) -> None:
         """G28 [X] [Y] [Z]."""
         named = [a for a in "XYZ" if gcmd.get(a, None) is not None]
         ours = not named or any(a in self.axes for a in named)
@@ -50,7 +54,7 @@ class HomingOverride:
         toolhead.set_position(place, homing_axes="".join("xyz"[axis] for axis in axes))
 
 
-def load_config(config: Any) -> HomingOverride:
+def load_config(config: ConfigWrapper) -> HomingOverride:
     printer = config.get_printer()
     printer.load_object(config, "homing")
     template = printer.load_object(config, "gcode_macro").load_template(config, "gcode")

@@ -5,6 +5,10 @@ from __future__ import annotations
 import logging
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 _DEFAULT_GCODE = "{% if 'heaters' in printer %}\nTURN_OFF_HEATERS\n{% endif %}\nM84"
 _POLL_S = 0.5
 _QUIET_S = 0.5  # motion must have ended that long before the printer counts as ready
@@ -13,7 +17,7 @@ _QUIET_S = 0.5  # motion must have ended that long before the printer counts as 
 class IdleTimeout:
     """States: Printing (something moves or a command runs), Ready, Idle (the time is over)."""
 
-    def __init__(self, printer: Any, timeout_s: float, script: Any) -> None:
+    def __init__(self, printer: Printer, timeout_s: float, script: Any) -> None:
         self.printer = printer
         self.reactor = printer.get_reactor()
         self.gcode = printer.lookup_object("gcode")
@@ -89,13 +93,13 @@ class IdleTimeout:
             self._ending = False
         self._become("Idle", self.reactor.monotonic())
 
-    def cmd_SET_IDLE_TIMEOUT(self, gcmd: Any) -> None:
+    def cmd_SET_IDLE_TIMEOUT(self, gcmd: GCodeCommand) -> None:
         """Change the time until restart."""
         self.idle_timeout = gcmd.get_float("TIMEOUT", self.idle_timeout, above=0.0)
         gcmd.respond_info(f"idle_timeout: Timeout set to {self.idle_timeout:.2f} s")
 
 
-def load_config(config: Any) -> IdleTimeout:
+def load_config(config: ConfigWrapper) -> IdleTimeout:
     """Always loaded; section [idle_timeout]."""
     printer = config.get_printer()
     timeout_s = config.getfloat("timeout", 600.0, above=0.0)

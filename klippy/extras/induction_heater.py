@@ -12,10 +12,13 @@ import logging
 import math
 from typing import Any, Protocol
 
+from configfile import ConfigWrapper
+from roles import Printer
 from thermal.control import loop
-from thermal.records import PhaseCommand
+from thermal.records import PhaseCommand, TempEstimate
 from thermal.sensing import features, laws
 from thermal.sensing.blocks import Blocks
+from thermal.sensing.pipeline import Chain
 
 from . import heaters as heater_registry
 from .induction import calibrate as induction_calibrate
@@ -27,6 +30,7 @@ from .induction.mcu import InductionUnit
 from .outputs import output_file
 
 QUIET_S = 0.5  # how often it is looked whether melt or fan take heat
+MEAN_POWER_S = 1.0  # a calibration visits all powers, some ms each: what is shown is the mean
 
 
 class Driver(Protocol):
@@ -48,12 +52,36 @@ class Planner(Protocol):
     def renew(self) -> None: ...
 
 
+class CalibrationView:
+    """What status shows while a calibration commands the bridge: temperature by the law in force, or by the reference,
+    and the power given, a mean over the last second."""
+
+    def __init__(self, parameters: loop.LoopParameters, now_s: float) -> None:
+        p = parameters
+        self._chain = Chain()  # the loop's own must not remember what the calibration does
+        self._chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.track)
+        self.command = PhaseCommand(now_s, 0, 0.0)
+        self.power_w = 0.0
+        self.reference_c: float | None = None  # newest reading
+
+    def take(self, blocks: Blocks) -> TempEstimate | None:
+        news = self._chain.take(blocks)
+        self._chain.samples()
+        return news
+
+    def note(self, commands: list[PhaseCommand]) -> None:
+        for command in commands:
+            share = 1.0 - math.exp((self.command.time_s - command.time_s) / MEAN_POWER_S)
+            self.power_w += (self.command.power_w - self.power_w) * share
+            self.command = command
+
+
 class InductionHeater:
     """One nozzle: the heater interface on one side, the induction unit on the other."""
 
     def __init__(
         self,
-        printer: Any,
+        printer: Printer,
         name: str,
         unit: InductionUnit,
         parameters: loop.LoopParameters,
@@ -77,6 +105,7 @@ class InductionHeater:
         self._reactor = printer.get_reactor()
         self._timer: Any = None
         self._driver: Driver | None = None
+        self._view: CalibrationView | None = None  # goes with it
         self.planner: Planner | None = None
         self.lent = False  # to a calibration: what it extrudes is no path to plan
         self._quiet_s = -math.inf
@@ -92,8 +121,9 @@ class InductionHeater:
         printer.register_event_handler("klippy:ready", self._on_ready)
         printer.register_event_handler("klippy:shutdown", self._stop)
         printer.register_event_handler("klippy:disconnect", self._stop)
+        printer.register_event_handler("mcu:explain_shutdown", self._explain)
 
-    def serve(self, config: Any) -> InductionHeater:
+    def serve(self, config: ConfigWrapper) -> InductionHeater:
         """An extruder's section names this heater: take its name and its min_extrude_temp."""
         if self.served_by:
             users = f"[{self.served_by}] and [{config.get_name()}]"
@@ -103,7 +133,18 @@ class InductionHeater:
         self.min_extrude_c = config.getfloat(
             "min_extrude_temp", self.min_extrude_c, minval=self.min_temp, maxval=self.max_temp
         )
+        self._show_limits(config)
         return self
+
+    def _show_limits(self, config: ConfigWrapper) -> None:
+        """Front ends look for a heater's limits among the settings of the extruder's own section."""
+        for option, value in (("min_temp", self.min_temp), ("max_temp", self.max_temp)):
+            if config.get(option, None, note_valid=False) is not None:
+                raise config.error(
+                    f"Option '{option}' in section '{config.get_name()}' ({config.where(option)}): the extruder is"
+                    f" heated by [induction_heater {self.section_name}]; write the limit there, it holds for both."
+                )
+            config.getfloat(option, value)
 
     # Life of the loop
 
@@ -126,6 +167,14 @@ class InductionHeater:
             self._reactor.unregister_timer(self._timer)
             self._timer = None
 
+    def _explain(self, mcu: Any, reason: str) -> str:
+        """After a stop of the board by its own guard: which heater, and what its signal last said."""
+        if mcu is not self.unit.mcu or not reason.startswith("Induction"):
+            return ""
+        news = self.loop.state.estimate
+        last = f"its last reading was {news.temp_c:.0f} C" if news.valid else "there was no reading before"
+        return f"Induction heater '{self.section_name}': {last}."
+
     def _now_s(self) -> float:
         return self.unit.print_time_now(self._reactor.monotonic())
 
@@ -138,8 +187,7 @@ class InductionHeater:
         eventtime = self._reactor.monotonic()
         now_s = self.unit.print_time_now(eventtime)
         if self._driver is not None:
-            self.loop.tell(blocks, now_s, measured=False)
-            self._send(self._driver.on_blocks(blocks, now_s), now_s)
+            self._drive(self._driver, blocks, now_s)
             return
         self._look_ahead(now_s)
         self._send(self.loop.on_blocks(blocks, now_s), now_s)
@@ -148,6 +196,23 @@ class InductionHeater:
             self._running and eventtime - self._quiet_s < QUIET_S
         ):  # while blocks come there is nothing to watch
             self._reactor.update_timer(self._timer, eventtime + self.loop.watch_s(now_s))
+
+    def _drive(self, driver: Driver, blocks: Blocks, now_s: float) -> None:
+        """A calibration decides; what it does is shown."""
+        self.loop.tell(blocks, now_s, measured=False)
+        self._send(driver.on_blocks(blocks, now_s), now_s)
+        if self._view is None:
+            return
+        news = self._view.take(blocks)
+        if news is not None:
+            self.loop.state.estimate = news
+        if self._view.reference_c is None:
+            self._smooth()
+
+    def show_reference(self, temp_c: float) -> None:
+        """A calibration's reference reads so: better than the law that is being replaced."""
+        if self._view is not None:
+            self._view.reference_c = self._smoothed_c = temp_c
 
     def _look_ahead(self, now_s: float) -> None:
         """Planned flow and fan, for laws that know what to do with them."""
@@ -172,6 +237,8 @@ class InductionHeater:
     def _send(self, commands: list[PhaseCommand], now_s: float) -> None:
         if commands:
             self.unit.queue_plan(commands)
+            if self._view is not None:
+                self._view.note(commands)
         self._tell_calm(now_s)
         if self.loop.fault and self._running:
             self._running = False
@@ -235,10 +302,11 @@ class InductionHeater:
         if self.loop.state.target_c:
             raise self.printer.command_error(f"Turn heater '{self.name}' off before calibrating it")
         self._driver = driver
+        self._view = CalibrationView(self.parameters, self._now_s())
 
     def give_back(self) -> None:
         """The loop is at the bridge again, heater off."""
-        self._driver = None
+        self._driver = self._view = None
         self.loop.resume(self._now_s())
 
     def now_s(self) -> float:
@@ -269,16 +337,16 @@ class InductionHeater:
 
     def set_temp(self, degrees: float) -> None:
         """New target in degC, 0 = off. Raises the printer's command_error if out of range."""
-        if degrees and self._driver is not None:
-            raise self.printer.command_error(f"Heater '{self.name}' is being calibrated; ABORT ends that")
+        if self._driver is not None:
+            if degrees:
+                raise self.printer.command_error(f"Heater '{self.name}' is being calibrated; ABORT ends that")
+            self._driver.abort("the heater was turned off")
         if degrees and not self.parameters.supervise.calibrated:
             raise self.printer.command_error(
                 f"Heater '{self.name}' is not calibrated: run INDUCTION_CALIBRATE HEATER={self.section_name} first"
             )
-        if degrees and not self.min_temp <= degrees <= self.max_temp:
-            raise self.printer.command_error(
-                heater_registry.range_error(degrees, self.min_temp, self.max_temp)
-            )
+        if degrees and not self.min_temp <= degrees <= self.target_max_c:
+            raise self.printer.command_error(self._range_error(degrees))
         if degrees and self.planner is not None and self.planner.take_target(degrees):
             return  # path is under way: the plan moves with it
         if self._running:
@@ -287,10 +355,25 @@ class InductionHeater:
         else:
             self.loop.state.target_c = degrees
 
+    @property
+    def target_max_c(self) -> float:
+        """The greatest target: the law in use holds it below supervision's limit."""
+        return self.max_temp - self.parameters.control.beyond_c
+
+    def _range_error(self, degrees: float) -> str:
+        text = heater_registry.range_error(degrees, self.min_temp, self.target_max_c)
+        if degrees > self.max_temp or degrees < self.min_temp:
+            return text
+        chosen = self.parameters.control
+        return (
+            f"{text}: control: {chosen.law.name} swings, so that the greatest target is {chosen.beyond_c:g} C below"
+            f" max_temp of [induction_heater {self.section_name}]"
+        )
+
     def alter_target(self, target_temp: float) -> None:
         """Move the target without an error, limited to the range; 0 stays off."""
         if target_temp:
-            target_temp = max(self.min_temp, min(self.max_temp, target_temp))
+            target_temp = max(self.min_temp, min(self.target_max_c, target_temp))
         self.set_temp(target_temp)
 
     def get_temp(self, eventtime: float) -> tuple[float, float]:
@@ -305,13 +388,21 @@ class InductionHeater:
 
     @property
     def can_extrude(self) -> bool:
-        return self.batch or self._smoothed_c >= self.min_extrude_c
+        return self.batch or (self._driver is None and self._smoothed_c >= self.min_extrude_c)
 
     def get_max_power(self) -> float:
         return 1.0
 
     def get_smooth_time(self) -> float:
         return self.smooth_time_s
+
+    def _given(self) -> tuple[float, int]:
+        """(W, phase) that the bridge is to give now; after a stop it is off."""
+        if not self._running:
+            return 0.0, 0
+        if self._view is not None:
+            return self._view.power_w, self._view.command.phase_ticks
+        return self.loop.state.request.power_w, self.loop.state.commanded.phase_ticks
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
         """The usual heater fields; `power` is the share of max_power_w.
@@ -324,7 +415,7 @@ class InductionHeater:
         return {
             "temperature": round(self._smoothed_c, 2),
             "target": target_c,
-            "power": round(state.request.power_w / self.parameters.control.power_max_w, 4),
+            "power": round(self._given()[0] / self.parameters.control.power_max_w, 4),
         }
 
     def get_detail(self, eventtime: float) -> dict[str, Any]:
@@ -333,14 +424,16 @@ class InductionHeater:
         news = state.estimate
         now_s = self.unit.print_time_now(eventtime)
         age_s = now_s - news.time_s
+        power_w, phase_ticks = self._given()
         return {
             **self.get_status(eventtime),
             "can_extrude": self.can_extrude,
             "estimate": round(news.temp_c, 3) if news.valid else None,
             "sigma": round(news.sigma_c, 3) if news.valid else None,
             "estimate_age": round(age_s, 4) if news.valid else None,
-            "power_w": round(state.request.power_w, 3),
-            "phase": state.commanded.phase_ticks,
+            "valid": self._running and news.valid and age_s <= self.parameters.supervise.invalid_s,
+            "power_w": round(power_w, 3),
+            "phase": phase_ticks,
             "fault": self.loop.fault or None,
             "warning": self.warning() or None,
             "control": self.parameters.control.law.name,
@@ -350,7 +443,7 @@ class InductionHeater:
             "law": laws.coefficients_of(self.parameters.estimator.law)[0],
             "law_residual": self.parameters.estimator.law.residual_units,
             "calibrated": self.parameters.supervise.calibrated,
-            "calibrating": self._driver is not None,
+            "calibrating": self._running and (self._driver is not None or self.lent),
             "latency": round(state.latency_s, 4),
             "noise_lsb": _rounded(self.loop.chain.noise_lsb()),
             "drift": _rounded(state.plausible.drift_c),
@@ -362,10 +455,11 @@ class InductionHeater:
     def stats(self, eventtime: float) -> tuple[bool, str]:
         state = self.loop.state
         active = state.target_c > 0.0 or self._smoothed_c > 50.0
-        share = state.request.power_w / self.parameters.control.power_max_w
+        power_w, phase_ticks = self._given()
+        share = power_w / self.parameters.control.power_max_w
         text = (
             f"{self.name}: target={state.target_c:.0f} temp={self._smoothed_c:.1f} pwm={share:.3f}"
-            f" power_w={state.request.power_w:.2f} phase={state.commanded.phase_ticks}"
+            f" power_w={power_w:.2f} phase={phase_ticks}"
             f" blocks_lost={self.unit.get_status()['blocks_lost']}"
         )
         return active, text
@@ -378,7 +472,7 @@ def _rounded(value: float | None) -> float | None:
 class InductionSection:
     """The object under the section's own name: detailed status, and the heater for others."""
 
-    def __init__(self, config: Any, heater: InductionHeater) -> None:
+    def __init__(self, config: ConfigWrapper, heater: InductionHeater) -> None:
         self.heater = heater
         self._config = config
         self.serve = heater.serve
@@ -388,16 +482,28 @@ class InductionSection:
 
     def register(self) -> None:
         self.heater.register()
+        self.heater.printer.register_event_handler("klippy:mcu_identify", self._check_name)
         self.heater.printer.register_event_handler("klippy:connect", self._on_connect)
 
+    def _check_name(self) -> None:
+        """All sections are read: HEATER=name must mean one heater."""
+        name = self.heater.section_name
+        if self.heater.printer.lookup_object("heaters").heaters.get(name, self.heater) is not self.heater:
+            raise self._config.error(
+                f"Section '{self._config.get_name()}' ({self._config.where()}): heater '{name}' is another one, and"
+                f" commands with HEATER={name} must know which is meant. Give the section another name."
+            )
+
     def _on_connect(self) -> None:
-        """No extruder took it: it is a heater of its own."""
-        if not self.heater.served_by:
-            registry = self.heater.printer.lookup_object("heaters")
-            registry.add_heater(self._config, self.heater)
+        """Commands know it by its section's name, too. No extruder took it: it is a heater of its own."""
+        heater, registry = self.heater, self.heater.printer.lookup_object("heaters")
+        if not heater.served_by:
+            registry.add_heater(self._config, heater)
+        elif heater.name != heater.section_name:
+            registry.answer_to(heater.section_name, heater)
 
 
-def load_config_prefix(config: Any) -> InductionSection:
+def load_config_prefix(config: ConfigWrapper) -> InductionSection:
     printer = config.get_printer()
     printer.load_object(config, "heaters")
     name = config.get_name().split()[-1]

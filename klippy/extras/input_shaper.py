@@ -14,6 +14,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import chelper
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from motionlimits import DAMPING_RATIO, SHAPER_HZ, or_zero
+from roles import Printer
 
 AXES = "xyz"
 DEFAULT_TYPE = "mzv"
@@ -95,7 +99,7 @@ class AxisShaper:
 class InputShaper:
     """Printer object 'input_shaper'."""
 
-    def __init__(self, printer: Any, axes: list[AxisShaper]) -> None:
+    def __init__(self, printer: Printer, axes: list[AxisShaper]) -> None:
         self.printer = printer
         self.axes = axes
         self._ffi, self._lib = chelper.get_ffi()
@@ -143,7 +147,7 @@ class InputShaper:
             )
         }
 
-    def cmd_SET_INPUT_SHAPER(self, gcmd: Any) -> None:
+    def cmd_SET_INPUT_SHAPER(self, gcmd: GCodeCommand) -> None:
         """SET_INPUT_SHAPER [SHAPER_FREQ_X=Hz] [DAMPING_RATIO_X=] [SHAPER_TYPE=|SHAPER_TYPE_X=] … also Y, Z."""
         common = gcmd.get("SHAPER_TYPE", None)
         changed = []
@@ -152,8 +156,8 @@ class InputShaper:
             kind = gcmd.get(f"SHAPER_TYPE_{letter}", common or axis.kind).lower()
             if kind not in SHAPERS:
                 raise gcmd.error(f"Unsupported shaper type '{kind}' (known: {', '.join(SHAPERS)})")
-            frequency = gcmd.get_float(f"SHAPER_FREQ_{letter}", axis.frequency_hz, minval=0.0)
-            damping = gcmd.get_float(f"DAMPING_RATIO_{letter}", axis.damping_ratio, minval=0.0, below=1.0)
+            frequency = or_zero(gcmd.get_float, f"SHAPER_FREQ_{letter}", axis.frequency_hz, SHAPER_HZ)
+            damping = gcmd.get_float(f"DAMPING_RATIO_{letter}", axis.damping_ratio, **DAMPING_RATIO)
             changed.append(AxisShaper(axis.axis, kind, frequency, damping))
         if changed != self.axes:
             self._apply(changed)
@@ -163,18 +167,18 @@ class InputShaper:
                 gcmd.respond_info(axis.describe())
 
 
-def _read_axis(config: Any, axis: str) -> AxisShaper:
+def _read_axis(config: ConfigWrapper, axis: str) -> AxisShaper:
     kinds = {name: name for name in SHAPERS}
     common = config.getchoice("shaper_type", kinds, DEFAULT_TYPE)
     return AxisShaper(
         axis,
         config.getchoice(f"shaper_type_{axis}", kinds, common),
-        config.getfloat(f"shaper_freq_{axis}", 0.0, minval=0.0),
-        config.getfloat(f"damping_ratio_{axis}", DEFAULT_DAMPING_RATIO, minval=0.0, below=1.0),
+        or_zero(config.getfloat, f"shaper_freq_{axis}", 0.0, SHAPER_HZ),
+        config.getfloat(f"damping_ratio_{axis}", DEFAULT_DAMPING_RATIO, **DAMPING_RATIO),
     )
 
 
-def load_config(config: Any) -> InputShaper:
+def load_config(config: ConfigWrapper) -> InputShaper:
     shaper = InputShaper(config.get_printer(), [_read_axis(config, axis) for axis in AXES])
     shaper.register()
     return shaper

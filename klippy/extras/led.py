@@ -11,6 +11,9 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 from .outputs.scheduled_pin import ScheduledPin
 
 COLORS = ("RED", "GREEN", "BLUE", "WHITE")
@@ -23,7 +26,7 @@ UpdateFunction = Callable[[Sequence[Color], float | None], None]
 class LEDHelper:
     """The colours of a chain of LEDs. `update_func(colours, print_time or None)` brings them out."""
 
-    def __init__(self, config: Any, update_func: UpdateFunction, led_count: int = 1) -> None:
+    def __init__(self, config: ConfigWrapper, update_func: UpdateFunction, led_count: int = 1) -> None:
         self.printer = config.get_printer()
         self.update_func = update_func
         self.led_count = led_count
@@ -65,7 +68,7 @@ class LEDHelper:
     def get_status(self, eventtime: float | None = None) -> dict[str, Any]:
         return {"color_data": self.led_state}
 
-    def cmd_SET_LED(self, gcmd: Any) -> None:
+    def cmd_SET_LED(self, gcmd: GCodeCommand) -> None:
         """Set a colour."""
         red, green, blue, white = (gcmd.get_float(color, 0.0, minval=0.0, maxval=1.0) for color in COLORS)
         index = gcmd.get_int("INDEX", None, minval=1, maxval=self.led_count)
@@ -82,7 +85,7 @@ class LEDHelper:
         else:
             bring_out(None)
 
-    def cmd_SET_LED_TEMPLATE(self, gcmd: Any) -> None:
+    def cmd_SET_LED_TEMPLATE(self, gcmd: GCodeCommand) -> None:
         """Let one LED, or all, follow a template."""
         index = gcmd.get_int("INDEX", None, minval=1, maxval=self.led_count)
         for number in range(1, self.led_count + 1) if index is None else (index,):
@@ -100,14 +103,16 @@ class LEDHelper:
 class PrinterLED:
     """The object `led`, for modules with LEDs of their own."""
 
-    def setup_helper(self, config: Any, update_func: UpdateFunction, led_count: int = 1) -> LEDHelper:
+    def setup_helper(
+        self, config: ConfigWrapper, update_func: UpdateFunction, led_count: int = 1
+    ) -> LEDHelper:
         return LEDHelper(config, update_func, led_count)
 
 
 class PrinterPWMLED:
     """The object `led NAME`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         cycle_time_s = config.getfloat("cycle_time", 0.010, above=0.0, maxval=5.0)
         hardware_pwm = config.getboolean("hardware_pwm", False)
@@ -139,11 +144,11 @@ class PrinterPWMLED:
             output.request(print_time, led_state[0][index])
 
 
-def load_config(config: Any) -> PrinterLED:
+def load_config(config: ConfigWrapper) -> PrinterLED:
     """Loaded by LED modules."""
     return PrinterLED()
 
 
-def load_config_prefix(config: Any) -> PrinterPWMLED:
+def load_config_prefix(config: ConfigWrapper) -> PrinterPWMLED:
     """Section [led NAME]."""
     return PrinterPWMLED(config)

@@ -11,6 +11,10 @@ import bisect
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 DEFAULT_SPEED_MM_S = 5.0
 # A height is always approached from above, so that the play of the lead screw is on the same side.
 PLAY_MM = 0.5
@@ -24,13 +28,13 @@ COMMANDS = {
 Finalize = Callable[[Sequence[float] | None], None]  # place of the nozzle (mm), None if the user gave up
 
 
-def verify_no_manual_probe(printer: Any) -> None:
+def verify_no_manual_probe(printer: Printer) -> None:
     """Raise if a dialogue with the user (this one, or a calibration) is open."""
     if printer.lookup_object("gcode").get_handler("ABORT") is not None:
         raise printer.command_error("Already in a manual Z probe or a calibration. Use ABORT to abort it.")
 
 
-def kinematic_position(printer: Any) -> list[float]:
+def kinematic_position(printer: Printer) -> list[float]:
     """x, y, z (mm) at which the motors stand once everything queued is done."""
     toolhead = printer.lookup_object("toolhead")
     toolhead.flush_step_generation()
@@ -39,7 +43,7 @@ def kinematic_position(printer: Any) -> list[float]:
     return [was if new is None else new for new, was in zip(place, toolhead.get_position(), strict=False)]
 
 
-def tell_save_config(gcmd: Any, what: str) -> None:
+def tell_save_config(gcmd: GCodeCommand, what: str) -> None:
     """The answer of every command that found a value for the config."""
     gcmd.respond_info(
         f"{what}\nThe SAVE_CONFIG command will update the printer config file\n"
@@ -50,7 +54,7 @@ def tell_save_config(gcmd: Any, what: str) -> None:
 class ManualProbeHelper:
     """One dialogue; `finalize_callback` is told its end."""
 
-    def __init__(self, printer: Any, gcmd: Any, finalize_callback: Finalize) -> None:
+    def __init__(self, printer: Printer, gcmd: GCodeCommand, finalize_callback: Finalize) -> None:
         verify_no_manual_probe(printer)
         self.printer = printer
         self.finalize_callback = finalize_callback
@@ -87,7 +91,7 @@ class ManualProbeHelper:
             self._toolhead.manual_move([None, None, z_mm + PLAY_MM], self.speed)
         self._toolhead.manual_move([None, None, z_mm], self.speed)
 
-    def _wanted(self, gcmd: Any) -> float:
+    def _wanted(self, gcmd: GCodeCommand) -> float:
         """The height that TESTZ asks for."""
         text = gcmd.get("Z")
         if text not in ("+", "++", "-", "--"):
@@ -99,7 +103,7 @@ class ManualProbeHelper:
             raise gcmd.error(f"TESTZ Z={text}: no height {side} this one has been tried yet; give a distance")
         return bound if len(text) == 2 else 0.5 * (bound + self._z_mm)
 
-    def cmd_TESTZ(self, gcmd: Any) -> None:
+    def cmd_TESTZ(self, gcmd: GCodeCommand) -> None:
         """TESTZ Z=<mm>|+|++|-|--: by a distance, half way to a height tried before, or back to it."""
         wanted = self._wanted(gcmd)
         self._go_to(wanted)
@@ -108,11 +112,11 @@ class ManualProbeHelper:
             self._tested.insert(place, self._z_mm)
         self._report()
 
-    def cmd_ACCEPT(self, gcmd: Any) -> None:
+    def cmd_ACCEPT(self, gcmd: GCodeCommand) -> None:
         """This is the height."""
         self._finish(kinematic_position(self.printer))
 
-    def cmd_ABORT(self, gcmd: Any) -> None:
+    def cmd_ABORT(self, gcmd: GCodeCommand) -> None:
         """End without a result."""
         self._gcode.respond_info("Manual probe aborted")
         self._finish(None)
@@ -127,7 +131,7 @@ class ManualProbeHelper:
 class ManualProbe:
     """Printer object 'manual_probe': the commands, and the status of whatever dialogue is open."""
 
-    def __init__(self, printer: Any, endstop: tuple[str, float] | None) -> None:
+    def __init__(self, printer: Printer, endstop: tuple[str, float] | None) -> None:
         self.printer = printer
         self._endstop = endstop  # section with the Z endstop's position_endstop, and that (mm)
         self._status: dict[str, Any] = {}
@@ -155,7 +159,7 @@ class ManualProbe:
     def get_status(self, eventtime: float) -> dict[str, Any]:
         return self._status
 
-    def cmd_MANUAL_PROBE(self, gcmd: Any) -> None:
+    def cmd_MANUAL_PROBE(self, gcmd: GCodeCommand) -> None:
         """MANUAL_PROBE [SPEED=mm/s]."""
 
         def finalize(place: Sequence[float] | None) -> None:
@@ -164,13 +168,13 @@ class ManualProbe:
 
         ManualProbeHelper(self.printer, gcmd, finalize)
 
-    def _propose(self, gcmd: Any, position_mm: float) -> None:
+    def _propose(self, gcmd: GCodeCommand, position_mm: float) -> None:
         assert self._endstop is not None
         section = self._endstop[0]
         tell_save_config(gcmd, f"{section}: position_endstop: {position_mm:.3f}")
         self.printer.lookup_object("configfile").set(section, "position_endstop", f"{position_mm:.3f}")
 
-    def cmd_Z_ENDSTOP_CALIBRATE(self, gcmd: Any) -> None:
+    def cmd_Z_ENDSTOP_CALIBRATE(self, gcmd: GCodeCommand) -> None:
         """Z_ENDSTOP_CALIBRATE [SPEED=mm/s]: what now is the bed shall be z = 0."""
         assert self._endstop is not None
         configured_mm = self._endstop[1]
@@ -181,7 +185,7 @@ class ManualProbe:
 
         ManualProbeHelper(self.printer, gcmd, finalize)
 
-    def cmd_Z_OFFSET_APPLY_ENDSTOP(self, gcmd: Any) -> None:
+    def cmd_Z_OFFSET_APPLY_ENDSTOP(self, gcmd: GCodeCommand) -> None:
         """Take SET_GCODE_OFFSET Z=… over into position_endstop."""
         offset_mm = self.printer.lookup_object("gcode_move").get_status()["homing_origin"].z
         if not offset_mm:
@@ -191,7 +195,7 @@ class ManualProbe:
         self._propose(gcmd, self._endstop[1] - offset_mm)
 
 
-def _find_endstop(config: Any) -> tuple[str, float] | None:
+def _find_endstop(config: ConfigWrapper) -> tuple[str, float] | None:
     """The section that holds the Z endstop's place, and the place."""
     for name in ("stepper_z", "carriage z"):
         if config.has_section(name):
@@ -202,7 +206,7 @@ def _find_endstop(config: Any) -> tuple[str, float] | None:
     return None
 
 
-def load_config(config: Any) -> ManualProbe:
+def load_config(config: ConfigWrapper) -> ManualProbe:
     """Loaded with every printer."""
     probe = ManualProbe(config.get_printer(), _find_endstop(config))
     probe.register()

@@ -13,6 +13,9 @@ from typing import Any
 import chelper
 import stepper
 import stepstream
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from motionlimits import ACCEL, CORNER_SPEED, POSITION, SPEED, check_way, or_zero
 
 from .force_move import trapezoid
 
@@ -37,7 +40,7 @@ class AxisLimits:
 class ManualStepper:
     """Printer object 'manual_stepper NAME'."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self.reactor = self.printer.get_reactor()
         self.name = config.get_name().split(None, 1)[-1]
@@ -48,10 +51,10 @@ class ManualStepper:
             self.steppers = self.rail.get_steppers()
         else:
             self.steppers = [stepper.PrinterStepper(config)]
-        self.velocity = config.getfloat("velocity", DEFAULT_SPEED_MM_S, above=0.0)
-        self.accel = config.getfloat("accel", 0.0, minval=0.0)
-        self.position_min = config.getfloat("position_min", None)
-        self.position_max = config.getfloat("position_max", None)
+        self.velocity = config.getfloat("velocity", DEFAULT_SPEED_MM_S, **SPEED)
+        self.accel = or_zero(config.getfloat, "accel", 0.0, ACCEL)
+        self.position_min = config.getfloat("position_min", None, **POSITION)
+        self.position_max = config.getfloat("position_max", None, **POSITION)
         if None not in (self.position_min, self.position_max) and self.position_min >= self.position_max:
             raise config.error(
                 f"Section '{config.get_name()}': position_min {self.position_min:g} must be below position_max "
@@ -158,6 +161,10 @@ class ManualStepper:
         if (low is not None and position < low) or (high is not None and position > high):
             raise self.printer.command_error(f"Move out of range: manual_stepper {self.name} {position:.3f}")
 
+    def _check_way(self, way: float) -> None:
+        for motor in self.steppers:
+            check_way(f"manual_stepper {self.name}", way, motor.get_step_dist())
+
     # -- the toolhead that homing sees --
 
     def flush_step_generation(self) -> None:
@@ -220,6 +227,7 @@ class ManualStepper:
         """Raise if the axis leaves its range; slow the move down to the axis' bounds."""
         way = move.extra_d[number]
         start = self._toolhead().get_position()[4 + number]
+        check_way(f"manual_stepper {self.name}", way)
         self._check_range(start + way)
         bounds = self._limits
         alone = not move.is_kinematic_move and not move.axes_d[3]
@@ -249,7 +257,7 @@ class ManualStepper:
         self._position += way
         self._end_time = print_time + move.accel_t + move.cruise_t + move.decel_t
 
-    def _set_gcode_axis(self, gcmd: Any) -> None:
+    def _set_gcode_axis(self, gcmd: GCodeCommand) -> None:
         letter = gcmd.get("GCODE_AXIS").strip().upper()
         toolhead = self._toolhead()
         if not letter:
@@ -264,9 +272,9 @@ class ManualStepper:
         if any(axis.get_axis_gcode_id() == letter for axis in others):
             raise gcmd.error(f"Axis '{letter}' already registered")
         limits = AxisLimits(
-            gcmd.get_float("LIMIT_VELOCITY", None, above=0.0),
-            gcmd.get_float("LIMIT_ACCEL", None, above=0.0),
-            gcmd.get_float("INSTANTANEOUS_CORNER_VELOCITY", DEFAULT_CORNER_VELOCITY, minval=0.0),
+            gcmd.get_float("LIMIT_VELOCITY", None, **SPEED),
+            gcmd.get_float("LIMIT_ACCEL", None, **ACCEL),
+            gcmd.get_float("INSTANTANEOUS_CORNER_VELOCITY", DEFAULT_CORNER_VELOCITY, **CORNER_SPEED),
         )
         self.sync_print_time()
         self._limits, self._axis_letter = limits, letter
@@ -274,7 +282,7 @@ class ManualStepper:
 
     # -- command --
 
-    def cmd_MANUAL_STEPPER(self, gcmd: Any) -> None:
+    def cmd_MANUAL_STEPPER(self, gcmd: GCodeCommand) -> None:
         """MANUAL_STEPPER STEPPER= [ENABLE=0|1] [SET_POSITION=mm] [SPEED=] [ACCEL=] [MOVE=mm [STOP_ON_ENDSTOP=1|2|-1|-2]
         [SYNC=0]] or MANUAL_STEPPER STEPPER= GCODE_AXIS=letter [LIMIT_VELOCITY=] [LIMIT_ACCEL=]
         [INSTANTANEOUS_CORNER_VELOCITY=]."""
@@ -282,16 +290,19 @@ class ManualStepper:
             self._set_gcode_axis(gcmd)
             return
         enable = gcmd.get_int("ENABLE", None, minval=0, maxval=1)
-        setpos = gcmd.get_float("SET_POSITION", None)
-        speed = gcmd.get_float("SPEED", self.velocity, above=0.0)
-        accel = gcmd.get_float("ACCEL", self.accel, minval=0.0)
+        setpos = gcmd.get_float("SET_POSITION", None, **POSITION)
+        speed = gcmd.get_float("SPEED", self.velocity, **SPEED)
+        accel = or_zero(gcmd.get_float, "ACCEL", self.accel, ACCEL)
         stop_on = gcmd.get_int("STOP_ON_ENDSTOP", 0, minval=-2, maxval=2)
         sync = bool(gcmd.get_int("SYNC", 1))
-        movepos = gcmd.get_float("MOVE", None)
+        movepos = gcmd.get_float("MOVE", None, **POSITION)
         if self._axis_letter and (setpos is not None or movepos is not None):
             raise gcmd.error(
                 f"manual_stepper {self.name} is axis {self._axis_letter} of G1: give it back with GCODE_AXIS= first"
             )
+        if movepos is not None:
+            self._check_range(movepos)
+            self._check_way(movepos - (self._position if setpos is None else setpos))
         if enable is not None:
             self.do_enable(bool(enable))
         if setpos is not None:
@@ -305,7 +316,7 @@ class ManualStepper:
             self.do_move(movepos, speed, accel, sync)
 
 
-def load_config_prefix(config: Any) -> ManualStepper:
+def load_config_prefix(config: ConfigWrapper) -> ManualStepper:
     manual = ManualStepper(config)
     manual.register()
     return manual

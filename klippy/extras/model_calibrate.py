@@ -19,6 +19,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
 from thermal.identification import step_test
 
 from .heater import run as heater_run
@@ -45,7 +48,7 @@ LEAST_POWER_W = 1.0  # no heater of a printer is weaker
 class ModelCalibrate:
     """The command; one run at a time."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self._reactor = printer.get_reactor()
         self._fitting = False
@@ -58,11 +61,11 @@ class ModelCalibrate:
             "MODEL_CALIBRATE", self.cmd_MODEL_CALIBRATE, desc="Measure a heater's thermal model"
         )
 
-    def cmd_MODEL_CALIBRATE(self, gcmd: Any) -> None:
+    def cmd_MODEL_CALIBRATE(self, gcmd: GCodeCommand) -> None:
         if self._fitting:
             raise gcmd.error("The last calibration is still being fitted")
         heater_run.need_fit(gcmd)
-        heater = heater_tuning.heater_of(self.printer, gcmd)
+        heater = heater_tuning.heater_of(self.printer, gcmd, sole_nozzle=True)
         session = heater_run.Session(self.printer, heater, "MODEL_CALIBRATE")
         now_c = session.check_sensor(gcmd)
         if now_c > WARM_C:
@@ -94,7 +97,7 @@ class ModelCalibrate:
             while self._fitting and not self.printer.is_shutdown():
                 eventtime = self._reactor.pause(eventtime + heater_run.POLL_S)
 
-    def _power(self, gcmd: Any, session: heater_run.Session) -> float:
+    def _power(self, gcmd: GCodeCommand, session: heater_run.Session) -> float:
         """W at full output."""
         if session.induction:
             return session.seat.most
@@ -109,7 +112,7 @@ class ModelCalibrate:
         return float(power_w)
 
     def _plan(
-        self, gcmd: Any, session: heater_run.Session, target_c: float, flow: float
+        self, gcmd: GCodeCommand, session: heater_run.Session, target_c: float, flow: float
     ) -> step_test.DrillPlan:
         fan = self.printer.lookup_object("fan", None) is not None and gcmd.get_int("FAN", 0)
         if session.induction:
@@ -142,7 +145,7 @@ class ModelCalibrate:
             lost_c=session.heater.max_temp - target_c + 20.0,
         )
 
-    def _check_flow(self, gcmd: Any, session: heater_run.Session, plan: step_test.DrillPlan) -> str:
+    def _check_flow(self, gcmd: GCodeCommand, session: heater_run.Session, plan: step_test.DrillPlan) -> str:
         """What would spoil the steps with filament, before anything is heated; the text that tells of them."""
         steps = [(step.target_c, step.flow_mm3_s, step.lasts_s) for step in plan.further]
         if plan.flow_s:
@@ -289,7 +292,7 @@ class ModelCalibrate:
         return "\n[temperature_plan] has a melt_exchange of its own and goes by that; delete it there to use this one"
 
 
-def load_config(config: Any) -> ModelCalibrate:
+def load_config(config: ConfigWrapper) -> ModelCalibrate:
     command = ModelCalibrate(config.get_printer())
     command.register()
     return command

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+
 CHIP = "multi_pin"
 
 
@@ -73,7 +75,7 @@ def _flip(member: str, invert: str) -> str:
 class PrinterMultiPin:
     """The object `multi_pin NAME`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         pins = config.get_printer().lookup_object("pins")
         chip = pins.chips.get(CHIP)
         if chip is None:
@@ -85,6 +87,6 @@ class PrinterMultiPin:
         chip.add(config.get_name().split()[1], members)
 
 
-def load_config_prefix(config: Any) -> PrinterMultiPin:
+def load_config_prefix(config: ConfigWrapper) -> PrinterMultiPin:
     """Section [multi_pin NAME]."""
     return PrinterMultiPin(config)

@@ -10,6 +10,8 @@ import logging
 from collections.abc import Sequence
 from typing import Any
 
+from configfile import ConfigWrapper
+
 from .led import Color
 
 BIT_MAX_TIME_S = 0.000004  # a longer low and the LEDs latch (WS2812B: at the earliest after 5 us)
@@ -56,7 +58,7 @@ def changed_spans(old: bytes, new: bytes) -> list[tuple[int, bytes]]:
 class PrinterNeopixel:
     """The object `neopixel NAME`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = printer = config.get_printer()
         self.reactor = printer.get_reactor()
         self.name = config.get_name()
@@ -124,7 +126,7 @@ class PrinterNeopixel:
             logging.info("%s: the LEDs could not be set, the board is too busy", self.name)
 
 
-def load_config_prefix(config: Any) -> PrinterNeopixel:
+def load_config_prefix(config: ConfigWrapper) -> PrinterNeopixel:
     """Section [neopixel NAME]."""
     neopixel = PrinterNeopixel(config)
     neopixel.register()

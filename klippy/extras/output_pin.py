@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 from .outputs.scheduled_pin import ScheduledPin
 
 _MAX_KEEP_ALIVE_S = 5.0
@@ -12,7 +15,7 @@ _MAX_KEEP_ALIVE_S = 5.0
 class PrinterOutputPin:
     """The object `output_pin NAME`. Values are in units of `scale` outwards, 0..1 inside."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self.is_pwm = config.getboolean("pwm", False)
         self.scale = config.getfloat("scale", 1.0, above=0.0) if self.is_pwm else 1.0
@@ -27,7 +30,7 @@ class PrinterOutputPin:
         self._output.keep_alive(max_duration_s, shutdown)
         self._templates = self.printer.load_object(config, "template_evaluator")
 
-    def _make_pin(self, config: Any) -> Any:
+    def _make_pin(self, config: ConfigWrapper) -> Any:
         pins = self.printer.lookup_object("pins")
         if not self.is_pwm:
             return pins.setup_pin("digital_out", config.get("pin"))
@@ -52,7 +55,7 @@ class PrinterOutputPin:
         else:
             self.pin.set_digital(print_time, int(value))
 
-    def cmd_SET_PIN(self, gcmd: Any) -> None:
+    def cmd_SET_PIN(self, gcmd: GCodeCommand) -> None:
         """Set the value in step with the moves queued so far."""
         if gcmd.get("TEMPLATE", None) is not None:
             self._templates.assign(self, gcmd, self._show)
@@ -71,7 +74,7 @@ class PrinterOutputPin:
         self._output.set_now(self.last_value)
 
 
-def load_config_prefix(config: Any) -> PrinterOutputPin:
+def load_config_prefix(config: ConfigWrapper) -> PrinterOutputPin:
     """Section [output_pin NAME]."""
     pin = PrinterOutputPin(config)
     pin.register(config.get_name().split(maxsplit=1)[1])

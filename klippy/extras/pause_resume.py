@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 
 class PauseResume:
     """The object `pause_resume`."""
 
-    def __init__(self, printer: Any, recover_velocity_mm_s: float) -> None:
+    def __init__(self, printer: Printer, recover_velocity_mm_s: float) -> None:
         self.printer = printer
         self.gcode = printer.lookup_object("gcode")
         self.recover_velocity_mm_s = recover_velocity_mm_s
@@ -63,7 +67,7 @@ class PauseResume:
 
     cmd_PAUSE_help = "Pauses the current print"
 
-    def cmd_PAUSE(self, gcmd: Any) -> None:
+    def cmd_PAUSE(self, gcmd: GCodeCommand) -> None:
         """Pause and remember the position."""
         if self.is_paused:
             gcmd.respond_info("Print already paused")
@@ -74,7 +78,7 @@ class PauseResume:
 
     cmd_RESUME_help = "Resumes the print from a pause"
 
-    def cmd_RESUME(self, gcmd: Any) -> None:
+    def cmd_RESUME(self, gcmd: GCodeCommand) -> None:
         """Return to the position and go on."""
         if not self.is_paused:
             gcmd.respond_info("Print is not paused, resume aborted")
@@ -88,13 +92,13 @@ class PauseResume:
 
     cmd_CLEAR_PAUSE_help = "Clears the current paused state without resuming the print"
 
-    def cmd_CLEAR_PAUSE(self, gcmd: Any) -> None:
+    def cmd_CLEAR_PAUSE(self, gcmd: GCodeCommand) -> None:
         """Forget the pause."""
         self.is_paused = self._command_sent = False
 
     cmd_CANCEL_PRINT_help = "Cancel the current print"
 
-    def cmd_CANCEL_PRINT(self, gcmd: Any) -> None:
+    def cmd_CANCEL_PRINT(self, gcmd: GCodeCommand) -> None:
         """Give up the print."""
         if self.is_sd_active() or self._sd_paused:
             self._sd().do_cancel()
@@ -103,7 +107,7 @@ class PauseResume:
         self.is_paused = self._command_sent = self._sd_paused = False
 
 
-def load_config(config: Any) -> PauseResume:
+def load_config(config: ConfigWrapper) -> PauseResume:
     """Section [pause_resume]."""
     pause_resume = PauseResume(config.get_printer(), config.getfloat("recover_velocity", 50.0, above=0.0))
     pause_resume.register()

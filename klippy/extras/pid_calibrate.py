@@ -1,8 +1,10 @@
-"""PID_CALIBRATE HEATER= TARGET= [WRITE_FILE=] [WAIT=]: a PID for any heater, from its swings around the target.
+"""PID_CALIBRATE HEATER= TARGET= [WRITE_FILE=] [WAIT=] [KEEP_LAW=pid]: a PID for any heater, from its swings around the
+target.
 
 The run and its evaluation are thermal/identification/relay.py. Ordinary heaters get pid_Kp, pid_Ki, pid_Kd (duty, per
 255), induction nozzles pid_kp_w_per_k, pid_ki_w_per_k_s, pid_kd_w_s_per_k. They are in use at once; SAVE_CONFIG keeps
-them.
+them. A nozzle with another law goes on with that, unless KEEP_LAW=pid asks for the change: predictive control holds it
+many times better.
 """
 
 from __future__ import annotations
@@ -11,6 +13,9 @@ import logging
 from pathlib import Path
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
 from thermal.control import pid
 from thermal.identification import relay
 
@@ -20,14 +25,15 @@ from .heater import tuning as heater_tuning
 TRACE = Path("/tmp/heattest.txt")  # where Klipper's users look for it
 BAND_C, INDUCTION_BAND_C = 0.5, 1.0
 LEAST_ABOVE_C = 10.0
-# The nozzle swings within a fraction of a second.
+INDUCTION_SWING_C = 20.0  # a nozzle with 300 W swings so far beyond the target ...
+# ... within a fraction of a second.
 INDUCTION_TIMES = {"swing_s": 20.0, "heat_s": 60.0, "gain_s": 5.0, "lost_c": 60.0, "cycles": 12}
 
 
 class PidCalibrate:
     """The command."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
 
     def register(self) -> None:
@@ -37,10 +43,17 @@ class PidCalibrate:
             desc="Find a heater's PID gains by swinging around TARGET",
         )
 
-    def cmd_PID_CALIBRATE(self, gcmd: Any) -> None:
+    def cmd_PID_CALIBRATE(self, gcmd: GCodeCommand) -> None:
         heater = heater_tuning.heater_of(self.printer, gcmd)
-        target_c = gcmd.get_float("TARGET", minval=heater.min_temp, maxval=heater.max_temp)
         session = heater_run.Session(self.printer, heater, "PID_CALIBRATE")
+        most_c = heater.max_temp - (INDUCTION_SWING_C if session.induction else 0.0)
+        target_c = gcmd.get_float("TARGET", minval=heater.min_temp, maxval=most_c)
+        keep_law = gcmd.get("KEEP_LAW", "").lower()
+        if keep_law not in ("", "pid"):
+            raise gcmd.error(
+                f"PID_CALIBRATE: KEEP_LAW={keep_law}: only 'pid' can come of it, or leave it out"
+            )
+        other = "" if keep_law or not session.induction else _other_law(heater)
         now_c = session.check_sensor(gcmd)
         if target_c < now_c + LEAST_ABOVE_C:
             raise gcmd.error(
@@ -56,12 +69,15 @@ class PidCalibrate:
         run = relay.RelayRun(plan)
         write = gcmd.get_int("WRITE_FILE", 0)
         wait = gcmd.get_int("WAIT", 1)
-        session.start(run, lambda: self._finish(session, run, bool(write)))
+        session.start(run, lambda: self._finish(session, run, bool(write), other))
         session.say(f"PID_CALIBRATE: heater '{heater.name}' will swing around {target_c:.0f} C")
+        if other:
+            session.say(_advice(heater, other))
         if wait:
             session.wait()
 
-    def _finish(self, session: heater_run.Session, run: relay.RelayRun, write: bool) -> None:
+    def _finish(self, session: heater_run.Session, run: relay.RelayRun, write: bool, other: str) -> None:
+        """`other`: the law that stays in use, "" if it is the PID from now on."""
         if write:
             self._write(session, run)
         try:
@@ -73,6 +89,8 @@ class PidCalibrate:
         tuning = _tuning(result, session.induction)
         if not session.induction:
             heater.set_control(heater_tuning.check(self.printer, heater, tuning))
+        elif other:
+            del tuning["control"]  # the gains wait for it
         else:
             heater_tuning.use(self.printer, heater, tuning)
         heater_tuning.stage(self.printer, heater, tuning)
@@ -83,7 +101,11 @@ class PidCalibrate:
             f"  integrator {result.gain_per_s:.4g} +- {result.gain_sigma:.2g} C/s per {unit}, delay"
             f" {result.delay_s:.3g} +- {result.delay_sigma_s:.2g} s; swing {result.swing_c:.1f} C"
             f" in {result.period_s:.3g} s\n"
-            "The new gains are in use. SAVE_CONFIG keeps them and restarts the printer."
+            + (
+                f"SAVE_CONFIG keeps the gains, but they are not in use. {_advice(heater, other)}"
+                if other
+                else "The new gains are in use. SAVE_CONFIG keeps them and restarts the printer."
+            )
         )
 
     def _write(self, session: heater_run.Session, run: relay.RelayRun) -> None:
@@ -96,6 +118,24 @@ class PidCalibrate:
             session.say(f"The trace cannot be written to {TRACE}: {e.strerror}")
 
 
+def _other_law(heater: Any) -> str:
+    """The law a nozzle works with, "" if that is a PID."""
+    name = str(heater.parameters.control.law.name)
+    return "" if name == "pid" else name
+
+
+def _advice(heater: Any, law: str) -> str:
+    better = (
+        f" It holds the nozzle better than a PID can; MODEL_CALIBRATE HEATER={heater.name} measures what it needs."
+        if law == "model"
+        else ""
+    )
+    return (
+        f"Heater '{heater.name}' stays with control: {law}.{better} PID_CALIBRATE with KEEP_LAW=pid changes the law to"
+        " control: pid."
+    )
+
+
 def _tuning(result: relay.RelayResult, induction: bool) -> heater_tuning.Tuning:
     if induction:
         names, scale = ("pid_kp_w_per_k", "pid_ki_w_per_k_s", "pid_kd_w_s_per_k"), 1.0
@@ -106,7 +146,7 @@ def _tuning(result: relay.RelayResult, induction: bool) -> heater_tuning.Tuning:
     return heater_tuning.Tuning(control="pid", **values)
 
 
-def load_config(config: Any) -> PidCalibrate:
+def load_config(config: ConfigWrapper) -> PidCalibrate:
     command = PidCalibrate(config.get_printer())
     command.register()
     return command

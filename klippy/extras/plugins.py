@@ -12,6 +12,8 @@ import os
 from typing import Any
 
 import extras
+from configfile import ConfigWrapper
+from roles import Printer
 
 
 def plugin_names(folder: str) -> set[str]:
@@ -28,7 +30,7 @@ def plugin_names(folder: str) -> set[str]:
 class Plugins:
     """The object `plugins`."""
 
-    def __init__(self, printer: Any, folder: str) -> None:
+    def __init__(self, printer: Printer, folder: str) -> None:
         self.printer = printer
         self.folder = os.path.abspath(os.path.expanduser(folder))
         self.names: list[str] = []
@@ -55,7 +57,7 @@ class Plugins:
         return {"path": self.folder, "names": self.names}
 
 
-def load_config(config: Any) -> Plugins:
+def load_config(config: ConfigWrapper) -> Plugins:
     """Section [plugins]."""
     plugins = Plugins(config.get_printer(), config.get("path"))
     plugins.find()

@@ -15,6 +15,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 from .adc_temperature import PrinterADCtoTemperature, build_sensor
 
 CHECK_STEPS = (
@@ -89,7 +92,7 @@ class Polynomial:
 class PolynomialSensor(PrinterADCtoTemperature):
     """A sensor whose heater may not go beyond the polynomial's range."""
 
-    def __init__(self, printer: Any, name: str, pin: str, polynomial: Polynomial) -> None:
+    def __init__(self, printer: Printer, name: str, pin: str, polynomial: Polynomial) -> None:
         super().__init__(printer, name, pin, polynomial)
         self._hottest_c = polynomial.range_c[1]
 
@@ -103,7 +106,7 @@ class PolynomialSensor(PrinterADCtoTemperature):
         super().setup_minmax(min_temp, max_temp)
 
 
-def read_polynomial(config: Any) -> Polynomial:
+def read_polynomial(config: ConfigWrapper) -> Polynomial:
     """The curve of a section; raises the config's error."""
     adc_v = config.getfloat("adc_voltage", 5.0, above=0.0)
     coefficients = config.getfloatlist("coefficients")
@@ -115,7 +118,7 @@ def read_polynomial(config: Any) -> Polynomial:
         raise config.error(f"Section '{config.get_name()}': {e}.") from None
 
 
-def load_config_prefix(config: Any) -> None:
+def load_config_prefix(config: ConfigWrapper) -> None:
     """Its name becomes a sensor_type."""
     printer = config.get_printer()
     polynomial = read_polynomial(config)

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 
 class PrintStats:
     """States: standby printing paused complete cancelled error."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.reactor = printer.get_reactor()
         self.reset()
@@ -130,7 +134,7 @@ class PrintStats:
 
     cmd_SET_PRINT_STATS_INFO_help = "Pass slicer info like layer act and total to klipper"
 
-    def cmd_SET_PRINT_STATS_INFO(self, gcmd: Any) -> None:
+    def cmd_SET_PRINT_STATS_INFO(self, gcmd: GCodeCommand) -> None:
         """Layer numbers of the slicer."""
         total = gcmd.get_int("TOTAL_LAYER", self._layers["total_layer"], minval=0)
         current = gcmd.get_int("CURRENT_LAYER", self._layers["current_layer"], minval=0)
@@ -141,7 +145,7 @@ class PrintStats:
         self._layers = {"total_layer": total, "current_layer": current}
 
 
-def load_config(config: Any) -> PrintStats:
+def load_config(config: ConfigWrapper) -> PrintStats:
     """Loaded by [virtual_sdcard]."""
     stats = PrintStats(config.get_printer())
     stats.register()

@@ -13,6 +13,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 from . import manual_probe
 from .probing.points import ProbePointsHelper
 from .probing.switch import ProbeEvents, ProbeSwitch
@@ -48,7 +51,7 @@ class Sampling:
     result: str  # a key of RESULTS
 
     @staticmethod
-    def read(config: Any) -> Sampling:
+    def read(config: ConfigWrapper) -> Sampling:
         speed = config.getfloat("speed", 5.0, above=0.0)
         return Sampling(
             speed,
@@ -60,7 +63,7 @@ class Sampling:
             config.getchoice("samples_result", list(RESULTS), "average"),
         )
 
-    def changed_by(self, gcmd: Any) -> Sampling:
+    def changed_by(self, gcmd: GCodeCommand) -> Sampling:
         """With the parameters of a command."""
         result = gcmd.get("SAMPLES_RESULT", self.result).lower()
         if result not in RESULTS:
@@ -80,7 +83,7 @@ class Sampling:
 class PrinterProbe:
     """Printer object 'probe'."""
 
-    def __init__(self, config: Any, mcu_probe: Any) -> None:
+    def __init__(self, config: ConfigWrapper, mcu_probe: Any) -> None:
         self.printer = config.get_printer()
         self.name = config.get_name()
         self.mcu_probe = mcu_probe
@@ -160,7 +163,7 @@ class PrinterProbe:
         except self.printer.command_error as e:
             self.printer.lookup_object("gcode").respond_info(str(e))
 
-    def start_probe_session(self, gcmd: Any) -> PrinterProbe:
+    def start_probe_session(self, gcmd: GCodeCommand) -> PrinterProbe:
         """The newer way to say multi_probe_begin: run_probe() as often as wanted, pull_probed_results()."""
         self._results = []
         self.multi_probe_begin()
@@ -189,7 +192,7 @@ class PrinterProbe:
         )
         return place[:3]
 
-    def _sample(self, gcmd: Any, sampling: Sampling) -> list[list[float]]:
+    def _sample(self, gcmd: GCodeCommand, sampling: Sampling) -> list[list[float]]:
         """As many samples as asked for, all within the tolerance."""
         toolhead = self.printer.lookup_object("toolhead")
         start = toolhead.get_position()
@@ -211,7 +214,7 @@ class PrinterProbe:
                 toolhead.manual_move([start[0], start[1], lifted], sampling.lift_speed)
         return places
 
-    def run_probe(self, gcmd: Any) -> list[float]:
+    def run_probe(self, gcmd: GCodeCommand) -> list[float]:
         """Probe here; returns x, y of the nozzle and its height at the trigger (mm)."""
         sampling = self.get_sampling(gcmd)
         alone = not self._series
@@ -228,18 +231,18 @@ class PrinterProbe:
 
     # -- commands --
 
-    def cmd_PROBE(self, gcmd: Any) -> None:
+    def cmd_PROBE(self, gcmd: GCodeCommand) -> None:
         """PROBE [PROBE_SPEED=] [LIFT_SPEED=] [SAMPLES=] [SAMPLE_RETRACT_DIST=] [SAMPLES_TOLERANCE=] ..."""
         gcmd.respond_info(f"Result is z={self.run_probe(gcmd)[2]:.6f}")
 
-    def cmd_QUERY_PROBE(self, gcmd: Any) -> None:
+    def cmd_QUERY_PROBE(self, gcmd: GCodeCommand) -> None:
         """Is it triggered?"""
         print_time = self.printer.lookup_object("toolhead").get_last_move_time()
         triggered = bool(self.mcu_probe.query_endstop(print_time))
         self._status = {**self._status, "last_query": triggered}
         gcmd.respond_info(f"probe: {'TRIGGERED' if triggered else 'open'}")
 
-    def cmd_PROBE_ACCURACY(self, gcmd: Any) -> None:
+    def cmd_PROBE_ACCURACY(self, gcmd: GCodeCommand) -> None:
         """As PROBE, with the statistics of SAMPLES (10) samples."""
         sampling = replace(
             self.get_sampling(gcmd), samples=gcmd.get_int("SAMPLES", ACCURACY_SAMPLES, minval=1)
@@ -264,7 +267,7 @@ class PrinterProbe:
             f"median {statistics.median(heights):.6f}, standard deviation {statistics.pstdev(heights):.6f}"
         )
 
-    def cmd_PROBE_CALIBRATE(self, gcmd: Any) -> None:
+    def cmd_PROBE_CALIBRATE(self, gcmd: GCodeCommand) -> None:
         """Probe, then the paper test at the same place of the bed: the difference is z_offset."""
         manual_probe.verify_no_manual_probe(self.printer)
         gcmd.get_float("SPEED", None, above=0.0)  # of the paper test: wrong before anything moves
@@ -280,11 +283,11 @@ class PrinterProbe:
 
         manual_probe.ManualProbeHelper(self.printer, gcmd, finalize)
 
-    def _propose(self, gcmd: Any, z_offset: float) -> None:
+    def _propose(self, gcmd: GCodeCommand, z_offset: float) -> None:
         manual_probe.tell_save_config(gcmd, f"{self.name}: z_offset: {z_offset:.3f}")
         self.printer.lookup_object("configfile").set(self.name, "z_offset", f"{z_offset:.3f}")
 
-    def cmd_Z_OFFSET_APPLY_PROBE(self, gcmd: Any) -> None:
+    def cmd_Z_OFFSET_APPLY_PROBE(self, gcmd: GCodeCommand) -> None:
         """Take SET_GCODE_OFFSET Z=… over into z_offset."""
         offset_mm = self.printer.lookup_object("gcode_move").get_status()["homing_origin"].z
         if not offset_mm:
@@ -293,7 +296,7 @@ class PrinterProbe:
         self._propose(gcmd, self.offsets.z - offset_mm)
 
 
-def run_single_probe(probe: Any, gcmd: Any) -> list[float]:
+def run_single_probe(probe: Any, gcmd: GCodeCommand) -> list[float]:
     """Probe here (plugins call it so)."""
     return probe.run_probe(gcmd)
 
@@ -306,5 +309,5 @@ __all__: Sequence[str] = (
 )  # fmt: skip
 
 
-def load_config(config: Any) -> PrinterProbe:
+def load_config(config: ConfigWrapper) -> PrinterProbe:
     return PrinterProbe(config, ProbeSwitch(config))

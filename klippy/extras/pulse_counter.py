@@ -8,13 +8,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 SAMPLE_TIME_S = 1.0
 
 
 class MCU_counter:
     """Edges on one pin, reported every `sample_time` s; the pin is read every `poll_time` s."""
 
-    def __init__(self, printer: Any, pin: str, sample_time: float, poll_time: float) -> None:
+    def __init__(self, printer: Printer, pin: str, sample_time: float, poll_time: float) -> None:
         params = printer.lookup_object("pins").lookup_pin(pin, can_pullup=True)
         self._mcu = mcu = params["chip"]
         self._pin = params["pin"]
@@ -53,7 +56,7 @@ class MCU_counter:
 class FrequencyCounter:
     """Edges a second on one pin."""
 
-    def __init__(self, printer: Any, pin: str, sample_time: float, poll_time: float) -> None:
+    def __init__(self, printer: Printer, pin: str, sample_time: float, poll_time: float) -> None:
         self._frequency_hz = 0.0
         self._last: tuple[int, float] | None = None  # count and time of its last edge
         self._counter = MCU_counter(printer, pin, sample_time, poll_time)
@@ -73,7 +76,7 @@ class FrequencyCounter:
 class Tachometer:
     """Speed of a fan in revolutions a minute."""
 
-    def __init__(self, printer: Any, pin: str, pulses_per_revolution: int, poll_time: float) -> None:
+    def __init__(self, printer: Printer, pin: str, pulses_per_revolution: int, poll_time: float) -> None:
         self._counter = FrequencyCounter(printer, pin, SAMPLE_TIME_S, poll_time)
         self._edges_per_revolution = 2 * pulses_per_revolution
 
@@ -81,7 +84,7 @@ class Tachometer:
         return {"rpm": 60.0 * self._counter.get_frequency() / self._edges_per_revolution}
 
 
-def tachometer_from_config(config: Any) -> Tachometer | None:
+def tachometer_from_config(config: ConfigWrapper) -> Tachometer | None:
     """By the options tachometer_pin, tachometer_ppr, tachometer_poll_interval; None without a pin."""
     pin = config.get("tachometer_pin", None)
     if pin is None:

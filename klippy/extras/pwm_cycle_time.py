@@ -10,6 +10,9 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 MAX_CYCLE_S = 5.0
 MIN_GAP_S = 0.100  # between two values
 PAUSE_S = 0.100  # without signal when the cycle time changes
@@ -79,7 +82,7 @@ class MCU_pwm_cycle:
 class PrinterOutputPWMCycle:
     """The object `pwm_cycle_time NAME`. Values are in units of `scale` outwards, 0..1 inside."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         params = self.printer.lookup_object("pins").lookup_pin(config.get("pin"), can_invert=True)
         self.scale = config.getfloat("scale", 1.0, above=0.0)
@@ -109,7 +112,7 @@ class PrinterOutputPWMCycle:
             print_time = max(print_time, self._last_time + MIN_GAP_S)
         self._last_time = self.mcu_pin.set_pwm_cycle(print_time, value, cycle_time_s)
 
-    def cmd_SET_PIN(self, gcmd: Any) -> None:
+    def cmd_SET_PIN(self, gcmd: GCodeCommand) -> None:
         """Set value and cycle time in step with the moves queued so far."""
         value = gcmd.get_float("VALUE", minval=0.0, maxval=self.scale) / self.scale
         cycle_time_s = gcmd.get_float("CYCLE_TIME", self.default_cycle_time_s, above=0.0, maxval=MAX_CYCLE_S)
@@ -119,7 +122,7 @@ class PrinterOutputPWMCycle:
         )
 
 
-def load_config_prefix(config: Any) -> PrinterOutputPWMCycle:
+def load_config_prefix(config: ConfigWrapper) -> PrinterOutputPWMCycle:
     """Section [pwm_cycle_time NAME]."""
     pin = PrinterOutputPWMCycle(config)
     pin.register(config.get_name().split(maxsplit=1)[1])

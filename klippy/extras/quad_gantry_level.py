@@ -6,13 +6,13 @@ Z  ────── Z3
 
 from __future__ import annotations
 
-from typing import Any
+from configfile import ConfigWrapper
 
 from .probing import surface_fit
 from .probing.z_level import ZLevel
 
 
-def load_config(config: Any) -> ZLevel:
+def load_config(config: ConfigWrapper) -> ZLevel:
     corners = config.getlists("gantry_corners", seps=(",", "\n"), parser=float, count=2)
     if len(corners) != 2:
         raise config.error(f"Section '{config.get_name()}': gantry_corners is two places, of Z and of Z2")

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 RATIO_MAX = 0.9999
 
 
 class QueryADC:
     """The object `query_adc`."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.adc: dict[str, Any] = {}
 
@@ -24,7 +28,7 @@ class QueryADC:
         """A pin by the name of the section that uses it."""
         self.adc[name] = mcu_adc
 
-    def cmd_QUERY_ADC(self, gcmd: Any) -> None:
+    def cmd_QUERY_ADC(self, gcmd: GCodeCommand) -> None:
         """A pin's value, or the names of all pins."""
         name = gcmd.get("NAME", None)
         if name not in self.adc:
@@ -41,12 +45,12 @@ class QueryADC:
         gcmd.respond_info(text)
 
 
-def register_adc(config: Any, name: str, mcu_adc: Any) -> None:
+def register_adc(config: ConfigWrapper, name: str, mcu_adc: Any) -> None:
     """For a section with an analog pin."""
     config.get_printer().load_object(config, "query_adc").register_adc(name, mcu_adc)
 
 
-def load_config(config: Any) -> QueryADC:
+def load_config(config: ConfigWrapper) -> QueryADC:
     """Loaded by analog sensors, or by section [query_adc]."""
     query = QueryADC(config.get_printer())
     query.register()

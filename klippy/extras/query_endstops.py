@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 
 class QueryEndstops:
     """Printer object 'query_endstops'."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.endstops: list[tuple[Any, str]] = []
         self.last_state: list[tuple[str, int]] = []
@@ -39,12 +43,12 @@ class QueryEndstops:
         with self.printer.lookup_object("gcode").get_mutex():
             web_request.send(self._query())
 
-    def cmd_QUERY_ENDSTOPS(self, gcmd: Any) -> None:
+    def cmd_QUERY_ENDSTOPS(self, gcmd: GCodeCommand) -> None:
         """QUERY_ENDSTOPS: 'x:open y:TRIGGERED …'."""
         gcmd.respond_raw(" ".join(f"{name}:{state}" for name, state in self._query().items()))
 
 
-def load_config(config: Any) -> QueryEndstops:
+def load_config(config: ConfigWrapper) -> QueryEndstops:
     query = QueryEndstops(config.get_printer())
     query.register_commands()
     return query

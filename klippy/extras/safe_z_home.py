@@ -5,6 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 
 @dataclass(frozen=True, slots=True)
 class SafeHome:
@@ -21,7 +25,7 @@ class SafeHome:
 class SafeZHoming:
     """Replaces G28; the plain one is called for each axis."""
 
-    def __init__(self, printer: Any, options: SafeHome) -> None:
+    def __init__(self, printer: Printer, options: SafeHome) -> None:
         self.printer = printer
         self.options = options
         self.prev_G28: Any = None
@@ -52,7 +56,7 @@ class SafeZHoming:
         elif toolhead.get_position()[2] < options.z_hop:
             toolhead.manual_move([None, None, options.z_hop], options.z_hop_speed)
 
-    def cmd_G28(self, gcmd: Any) -> None:
+    def cmd_G28(self, gcmd: GCodeCommand) -> None:
         """G28 [X] [Y] [Z]: x and y first, z at the safe place."""
         toolhead, options = self.printer.lookup_object("toolhead"), self.options
         wanted = [a for a in "XYZ" if gcmd.get(a, None) is not None] or list("XYZ")
@@ -73,7 +77,7 @@ class SafeZHoming:
             toolhead.manual_move(before[:2], options.speed)
 
 
-def load_config(config: Any) -> SafeZHoming:
+def load_config(config: ConfigWrapper) -> SafeZHoming:
     if config.has_section("homing_override"):
         raise config.error("homing_override and safe_z_home cannot be used simultaneously")
     x, y = config.getfloatlist("home_xy_position", count=2)

@@ -5,15 +5,34 @@ from __future__ import annotations
 import os
 from typing import Any
 
+import util
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 from .gcode_macro import parse_literal
 
 _SECTION = "Variables"
 
 
+def lasting_literal(text: str) -> Any:
+    """The value of a Python literal that comes back from the file as it went in; ValueError otherwise."""
+    try:
+        value = parse_literal(text)
+        if parse_literal(repr(value)) == value:
+            return value
+    except ValueError:
+        pass
+    raise ValueError(
+        f"'{text:.60}' cannot be saved; expected a finite number, a quoted text, True, False, None, or a list, "
+        "tuple or dict of those"
+    )
+
+
 class SaveVariables:
     """The object `save_variables`; its status is {"variables": {...}}."""
 
-    def __init__(self, printer: Any, path: str) -> None:
+    def __init__(self, printer: Printer, path: str) -> None:
         self.printer = printer
         self.filename = os.path.expanduser(path)
         self.variables: dict[str, Any] = {}
@@ -35,45 +54,47 @@ class SaveVariables:
         data: dict[str, Any] = {}
         try:
             with open(self.filename, encoding="utf-8") as file:
-                for line in file:
-                    name, equals, text = line.strip().partition("=")
-                    if equals and not name.startswith(("#", ";", "[")):
-                        data[name.strip().lower()] = parse_literal(text.strip())
-        except (OSError, ValueError) as e:
+                lines = list(file)
+        except (OSError, UnicodeDecodeError) as e:
             raise self.printer.command_error(
-                f"Unable to parse existing variable file {self.filename}: {e}"
+                f"Unable to read the variable file {self.filename}: {e}"
             ) from None
+        for number, line in enumerate(lines, 1):
+            name, equals, text = line.strip().partition("=")
+            if equals and not name.startswith(("#", ";", "[")):
+                try:
+                    data[name.strip().lower()] = lasting_literal(text.strip())
+                except ValueError as e:
+                    raise self.printer.command_error(
+                        f"Unable to parse the variable file {self.filename}, line {number}: {name.strip()}: {e}. "
+                        "Correct the line or delete it."
+                    ) from None
         return data
 
     def _write(self, values: dict[str, Any]) -> None:
         text = f"[{_SECTION}]\n" + "".join(f"{name} = {value!r}\n" for name, value in sorted(values.items()))
-        temporary = self.filename + ".new"
         try:
-            with open(temporary, "w", encoding="utf-8") as file:
-                file.write(text)
-                file.flush()
-                os.fsync(file.fileno())
-            os.replace(temporary, self.filename)
+            util.replace_file(self.filename, text)
         except OSError as e:
             raise self.printer.command_error(
                 f"Unable to save variables: {e.strerror}: {self.filename}"
             ) from None
 
-    def cmd_SAVE_VARIABLE(self, gcmd: Any) -> None:
+    def cmd_SAVE_VARIABLE(self, gcmd: GCodeCommand) -> None:
         """Set a variable and write the file."""
         name, text = gcmd.get("VARIABLE"), gcmd.get("VALUE")
         if name.lower() != name or not name.isidentifier():
             raise gcmd.error("VARIABLE must be a lower case name")
         try:
-            value = parse_literal(text)
+            value = lasting_literal(text)
         except ValueError as e:
-            raise gcmd.error(f"Unable to parse '{text}' as a literal: {e}") from None
+            raise gcmd.error(f"SAVE_VARIABLE: VALUE: {e}") from None
         changed = {**self.variables, name: value}
         self._write(changed)
         self.variables = changed
 
 
-def load_config(config: Any) -> SaveVariables:
+def load_config(config: ConfigWrapper) -> SaveVariables:
     """Section [save_variables]."""
     variables = SaveVariables(config.get_printer(), config.get("filename"))
     variables.register()

@@ -9,6 +9,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 from .probing.points import ProbePointsHelper
 
 # Rise in one turn (mm): ISO 261, coarse.
@@ -27,7 +30,7 @@ class Screw:
     name: str
 
 
-def read_screws(config: Any, least: int) -> list[Screw]:
+def read_screws(config: ConfigWrapper, least: int) -> list[Screw]:
     """Options screw1, screw1_name, screw2, ...; also of bed_screws."""
     screws: list[Screw] = []
     number = 1
@@ -49,7 +52,7 @@ def turns(way_mm: float, pitch_mm: float) -> str:
 class ScrewsTiltAdjust:
     """Printer object 'screws_tilt_adjust'."""
 
-    def __init__(self, config: Any, screws: list[Screw], thread: tuple[bool, float]) -> None:
+    def __init__(self, config: ConfigWrapper, screws: list[Screw], thread: tuple[bool, float]) -> None:
         self.printer = config.get_printer()
         self.screws = screws
         self.clockwise_raises, self.pitch_mm = thread
@@ -68,7 +71,7 @@ class ScrewsTiltAdjust:
     def get_status(self, eventtime: float) -> dict[str, Any]:
         return self._status
 
-    def cmd_SCREWS_TILT_CALCULATE(self, gcmd: Any) -> None:
+    def cmd_SCREWS_TILT_CALCULATE(self, gcmd: GCodeCommand) -> None:
         """SCREWS_TILT_CALCULATE [DIRECTION=CW|CCW] [MAX_DEVIATION=mm] [HORIZONTAL_MOVE_Z=mm] ..."""
         direction = gcmd.get("DIRECTION", None)
         if direction is not None and direction.upper() not in ("CW", "CCW"):
@@ -108,7 +111,7 @@ class ScrewsTiltAdjust:
             )
 
 
-def load_config(config: Any) -> ScrewsTiltAdjust:
+def load_config(config: ConfigWrapper) -> ScrewsTiltAdjust:
     thread = config.getchoice("screw_thread", THREADS, "CW-M3")
     adjust = ScrewsTiltAdjust(config, read_screws(config, 2), thread)
     adjust.register()

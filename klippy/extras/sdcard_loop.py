@@ -8,6 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 
 @dataclass(slots=True)
 class _Loop:
@@ -18,7 +22,7 @@ class _Loop:
 class SDCardLoop:
     """The object `sdcard_loop`."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self._loops: list[_Loop] = []
 
@@ -34,17 +38,17 @@ class SDCardLoop:
             gcode.register_command(name, getattr(self, f"cmd_{name}"), desc=help_text)
         self.printer.register_event_handler("virtual_sdcard:reset_file", self._loops.clear)
 
-    def _check_from_file(self, gcmd: Any) -> None:
+    def _check_from_file(self, gcmd: GCodeCommand) -> None:
         if not self._card.is_cmd_from_sd():
             raise gcmd.error(f"{gcmd.get_command()} only counts in a file that is being printed")
 
-    def cmd_SDCARD_LOOP_BEGIN(self, gcmd: Any) -> None:
+    def cmd_SDCARD_LOOP_BEGIN(self, gcmd: GCodeCommand) -> None:
         """The loop begins behind this line."""
         self._check_from_file(gcmd)
         count = gcmd.get_int("COUNT", minval=0)
         self._loops.append(_Loop(self._card.get_file_position(), count - 1 if count else None))
 
-    def cmd_SDCARD_LOOP_END(self, gcmd: Any) -> None:
+    def cmd_SDCARD_LOOP_END(self, gcmd: GCodeCommand) -> None:
         """Back to the beginning, or on."""
         self._check_from_file(gcmd)
         if not self._loops:
@@ -57,13 +61,13 @@ class SDCardLoop:
             loop.left -= 1
         self._card.set_file_position(loop.start)
 
-    def cmd_SDCARD_LOOP_DESIST(self, gcmd: Any) -> None:
+    def cmd_SDCARD_LOOP_DESIST(self, gcmd: GCodeCommand) -> None:
         """The running round of each loop is the last."""
         for loop in self._loops:
             loop.left = 0
 
 
-def load_config(config: Any) -> SDCardLoop:
+def load_config(config: ConfigWrapper) -> SDCardLoop:
     """Section [sdcard_loop]."""
     loop = SDCardLoop(config.get_printer())
     loop.register(config.get_printer().load_object(config, "virtual_sdcard"))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
 
 from .outputs.scheduled_pin import ScheduledPin
 
@@ -28,7 +30,7 @@ class ServoSettings:
         return min(self.max_width_s, max(self.min_width_s, width_s)) if width_s else 0.0
 
 
-def read_settings(config: Any) -> ServoSettings:
+def read_settings(config: ConfigWrapper) -> ServoSettings:
     min_width_s = config.getfloat("minimum_pulse_width", 0.001, above=0.0, below=SERVO_PERIOD_S)
     return ServoSettings(
         min_width_s,
@@ -40,7 +42,7 @@ def read_settings(config: Any) -> ServoSettings:
 class PrinterServo:
     """The object `servo NAME`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self.settings = settings = read_settings(config)
         self.mcu_servo = self.printer.lookup_object("pins").setup_pin("pwm", config.get("pin"))
@@ -66,7 +68,7 @@ class PrinterServo:
         """Duty cycle of the pin."""
         return {"value": self.last_value}
 
-    def cmd_SET_SERVO(self, gcmd: Any) -> None:
+    def cmd_SET_SERVO(self, gcmd: GCodeCommand) -> None:
         """Move it, in step with the moves queued so far."""
         width_s = gcmd.get_float("WIDTH", None)
         if width_s is None:
@@ -75,7 +77,7 @@ class PrinterServo:
         self._output.queue_from_command(self.last_value)
 
 
-def load_config_prefix(config: Any) -> PrinterServo:
+def load_config_prefix(config: ConfigWrapper) -> PrinterServo:
     """Section [servo NAME]."""
     servo = PrinterServo(config)
     servo.register(config.get_name().split(maxsplit=1)[1])

@@ -26,6 +26,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from configfile import ConfigWrapper
+
 TRACE_RATE_HZ = 100.0
 LINE_BAUD = 250000.0
 LINE_LATENCY_S = 0.0005  # a USB serial adapter's turn-round, both directions alike
@@ -176,7 +178,7 @@ class ProbeSettings:
     bed: Mapping[str, float]
 
 
-def _read_probe(config: Any, name: str) -> ProbeSettings:
+def _read_probe(config: ConfigWrapper, name: str) -> ProbeSettings:
     offsets = [config.getfloat(option, None) for option in ("x_offset", "y_offset", "trigger_height")]
     positions = config.getlists("z_positions", None, seps=(",", "\n"), parser=float, count=2)
     return ProbeSettings(
@@ -191,7 +193,7 @@ def _read_probe(config: Any, name: str) -> ProbeSettings:
     )
 
 
-def _read_mcu(config: Any, name: str) -> McuSettings:
+def _read_mcu(config: ConfigWrapper, name: str) -> McuSettings:
     def chance(option: str) -> float:
         return float(config.getfloat(option, 0.0, minval=0.0, maxval=0.5))
 
@@ -209,14 +211,14 @@ def _read_mcu(config: Any, name: str) -> McuSettings:
     )
 
 
-def _read_feed(config: Any, default_axis: str | None) -> FeedSettings:
+def _read_feed(config: ConfigWrapper, default_axis: str | None) -> FeedSettings:
     return FeedSettings(
         axis=config.get("filament_axis", default_axis) or None,
         filament_diameter_mm=config.getfloat("filament_diameter", FILAMENT_DIAMETER_MM, above=0.0),
     )
 
 
-def _read_parameters(config: Any, table_name: str, own: set[str]) -> dict[str, float]:
+def _read_parameters(config: ConfigWrapper, table_name: str, own: set[str]) -> dict[str, float]:
     """Every option that is not one of `own` is a plant parameter."""
     tables: ParameterTables | None = config.get_printer().get_start_args().get("simulator_parameters")
     names = [name for name in config.get_prefix_options("") if name not in own]
@@ -237,7 +239,7 @@ def _read_parameters(config: Any, table_name: str, own: set[str]) -> dict[str, f
     return values
 
 
-def _read_nozzle(config: Any, name: str) -> NozzleSettings:
+def _read_nozzle(config: ConfigWrapper, name: str) -> NozzleSettings:
     own = {"mcu", "preset", "filament_axis", "filament_diameter", "fan"}
     return NozzleSettings(
         name=name,
@@ -249,7 +251,7 @@ def _read_nozzle(config: Any, name: str) -> NozzleSettings:
     )
 
 
-def _read_load(config: Any, name: str) -> LoadSettings:
+def _read_load(config: ConfigWrapper, name: str) -> LoadSettings:
     own = {"kind", "section", "heater_pin", "sensor_pin", "filament_axis", "filament_diameter", "fan"}
     is_bed = name in ("bed", "heater_bed")
     kind = config.getchoice("kind", {"bed": "bed", "hotend": "hotend"}, "bed" if is_bed else "hotend")
@@ -265,7 +267,7 @@ def _read_load(config: Any, name: str) -> LoadSettings:
     )
 
 
-def _read_reference(config: Any, name: str) -> ReferenceSettings:
+def _read_reference(config: ConfigWrapper, name: str) -> ReferenceSettings:
     return ReferenceSettings(
         name=name,
         section=config.get("section", f"temperature_sensor {name}"),
@@ -278,7 +280,7 @@ def _read_reference(config: Any, name: str) -> ReferenceSettings:
     )
 
 
-def _read_axis(config: Any, name: str) -> AxisSettings:
+def _read_axis(config: ConfigWrapper, name: str) -> AxisSettings:
     def number(option: str) -> float | None:
         value = config.getfloat(option, None)
         return None if value is None else float(value)
@@ -299,7 +301,7 @@ def _read_axis(config: Any, name: str) -> AxisSettings:
     )
 
 
-def _read_fan(config: Any, name: str) -> FanSettings:
+def _read_fan(config: ConfigWrapper, name: str) -> FanSettings:
     return FanSettings(
         name=name,
         section=config.get("section", name),
@@ -326,14 +328,14 @@ class SimulatorSection:
         self.settings = settings
 
 
-def load_config(config: Any) -> SimulatorSection:
+def load_config(config: ConfigWrapper) -> SimulatorSection:
     """[simulator]"""
     return SimulatorSection(
         SimulatorSettings(config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0))
     )
 
 
-def load_config_prefix(config: Any) -> SimulatorSection:
+def load_config_prefix(config: ConfigWrapper) -> SimulatorSection:
     """[simulator KIND NAME]"""
     kind, _, name = config.get_name().partition(" ")[2].partition(" ")
     reader = _READERS.get(kind)

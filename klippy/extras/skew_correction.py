@@ -17,6 +17,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 PLANES = ("xy", "xz", "yz")
 
 
@@ -55,7 +59,7 @@ def measured_skew(ac: float, bd: float, ad: float) -> float:
 class SkewCorrection:
     """Printer object 'skew_correction'; a transform between G-code and toolhead."""
 
-    def __init__(self, printer: Any, profiles: dict[str, Skew]) -> None:
+    def __init__(self, printer: Printer, profiles: dict[str, Skew]) -> None:
         self.printer = printer
         self.name = "skew_correction"
         self.skew = Skew()
@@ -98,7 +102,7 @@ class SkewCorrection:
     # -- commands --
 
     @staticmethod
-    def _lengths(gcmd: Any, plane: str) -> float:
+    def _lengths(gcmd: GCodeCommand, plane: str) -> float:
         """Skew from a parameter XY=ac,bd,ad."""
         text = gcmd.get(plane.upper())
         try:
@@ -111,7 +115,7 @@ class SkewCorrection:
                 f"{gcmd.get_command()}: {plane.upper()}={text}: expected the lengths AC,BD,AD in mm ({e})"
             ) from None
 
-    def cmd_SET_SKEW(self, gcmd: Any) -> None:
+    def cmd_SET_SKEW(self, gcmd: GCodeCommand) -> None:
         """SET_SKEW [XY=ac,bd,ad] [XZ=ac,bd,ad] [YZ=ac,bd,ad] [CLEAR=0|1]."""
         if gcmd.get_int("CLEAR", 0):
             self._use(Skew())
@@ -124,7 +128,7 @@ class SkewCorrection:
         }
         self._use(Skew(**factors))
 
-    def cmd_GET_CURRENT_SKEW(self, gcmd: Any) -> None:
+    def cmd_GET_CURRENT_SKEW(self, gcmd: GCodeCommand) -> None:
         """GET_CURRENT_SKEW."""
         lines = ["Current Printer Skew:"]
         for plane in PLANES:
@@ -132,7 +136,7 @@ class SkewCorrection:
             lines.append(f"{plane.upper()} Skew: {angle:.6f} radians, {math.degrees(angle):.2f} degrees")
         gcmd.respond_info("\n".join(lines))
 
-    def cmd_CALC_MEASURED_SKEW(self, gcmd: Any) -> None:
+    def cmd_CALC_MEASURED_SKEW(self, gcmd: GCodeCommand) -> None:
         """CALC_MEASURED_SKEW AC= BD= AD=."""
         ac, bd, ad = (gcmd.get_float(name, above=0.0) for name in ("AC", "BD", "AD"))
         try:
@@ -141,7 +145,7 @@ class SkewCorrection:
             raise gcmd.error(f"CALC_MEASURED_SKEW: {e}") from None
         gcmd.respond_info(f"Calculated Skew: {angle:.6f} radians, {math.degrees(angle):.2f} degrees")
 
-    def cmd_SKEW_PROFILE(self, gcmd: Any) -> None:
+    def cmd_SKEW_PROFILE(self, gcmd: GCodeCommand) -> None:
         """SKEW_PROFILE LOAD=<name>|SAVE=<name>|REMOVE=<name>."""
         for action in ("LOAD", "SAVE", "REMOVE"):
             name = gcmd.get(action, None)
@@ -165,7 +169,7 @@ class SkewCorrection:
                 "The SAVE_CONFIG command will update the printer configuration and restart the printer"
             )
 
-    def _save(self, gcmd: Any, name: str) -> None:
+    def _save(self, gcmd: GCodeCommand, name: str) -> None:
         configfile = self.printer.lookup_object("configfile")
         for part in fields(self.skew):
             configfile.set(f"{self.name} {name}", f"{part.name}_skew", getattr(self.skew, part.name))
@@ -176,7 +180,7 @@ class SkewCorrection:
         )
 
 
-def load_config(config: Any) -> SkewCorrection:
+def load_config(config: ConfigWrapper) -> SkewCorrection:
     printer = config.get_printer()
     printer.load_object(config, "gcode_move")
     profiles = {

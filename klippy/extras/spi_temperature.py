@@ -17,6 +17,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 from . import bus
 
 REPORT_TIME_S = 0.300
@@ -50,7 +53,7 @@ _MAX31855_FAULTS = (
 )
 
 
-def max31855(config: Any) -> Chip:
+def max31855(config: ConfigWrapper) -> Chip:
     return Chip(
         "MAX31855",
         0,
@@ -62,7 +65,7 @@ def max31855(config: Any) -> Chip:
 
 
 # MAX6675: bits 14..3 in 0.25 degC, bit 2 set when the thermocouple is open
-def max6675(config: Any) -> Chip:
+def max6675(config: ConfigWrapper) -> Chip:
     return Chip(
         "MAX6675",
         0,
@@ -90,7 +93,7 @@ _MAX31856_FAULTS = (
 )
 
 
-def max31856(config: Any) -> Chip:
+def max31856(config: ConfigWrapper) -> Chip:
     tc_type = config.getchoice("tc_type", _MAX31856_TYPES, default=_MAX31856_TYPES["K"])
     use_50hz = config.getboolean("tc_use_50Hz_filter", False)
     averaging = config.getchoice("tc_averaging_count", _MAX31856_AVERAGING, default=0)
@@ -144,7 +147,7 @@ class Rtd:
         return max(0, min(0x7FFF, code)) << 1
 
 
-def max31865(config: Any) -> Chip:
+def max31865(config: ConfigWrapper) -> Chip:
     rtd = Rtd(
         config.getfloat("rtd_nominal_r", 100.0, above=0.0),
         config.getfloat("rtd_reference_r", 430.0, above=0.0),
@@ -166,7 +169,7 @@ def max31865(config: Any) -> Chip:
 class SpiSensor:
     """One converter."""
 
-    def __init__(self, printer: Any, name: str, chip: Chip, spi: bus.MCU_SPI) -> None:
+    def __init__(self, printer: Printer, name: str, chip: Chip, spi: bus.MCU_SPI) -> None:
         self.printer = printer
         self.name = name
         self.chip = chip
@@ -238,7 +241,7 @@ CHIPS: dict[str, Callable[[Any], Chip]] = {
 }
 
 
-def build_sensor(config: Any, read_chip: Callable[[Any], Chip]) -> SpiSensor:
+def build_sensor(config: ConfigWrapper, read_chip: Callable[[Any], Chip]) -> SpiSensor:
     """Sensor of a section with one of these types."""
     chip = read_chip(config)
     spi = bus.MCU_SPI_from_config(config, chip.spi_mode, pin_option="sensor_pin", default_speed=4000000)
@@ -251,5 +254,5 @@ def register_builtin(heaters: Any) -> None:
         heaters.add_sensor_factory(name, lambda config, read_chip=read_chip: build_sensor(config, read_chip))
 
 
-def load_config(config: Any) -> None:
+def load_config(config: ConfigWrapper) -> None:
     """Section [spi_temperature] of older configs: the types are built in."""

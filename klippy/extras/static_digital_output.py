@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from configfile import ConfigWrapper
 
 
 class PrinterStaticDigitalOut:
     """The object `static_digital_output NAME`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         pins = config.get_printer().lookup_object("pins")
         for description in config.getlist("pins"):
             params = pins.lookup_pin(description, can_invert=True)
@@ -16,6 +16,6 @@ class PrinterStaticDigitalOut:
             params["chip"].add_config_cmd(f"set_digital_out pin={params['pin']} value={value}")
 
 
-def load_config_prefix(config: Any) -> PrinterStaticDigitalOut:
+def load_config_prefix(config: ConfigWrapper) -> PrinterStaticDigitalOut:
     """Section [static_digital_output NAME]."""
     return PrinterStaticDigitalOut(config)

@@ -7,6 +7,9 @@ import os
 import time
 from typing import Any
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 _PERIOD_S = 1.0
 
 
@@ -42,7 +45,7 @@ def _available_kb() -> int:
 class PrinterStats:
     """Asks every object that has `stats(eventtime) -> (is_active, text)` once a second."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.reactor = printer.get_reactor()
         self._timer = self.reactor.register_timer(self._report)
@@ -66,7 +69,7 @@ class PrinterStats:
         return eventtime + _PERIOD_S
 
 
-def load_config(config: Any) -> PrinterStats:
+def load_config(config: ConfigWrapper) -> PrinterStats:
     """Always loaded."""
     printer = config.get_printer()
     printer.add_object("system_stats", SystemStats())

@@ -9,6 +9,9 @@ from collections.abc import Callable
 from typing import Any
 
 import stepstream
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
 
 # Between the last step and switching off, and before anything else: lets the motors settle.
 DISABLE_STALL_S = 0.100
@@ -74,7 +77,7 @@ class EnableTracking:
 class PrinterStepperEnable:
     """Printer object 'stepper_enable'."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.enable_lines: dict[str, EnableTracking] = {}
         self._pins: dict[tuple[int, str], StepperEnablePin] = {}
@@ -92,7 +95,7 @@ class PrinterStepperEnable:
         )
         self.printer.register_event_handler("gcode:request_restart", self._handle_request_restart)
 
-    def _setup_pin(self, config: Any) -> StepperEnablePin:
+    def _setup_pin(self, config: ConfigWrapper) -> StepperEnablePin:
         pin_desc = config.get("enable_pin", None)
         if pin_desc is None:
             pin = StepperEnablePin(None)
@@ -109,7 +112,7 @@ class PrinterStepperEnable:
         pin = self._pins[(id(params["chip"]), params["pin"])] = StepperEnablePin(mcu_enable)
         return pin
 
-    def register_stepper(self, config: Any, mcu_stepper: Any) -> None:
+    def register_stepper(self, config: ConfigWrapper, mcu_stepper: Any) -> None:
         self.enable_lines[mcu_stepper.get_name()] = EnableTracking(mcu_stepper, self._setup_pin(config))
 
     def set_motors_enable(self, stepper_names: list[str], enable: bool, at_once: bool = False) -> bool:
@@ -160,15 +163,15 @@ class PrinterStepperEnable:
     def _handle_request_restart(self, print_time: float) -> None:
         self.motor_off()
 
-    def cmd_M18(self, gcmd: Any) -> None:
+    def cmd_M18(self, gcmd: GCodeCommand) -> None:
         """M18, M84: motors off."""
         self.motor_off()
 
-    def cmd_M17(self, gcmd: Any) -> None:
+    def cmd_M17(self, gcmd: GCodeCommand) -> None:
         """M17: motors on."""
         self.set_motors_enable(list(self.enable_lines), True)
 
-    def cmd_SET_STEPPER_ENABLE(self, gcmd: Any) -> None:
+    def cmd_SET_STEPPER_ENABLE(self, gcmd: GCodeCommand) -> None:
         """SET_STEPPER_ENABLE STEPPER=<name> ENABLE=[0|1]."""
         name = gcmd.get("STEPPER", None)
         if name not in self.enable_lines:
@@ -178,7 +181,7 @@ class PrinterStepperEnable:
         self.set_motors_enable([name], bool(gcmd.get_int("ENABLE", 1)))
 
 
-def load_config(config: Any) -> PrinterStepperEnable:
+def load_config(config: ConfigWrapper) -> PrinterStepperEnable:
     enable = PrinterStepperEnable(config.get_printer())
     enable.register_commands()
     return enable

@@ -12,6 +12,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 REPORT_TIME_S = 0.300
 # A heater's reading lags behind by its smoothing and is 0 before the first report: deviations count only from here.
 SETTLE_S = 5.0
@@ -36,7 +39,7 @@ class Combination:
 class CombinedTemperature:
     """The object `temperature_combined NAME`."""
 
-    def __init__(self, printer: Any, name: str, settings: Combination) -> None:
+    def __init__(self, printer: Printer, name: str, settings: Combination) -> None:
         self.printer = printer
         self.reactor = printer.get_reactor()
         self.name = name
@@ -112,7 +115,7 @@ class CombinedTemperature:
         return {"temperature": round(self.temp_c, 2)}
 
 
-def build_sensor(config: Any) -> CombinedTemperature:
+def build_sensor(config: ConfigWrapper) -> CombinedTemperature:
     """Sensor of a section with this type."""
     printer = config.get_printer()
     settings = Combination(
@@ -136,5 +139,5 @@ def register_builtin(heaters: Any) -> None:
     heaters.add_sensor_factory("temperature_combined", build_sensor)
 
 
-def load_config(config: Any) -> None:
+def load_config(config: ConfigWrapper) -> None:
     """Section [temperature_combined] of older configs: the type is built in."""

@@ -12,6 +12,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
 from thermal.control import pid
 
 from . import fan
@@ -58,11 +60,11 @@ class PidCooling:
         return max(low, high - output.value)
 
 
-def read_watermark(config: Any) -> CoolingLaw:
+def read_watermark(config: ConfigWrapper) -> CoolingLaw:
     return WatermarkCooling(config.getfloat("max_delta", 2.0, above=0.0))
 
 
-def read_pid(config: Any) -> CoolingLaw:
+def read_pid(config: ConfigWrapper) -> CoolingLaw:
     gains = [config.getfloat("pid_Kp", above=0.0)]
     gains += [config.getfloat(option, minval=0.0) for option in ("pid_Ki", "pid_Kd")]
     deriv_time_s = config.getfloat("pid_deriv_time", 2.0, above=0.0)
@@ -84,7 +86,7 @@ class Limits:
 class TemperatureFan:
     """The object `temperature_fan NAME`."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.name = config.get_name().split(maxsplit=1)[1]
         self.printer = config.get_printer()
         self.fan = fan.Fan(config, default_shutdown_speed=1.0)
@@ -148,7 +150,7 @@ class TemperatureFan:
             )
         self.limits.target_c = degrees
 
-    def cmd_SET_TEMPERATURE_FAN_TARGET(self, gcmd: Any) -> None:
+    def cmd_SET_TEMPERATURE_FAN_TARGET(self, gcmd: GCodeCommand) -> None:
         """TARGET, MIN_SPEED, MAX_SPEED; without TARGET the one of the config."""
         low = gcmd.get_float("MIN_SPEED", self.limits.min_speed, minval=0.0, maxval=1.0)
         high = gcmd.get_float("MAX_SPEED", self.limits.max_speed, above=0.0, maxval=1.0)
@@ -158,7 +160,7 @@ class TemperatureFan:
         self.limits.min_speed, self.limits.max_speed = low, high
 
 
-def load_config_prefix(config: Any) -> TemperatureFan:
+def load_config_prefix(config: ConfigWrapper) -> TemperatureFan:
     """Section [temperature_fan NAME]."""
     temperature_fan = TemperatureFan(config)
     temperature_fan.register()

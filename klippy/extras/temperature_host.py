@@ -9,6 +9,9 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 DEFAULT_PATH = "/sys/class/thermal/thermal_zone0/temp"
 REPORT_TIME_S = 1.0
 
@@ -26,7 +29,7 @@ def read_millidegrees(path: str) -> float:
 class HostTemperature:
     """The object `temperature_host NAME`."""
 
-    def __init__(self, printer: Any, name: str, path: str) -> None:
+    def __init__(self, printer: Printer, name: str, path: str) -> None:
         self.printer = printer
         self.reactor = printer.get_reactor()
         self.name = name
@@ -82,7 +85,7 @@ class HostTemperature:
         return {"temperature": round(self.temp_c, 2)}
 
 
-def build_sensor(config: Any) -> HostTemperature:
+def build_sensor(config: ConfigWrapper) -> HostTemperature:
     """Sensor of a section with this type."""
     printer = config.get_printer()
     name = config.get_name().split()[-1]
@@ -97,5 +100,5 @@ def register_builtin(heaters: Any) -> None:
     heaters.add_sensor_factory("temperature_host", build_sensor)
 
 
-def load_config(config: Any) -> None:
+def load_config(config: ConfigWrapper) -> None:
     """Section [temperature_host] of older configs: the type is built in."""

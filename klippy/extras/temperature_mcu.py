@@ -14,6 +14,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 from . import query_adc
 from .adc_temperature import ReadingRange
 
@@ -125,7 +128,7 @@ class Calibration:
 class McuTemperature:
     """One chip's own temperature."""
 
-    def __init__(self, printer: Any, name: str, mcu_name: str, calibration: Calibration) -> None:
+    def __init__(self, printer: Printer, name: str, mcu_name: str, calibration: Calibration) -> None:
         self.printer = printer
         self.name = name
         self.mcu_name = mcu_name
@@ -202,7 +205,7 @@ class McuTemperature:
             self._callback(read_time + SAMPLE_COUNT * SAMPLE_TIME_S, self.line.calc_temp(read_value))
 
 
-def read_calibration(config: Any) -> Calibration:
+def read_calibration(config: ConfigWrapper) -> Calibration:
     """sensor_temperature1/2 with sensor_adc1/2; raises the config's error for points that make no line."""
     points = []
     for number in (1, 2):
@@ -217,7 +220,7 @@ def read_calibration(config: Any) -> Calibration:
     return Calibration(tuple(points))
 
 
-def build_sensor(config: Any) -> McuTemperature:
+def build_sensor(config: ConfigWrapper) -> McuTemperature:
     """Sensor of a section with this type."""
     name = config.get_name().split()[-1]
     mcu_name = config.get("sensor_mcu", "mcu")
@@ -232,5 +235,5 @@ def register_builtin(heaters: Any) -> None:
     heaters.add_sensor_factory("temperature_mcu", build_sensor)
 
 
-def load_config(config: Any) -> None:
+def load_config(config: ConfigWrapper) -> None:
     """Section [temperature_mcu] of older configs: the type is built in."""

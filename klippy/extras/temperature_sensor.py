@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from configfile import ConfigWrapper
+
 ABSOLUTE_ZERO_C = -273.15
 
 
@@ -39,7 +41,7 @@ class PrinterSensorGeneric:
         }
 
 
-def load_config_prefix(config: Any) -> PrinterSensorGeneric:
+def load_config_prefix(config: ConfigWrapper) -> PrinterSensorGeneric:
     heaters = config.get_printer().load_object(config, "heaters")
     sensor = heaters.setup_sensor(config)
     min_temp_c = config.getfloat("min_temp", ABSOLUTE_ZERO_C, minval=ABSOLUTE_ZERO_C)

@@ -10,6 +10,10 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 from .display_template import DisplayTemplate, parse_parameters
 
 PERIOD_S = 0.5
@@ -28,7 +32,7 @@ class _Assignment:
 class TemplateEvaluator:
     """The object `template_evaluator`."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.reactor = printer.get_reactor()
         self._assigned: dict[Hashable, _Assignment] = {}
@@ -37,7 +41,7 @@ class TemplateEvaluator:
     def assign(
         self,
         output: Hashable,
-        gcmd: Any,
+        gcmd: GCodeCommand,
         show: Callable[[str], None],
         after: Callable[[], None] | None = None,
     ) -> None:
@@ -94,7 +98,7 @@ class TemplateEvaluator:
             assignment.show("0")
 
 
-def load_config(config: Any) -> TemplateEvaluator:
+def load_config(config: ConfigWrapper) -> TemplateEvaluator:
     """Loaded by modules with outputs."""
     config.get_printer().load_object(config, "gcode_macro")
     return TemplateEvaluator(config.get_printer())

@@ -19,6 +19,8 @@ import math
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from configfile import ConfigWrapper
+
 from . import adc_temperature
 from .adc_temperature import PrinterADCtoTemperature
 
@@ -199,7 +201,7 @@ _POINT_PARTS = {
 }
 
 
-def build_sensor(config: Any, law: Law) -> PrinterADCtoTemperature:
+def build_sensor(config: ConfigWrapper, law: Law) -> PrinterADCtoTemperature:
     """Sensor of a section that uses this thermistor."""
     curve = Thermistor(
         config.getfloat("pullup_resistor", 4700.0, above=0.0),
@@ -220,7 +222,7 @@ def register_builtin(heaters: Any) -> None:
         heaters.add_sensor_factory(name, lambda config, law=law: build_sensor(config, law))
 
 
-def read_law(config: Any) -> Law:
+def read_law(config: ConfigWrapper) -> Law:
     """Curve of a [thermistor] section: by beta, by three points, or by a table of more."""
     above_zero_k = -ZERO_CELSIUS_K
     temp1_c = config.getfloat("temperature1", above=above_zero_k)
@@ -240,7 +242,7 @@ def read_law(config: Any) -> Law:
         raise config.error(f"Thermistor in section '{config.get_name()}': {e}") from None
 
 
-def load_config_prefix(config: Any) -> None:
+def load_config_prefix(config: ConfigWrapper) -> None:
     """A custom thermistor: its name becomes a sensor_type."""
     law = read_law(config)
     heaters = config.get_printer().load_object(config, "heaters")

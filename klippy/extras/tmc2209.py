@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from configfile import ConfigWrapper
 
 from .tmc.chips import TMC2209
 from .tmc.current import TwoRanges
@@ -10,7 +10,7 @@ from .tmc.driver import StepperDriver
 from .tmc.uart import RegisterLink
 
 
-def load_config_prefix(config: Any) -> StepperDriver:
+def load_config_prefix(config: ConfigWrapper) -> StepperDriver:
     sense_ohm = config.getfloat("sense_resistor", 0.110, above=0.0)
     driver = StepperDriver(config, TMC2209, RegisterLink(config), TwoRanges(sense_ohm, (0.325, 0.180)))
     driver.register()

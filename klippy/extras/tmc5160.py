@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from configfile import ConfigWrapper
 
 from .tmc.chips import TMC5160
 from .tmc.current import tmc5160_current
@@ -10,7 +10,7 @@ from .tmc.driver import StepperDriver
 from .tmc.spi import RegisterLink
 
 
-def load_config_prefix(config: Any) -> StepperDriver:
+def load_config_prefix(config: ConfigWrapper) -> StepperDriver:
     sense_ohm = config.getfloat("sense_resistor", 0.075, above=0.0)
     driver = StepperDriver(config, TMC5160, RegisterLink(config), tmc5160_current(sense_ohm))
     driver.register()

@@ -10,7 +10,10 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
 from gcode_command import is_traditional
+from roles import Printer
 
 _TINY_MM = 1e-8  # a height computed a hair below a step belongs to the step
 
@@ -72,7 +75,7 @@ class _Tower:
 class TuningTower:
     """The object `tuning_tower`: at most one test at a time."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.gcode = printer.lookup_object("gcode")
         self._tower: _Tower | None = None
@@ -84,7 +87,7 @@ class TuningTower:
 
     cmd_TUNING_TOWER_help = "Tool to adjust a parameter at each Z height"
 
-    def cmd_TUNING_TOWER(self, gcmd: Any) -> None:
+    def cmd_TUNING_TOWER(self, gcmd: GCodeCommand) -> None:
         """Start a test; a running one ends."""
         self._end()
         command, parameter = gcmd.get("COMMAND"), gcmd.get("PARAMETER")
@@ -125,7 +128,7 @@ class TuningTower:
         self.gcode.respond_info("Ending tuning test mode")
 
 
-def load_config(config: Any) -> TuningTower:
+def load_config(config: ConfigWrapper) -> TuningTower:
     """Always loaded."""
     tower = TuningTower(config.get_printer())
     tower.register()

@@ -18,6 +18,9 @@ import logging
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 CHECK_INTERVAL_S = 1.0
 
 HINT = (
@@ -87,7 +90,7 @@ def check(
 class HeaterCheck:
     """The watch of one heater."""
 
-    def __init__(self, printer: Any, heater_name: str, parameters: VerifyParameters) -> None:
+    def __init__(self, printer: Printer, heater_name: str, parameters: VerifyParameters) -> None:
         self.printer = printer
         self.heater_name = heater_name
         self.parameters = parameters
@@ -120,7 +123,7 @@ class HeaterCheck:
         return self.printer.get_reactor().NEVER
 
 
-def load_config_prefix(config: Any) -> HeaterCheck:
+def load_config_prefix(config: ConfigWrapper) -> HeaterCheck:
     heater_name = config.get_name().split()[1]
     slow = heater_name == "heater_bed"
     parameters = VerifyParameters(

@@ -11,6 +11,10 @@ import logging
 import os
 from typing import Any, BinaryIO
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+from roles import Printer
+
 _CHUNK = 8192  # bytes between looks at the rest of the host: about 10 ms of parsing
 _SUFFIXES = ("gcode", "g", "gco")
 _DEFAULT_ON_ERROR = "{% if 'heaters' in printer %}\nTURN_OFF_HEATERS\n{% endif %}"
@@ -20,7 +24,7 @@ _UNSUPPORTED = ("M28", "M29", "M30")
 class VirtualSD:
     """The object `virtual_sdcard`."""
 
-    def __init__(self, printer: Any, folder: str, on_error: Any) -> None:
+    def __init__(self, printer: Printer, folder: str, on_error: Any) -> None:
         self.printer = printer
         self.reactor = printer.get_reactor()
         self.gcode = printer.lookup_object("gcode")
@@ -153,7 +157,7 @@ class VirtualSD:
         self.print_stats.reset()
         self.printer.send_event("virtual_sdcard:reset_file")
 
-    def _load_file(self, gcmd: Any, name: str, check_subdirs: bool = False) -> None:
+    def _load_file(self, gcmd: GCodeCommand, name: str, check_subdirs: bool = False) -> None:
         name = name.lstrip("/")
         if "\0" in name:
             raise gcmd.error("Unable to open file: its name has a zero byte")
@@ -179,7 +183,7 @@ class VirtualSD:
     # --- commands ---
     cmd_SDCARD_RESET_FILE_help = "Clears a loaded SD File. Stops the print if necessary"
 
-    def cmd_SDCARD_RESET_FILE(self, gcmd: Any) -> None:
+    def cmd_SDCARD_RESET_FILE(self, gcmd: GCodeCommand) -> None:
         """Unload the file."""
         if self._in_line:
             raise gcmd.error("SDCARD_RESET_FILE cannot be run from the sdcard")
@@ -187,52 +191,52 @@ class VirtualSD:
 
     cmd_SDCARD_PRINT_FILE_help = "Loads a SD file and starts the print.  May include files in subdirectories."
 
-    def cmd_SDCARD_PRINT_FILE(self, gcmd: Any) -> None:
+    def cmd_SDCARD_PRINT_FILE(self, gcmd: GCodeCommand) -> None:
         """Load a file and print it."""
         self._check_idle(gcmd)
         self._reset_file()
         self._load_file(gcmd, gcmd.get("FILENAME"), check_subdirs=True)
         self.do_resume()
 
-    def cmd_error(self, gcmd: Any) -> None:
+    def cmd_error(self, gcmd: GCodeCommand) -> None:
         """Writing to the card."""
         raise gcmd.error("SD write not supported")
 
-    def _check_idle(self, gcmd: Any) -> None:
+    def _check_idle(self, gcmd: GCodeCommand) -> None:
         if self.is_active() or self._in_line:
             raise gcmd.error("SD busy")
 
-    def cmd_M20(self, gcmd: Any) -> None:
+    def cmd_M20(self, gcmd: GCodeCommand) -> None:
         """List files."""
         gcmd.respond_raw("Begin file list")
         for name, size in self.get_file_list():
             gcmd.respond_raw(f"{name} {size}")
         gcmd.respond_raw("End file list")
 
-    def cmd_M21(self, gcmd: Any) -> None:
+    def cmd_M21(self, gcmd: GCodeCommand) -> None:
         """Initialise: always done."""
         gcmd.respond_raw("SD card ok")
 
-    def cmd_M23(self, gcmd: Any) -> None:
+    def cmd_M23(self, gcmd: GCodeCommand) -> None:
         """Select a file."""
         self._check_idle(gcmd)
         self._reset_file()
         self._load_file(gcmd, gcmd.get_raw_command_parameters().strip())
 
-    def cmd_M24(self, gcmd: Any) -> None:
+    def cmd_M24(self, gcmd: GCodeCommand) -> None:
         """Start or go on."""
         self.do_resume()
 
-    def cmd_M25(self, gcmd: Any) -> None:
+    def cmd_M25(self, gcmd: GCodeCommand) -> None:
         """Pause."""
         self.do_pause()
 
-    def cmd_M26(self, gcmd: Any) -> None:
+    def cmd_M26(self, gcmd: GCodeCommand) -> None:
         """Set the position."""
         self._check_idle(gcmd)
         self.set_file_position(gcmd.get_int("S", minval=0))
 
-    def cmd_M27(self, gcmd: Any) -> None:
+    def cmd_M27(self, gcmd: GCodeCommand) -> None:
         """Report the position."""
         if self.current_file is None:
             gcmd.respond_raw("Not SD printing.")
@@ -339,7 +343,7 @@ class VirtualSD:
         return True
 
 
-def load_config(config: Any) -> VirtualSD:
+def load_config(config: ConfigWrapper) -> VirtualSD:
     """Section [virtual_sdcard]."""
     printer = config.get_printer()
     printer.load_object(config, "print_stats")

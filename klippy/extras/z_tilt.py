@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from configfile import ConfigWrapper
 
 from .probing import surface_fit
 from .probing.z_level import ZLevel
 
 
-def load_config(config: Any) -> ZLevel:
+def load_config(config: ConfigWrapper) -> ZLevel:
     positions = config.getlists("z_positions", seps=(",", "\n"), parser=float, count=2)
     if len(positions) < 2:
         raise config.error(

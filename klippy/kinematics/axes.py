@@ -13,6 +13,7 @@ from typing import Any
 
 import stepper
 from lookahead import Coord, Move, done_in_c
+from motionlimits import ACCEL, SPEED
 
 AXIS_NAMES = "xyz"
 # An axis that is not homed allows no position at all: an empty range.
@@ -36,10 +37,13 @@ class ZLimits:
     @staticmethod
     def read(config: Any, toolhead: Any, with_accel: bool = True) -> ZLimits:
         max_velocity, max_accel = toolhead.get_max_velocity()
-        velocity = config.getfloat("max_z_velocity", max_velocity, above=0.0, maxval=max_velocity)
+        velocity = config.getfloat(
+            "max_z_velocity", max_velocity, minval=SPEED["minval"], maxval=max_velocity
+        )
         if not with_accel:
             return ZLimits(velocity, max_accel)
-        return ZLimits(velocity, config.getfloat("max_z_accel", max_accel, above=0.0, maxval=max_accel))
+        accel = config.getfloat("max_z_accel", max_accel, minval=ACCEL["minval"], maxval=max_accel)
+        return ZLimits(velocity, accel)
 
     def slow_down(self, move: Move) -> None:
         dz = move.axes_d[2]

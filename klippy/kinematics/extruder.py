@@ -10,9 +10,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import chelper
+import motionlimits
 import stepper
 import stepstream
 from lookahead import Move, done_in_c
+from motionlimits import ACCEL, CORNER_SPEED, DIAMETER, LENGTH, PRESSURE_ADVANCE, SPEED
 
 # Wide extrusion means a typing error: more than this many nozzle diameters squared (documented default).
 DEFAULT_CROSS_SECTION_FACTOR = 4.0
@@ -33,7 +35,7 @@ class ExtruderStepper:
         self.name = config.get_name().split()[-1]
         self.pressure_advance = 0.0
         self.pressure_advance_smooth_time = 0.0
-        self.config_pa = config.getfloat("pressure_advance", 0.0, minval=0.0)
+        self.config_pa = config.getfloat("pressure_advance", 0.0, **PRESSURE_ADVANCE)
         self.config_smooth_time = config.getfloat(
             "pressure_advance_smooth_time", DEFAULT_SMOOTH_TIME_S, above=0.0, maxval=MAX_SMOOTH_TIME_S
         )
@@ -110,7 +112,7 @@ class ExtruderStepper:
 
     def cmd_SET_PRESSURE_ADVANCE(self, gcmd: Any) -> None:
         """SET_PRESSURE_ADVANCE [EXTRUDER=] [ADVANCE=s] [SMOOTH_TIME=s]."""
-        advance = gcmd.get_float("ADVANCE", self.pressure_advance, minval=0.0)
+        advance = gcmd.get_float("ADVANCE", self.pressure_advance, **PRESSURE_ADVANCE)
         smooth_time = gcmd.get_float(
             "SMOOTH_TIME", self.pressure_advance_smooth_time, minval=0.0, maxval=MAX_SMOOTH_TIME_S
         )
@@ -127,6 +129,7 @@ class ExtruderStepper:
         if distance is not None:
             if not distance:
                 raise gcmd.error("Rotation distance can not be zero")
+            motionlimits.check_rotation_distance(distance, self.stepper.get_rotation_distance()[1])
             self.printer.lookup_object("toolhead").flush_step_generation()
             _inverted, configured = self.stepper.get_dir_inverted()
             self.stepper.set_dir_inverted(configured ^ (distance < 0.0))
@@ -175,8 +178,10 @@ class PrinterExtruder:
         return heaters.setup_heater(config, f"T{extruder_num}")
 
     def _read_limits(self, config: Any) -> None:
-        self.nozzle_diameter = config.getfloat("nozzle_diameter", above=0.0)
-        filament_diameter = config.getfloat("filament_diameter", minval=self.nozzle_diameter)
+        self.nozzle_diameter = config.getfloat("nozzle_diameter", **DIAMETER)
+        filament_diameter = config.getfloat(
+            "filament_diameter", minval=self.nozzle_diameter, maxval=DIAMETER["maxval"]
+        )
         self.filament_area = math.pi * (0.5 * filament_diameter) ** 2
         usual_mm2 = DEFAULT_CROSS_SECTION_FACTOR * self.nozzle_diameter**2
         cross_section = config.getfloat("max_extrude_cross_section", usual_mm2, above=0.0)
@@ -185,14 +190,12 @@ class PrinterExtruder:
         toolhead = self.printer.lookup_object("toolhead")
         max_velocity, max_accel = toolhead.get_max_velocity()
         self.max_e_velocity = config.getfloat(
-            "max_extrude_only_velocity", max_velocity * usual_ratio, above=0.0
+            "max_extrude_only_velocity", max_velocity * usual_ratio, **SPEED
         )
-        self.max_e_accel = config.getfloat("max_extrude_only_accel", max_accel * usual_ratio, above=0.0)
-        self.max_e_dist = config.getfloat(
-            "max_extrude_only_distance", DEFAULT_MAX_EXTRUDE_ONLY_MM, minval=0.0
-        )
+        self.max_e_accel = config.getfloat("max_extrude_only_accel", max_accel * usual_ratio, **ACCEL)
+        self.max_e_dist = config.getfloat("max_extrude_only_distance", DEFAULT_MAX_EXTRUDE_ONLY_MM, **LENGTH)
         self.instant_corner_v = config.getfloat(
-            "instantaneous_corner_velocity", DEFAULT_CORNER_VELOCITY, minval=0.0
+            "instantaneous_corner_velocity", DEFAULT_CORNER_VELOCITY, **CORNER_SPEED
         )
 
     def _register_commands(self, extruder_num: int) -> None:

@@ -87,6 +87,33 @@ SHUTDOWN_HELP = (
         " its cable: a broken one reads far too cold, a shorted one far too hot.",
     ),
     (
+        ("Induction coil signal stands still",),
+        "The signal of the induction coil did not change by one step of the ADC for many blocks; a live signal always"
+        " carries some noise. Check the sensing coil's lead, the amplifier's supply, and that sense_pin is the pin it"
+        " is connected to.",
+    ),
+    (
+        ("Induction coil signal at the end",),
+        "The signal of the induction coil reaches the end of the ADC's range. Check the sensing coil's lead for a"
+        " break or a short, and the amplifier's zero and gain.",
+    ),
+    (
+        ("Induction coil signal below",),
+        "The signal of the induction coil is lower than that of any cold nozzle. Check coil, tank and sensing lead for"
+        " a break; a calibration of another coil or nozzle has the same effect (INDUCTION_CALIBRATE).",
+    ),
+    (
+        ("Induction coil signal above",),
+        "The signal of the induction coil is that of a nozzle far above max_temp, or of a coil without a nozzle."
+        " Check that the nozzle is in the coil and that the bridge can be switched off; a calibration of another coil"
+        " or nozzle has the same effect (INDUCTION_CALIBRATE).",
+    ),
+    (
+        ("Induction bridge off: no phase command",),
+        "The board heard nothing from the host for max_duration of the induction heater and switched the bridge off by"
+        " itself. The host program ended, the host computer was too busy or swapping memory, or the cable came off.",
+    ),
+    (
         ("Thermocouple reader fault",),
         "A thermocouple or RTD converter (MAX31855, MAX31856, MAX31865, MAX6675) reported a fault, or a temperature"
         " outside min_temp and max_temp, several times in a row. Check the sensor, its cable, and the converter's"

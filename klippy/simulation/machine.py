@@ -79,6 +79,11 @@ def assemble(
 ) -> Machine:
     """Build everything the config describes; `builds`: MCU → build in place of the config's. Raises WorldError."""
     things = list(settings)
+    if not things:
+        raise WorldError(
+            "The config has no [simulator ...] section: it describes a real printer, and a simulated one needs to "
+            "know its machine (docs/Simulation.md; config/sim-induction.cfg is an example)."
+        )
     machine = Machine(world)
     for recording in _of(things, SimulatorSettings):
         machine.trace_rate_hz = recording.trace_rate_hz

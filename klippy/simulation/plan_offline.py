@@ -1,31 +1,36 @@
-"""The temperature plan of a whole file, offline: the same planning as in the printer, on a timed path.
+"""The temperature plan of a whole file, offline: the host's own path (path_host.py) and the printer's own session.
 
-GcodePath ─► PathPieces ─► TemperaturePlan ─► rows: what each move was planned to be, and its place on the part
+PathHost ─► PathEvents ─► Session ─► rows: what each move was planned to be, and its place on the part
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from extras.temperature_plan.settings import HEADROOM_C, Settings
+from extras.temperature_plan.path_events import PathEvents
+from extras.temperature_plan.settings import Settings
 from thermal.models.melt_exchange import NozzleLimits
 from thermal.plan import weld
-from thermal.plan.deposit import Surroundings
-from thermal.plan.layer_time import Pace, Pacer, Place
-from thermal.plan.path_pieces import Asked, PathPieces
-from thermal.plan.planner import Laid, Summary, TemperaturePlan
+from thermal.plan.layer_time import Pace
+from thermal.plan.planner import Laid, Summary
+from thermal.plan.session import BOOK_BEHIND_S, COMMIT_S, Session
 
-from .gcode_path import GcodePath, Limits, TimedMove
+from .path_host import PathHost
 
-AHEAD_S = 2.0  # motion that the printer knows ahead (toolhead.BUFFER_FULL_S)
+AHEAD_S = (
+    2.0  # what is planned nearer than this to the end of the path as far as it is known is planned again
+)
 WINDOW_S = 2.0  # so much new motion, then another plan
-BOOK_ROWS = 65536
+SHORTEST_S = 1e-6  # a shorter move deposits nothing (path_pieces.c)
+FARTHEST_MM = 10000.0  # no printer is larger; the map of the part grows with its area
+PROGRESS_LINES = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +38,10 @@ class PlannedMove:
     """One extruding move: where, when, and its temperatures (degC, mean over the move)."""
 
     line: int
-    layer: int
+    layer: int  # as the file counts them; 0: it does not
     start_mm: tuple[float, float, float]
     end_mm: tuple[float, float, float]
-    start_s: float
+    start_s: float  # from the first move on
     wall_c: float
     melt_c: float
     substrate_c: float
@@ -57,7 +62,7 @@ class OfflinePlan:
     """The result for a file."""
 
     moves: list[PlannedMove]
-    corners: np.ndarray  # (n, 2): print time s, nozzle degC
+    corners: np.ndarray  # (n, 2): s from the first move on, nozzle degC
     summary: Summary
     duration_s: float
     base_c: float
@@ -71,9 +76,9 @@ def steady(settings: Settings, plain: Summary, paced: Summary) -> Settings:
     `plain`: of the file at its own speed, whose fixed temperature tells the usual weld; `paced`: with hot layers slowed
     down, which tells what the window can still make of the ends of the path.
     """
-    least_c = settings.craft.interface_c or 0.0
+    least_c = settings.options.interface_c or 0.0
     kept_c = weld.held_c(plain.interface_5_50_95_c[1][1], paced.band_c, least_c)
-    return replace(settings, craft=replace(settings.craft, interface_c=round(kept_c), follow_mm=0.0))
+    return replace(settings, options=replace(settings.options, interface_c=round(kept_c), follow_mm=0.0))
 
 
 class WholeFile(NamedTuple):
@@ -89,162 +94,223 @@ def plan_whole(settings: Settings, run: Callable[[Settings], OfflinePlan]) -> Wh
     config says how. `run` plans the file."""
     plain = run(replace(settings, slowest=1.0, longest_pause_s=0.0))
     paces = settings.slowest < 1.0 or settings.longest_pause_s > 0.0
-    if settings.craft.follow_mm > 0.0 and plain.moves:
+    if settings.options.follow_mm > 0.0 and plain.moves:
         paced = run(settings) if paces else plain
         settings = steady(settings, plain.summary, paced.summary)
         return WholeFile(run(settings), plain, settings)
     return WholeFile(run(settings) if paces else plain, plain, settings)
 
 
-class Planning:
-    """Plans one file; `progress(lines)` is called now and then."""
+class _Line(NamedTuple):
+    """A line of the file, and what held for its moves."""
+
+    number: int
+    layer: int
+    speed_factor: float
+
+
+class _Road(NamedTuple):
+    """An extruding move whose rows are still to come; print time."""
+
+    line: _Line
+    start_mm: tuple[float, float, float]
+    end_mm: tuple[float, float, float]
+    start_s: float
+
+
+@dataclass(slots=True)
+class _Lines:
+    """Which line each move of the look-ahead comes from."""
+
+    now: _Line
+    over: deque[tuple[int, _Line]] = field(default_factory=deque)  # number of the first move behind it, line
+
+    def of(self, number: int) -> _Line:
+        while self.over and self.over[0][0] <= number:
+            self.over.popleft()
+        return self.over[0][1] if self.over else self.now
+
+
+class OfflineRun(PathEvents):
+    """Plans one file; `progress(lines)` is called now and then. Its session lags behind what has been read as a printer
+    does, but by as much as is good for the plan."""
 
     def __init__(
         self,
         settings: Settings,
         nozzle: NozzleLimits,
-        limits: Limits,
-        arc_mm: float = 1.0,
-        other_nozzles: frozenset[int] = frozenset(),
+        base_c: float,
+        progress: Callable[[int], None] = lambda lines: None,
     ) -> None:
+        self._nozzle, self._progress = nozzle, progress
+        # Without a known interface a run only measures what the window reaches: no allowance for the bed.
+        allowance = settings.options.follow_mm <= 0.0
+        self.session = Session(settings, nozzle, bed_allowance=allowance, keeps_rows=True)
+        self.session.set_base(base_c)
         self._settings = settings
-        self._nozzle = nozzle
-        self._path = GcodePath(limits, arc_mm, other_nozzles, nozzle.max_c + HEADROOM_C)
-        self._pacer = Pacer(settings.slowest, settings.longest_pause_s)
-        self._paces: list[PaceChange] = []
-        self._paced_s = 0.0
-        self._fan = 0.0
-        self._pieces = PathPieces(math.pi / 4.0 * settings.craft.filament_mm**2)
-        self._plan: TemperaturePlan | None = None
-        self._owners: list[tuple[TimedMove, int, int]] = []  # (move, its layer, pieces that are laid)
-        self._rows: list[Laid] = []  # of moves not yet whole
+        self._lines = _Lines(_Line(0, 0, 1.0))
+        self._roads: deque[_Road] = deque()
+        self._rows: list[Laid] = []  # of the first road
         self._moves: list[PlannedMove] = []
         self._corners: list[tuple[float, float]] = []
-        self._base_c = 0.0
-        self._end_s = self._planned_s = -math.inf
+        self._paces: list[PaceChange] = []
+        self._other_tool_line = -1
+        self._begin_s = self._planned_s = math.nan  # of the path; settled up to then
 
-    def run(self, path: Path, base_c: float, progress: Callable[[int], None]) -> OfflinePlan:
-        """`base_c`: nozzle temperature where the file names none. Raises OSError."""
-        self._base_c = base_c
-        for batch in self._path.moves(path):
-            self._take(batch)
-            if self._pacer.is_used and self._plan is not None:
-                self._keep_pace()
-            progress(self._path.lines)
-        self._make(math.inf)
-        plan = self._planner()
-        self._book(math.inf)
-        corners = np.array(self._corners or [(0.0, base_c)])
-        duration_s = max(0.0, self._end_s)
-        facts = duration_s, self._base_c, self._paces, self._path.other_tool_line
-        return OfflinePlan(self._moves, corners, plan.summary(), *facts)
+    def run(self, config: Path, gcode: Path) -> OfflinePlan:
+        """Raises OSError, or ValueError with the line that cannot be."""
+        host = PathHost(config, gcode)
+        super().__init__(host.printer, self._settings)
+        self.enabled = True
+        self.register_requests()
+        self._gcode.register_command("TEMPERATURE_PLAN", lambda gcmd: None)
+        host.run(self)
+        self._settle(math.inf)
+        self._collect(math.inf)
+        corners = np.array(self._corners or [(0.0, self.session.target.base_c)])
+        duration_s = max(0.0, self.session.lead.end_s - self._begin_s) if self._moves else 0.0
+        summary, base_c = self.session.plan.summary(), self.session.target.base_c
+        return OfflinePlan(
+            self._moves, corners, summary, duration_s, base_c, self._paces, self._other_tool_line
+        )
 
-    def _keep_pace(self) -> None:
-        """A layer begins (or, in a file that tells none, has about been laid): how fast may it come?"""
-        plan, path, pacer = self._planner(), self._path, self._pacer
-        if path.has_layers:
-            if not path.layer_begins:
-                return
-        elif not pacer.is_round(plan.ages(), self._end_s - self._paced_s):
+    # The host's reader
+
+    def on_ready(self, printer: Any) -> None:
+        heaters = printer.lookup_object("heaters")
+        name = self._settings.heater if self._settings.heater in heaters.heaters else "extruder"
+        self.heater = heaters.lookup_heater(name)
+        self.min_extrude_c = self._nozzle.min_extrude_c
+        self.find_devices()
+        self.listen()
+        VolumetricE(printer)
+
+    def before_line(self, number: int) -> None:
+        self._lines.now = _Line(number, self.session.requested.state.layer, self.session.speed_factor)
+        if number % PROGRESS_LINES == 0:
+            self._progress(number)
+
+    def after_line(self) -> None:
+        lines, row = self._lines, self._toolhead.lookahead.row
+        if not lines.over or lines.over[-1][0] != row.next:
+            lines.over.append((row.next, lines.now))
+        if max(map(abs, self._toolhead.commanded_pos[:3])) > FARTHEST_MM:
+            raise ValueError("there is no printer so large")
+        self._watch_heaters()
+        self._watch_tool()
+        end_s = self.session.path.facts().end_s
+        if end_s - self._planned_s >= AHEAD_S + WINDOW_S:
+            self._settle(end_s - AHEAD_S)
+
+    def _watch_heaters(self) -> None:
+        """Off at the end of a file: nothing is deposited any more."""
+        target_c = self.heater.get_temp(0.0)[1]
+        if target_c > 0.0 and target_c != self.session.target.base_c:
+            self.session.take()
+            self.session.set_base(target_c)
+        self.watch_bed(0.0)
+
+    def _watch_tool(self) -> None:
+        serving = self._toolhead.get_extruder()
+        other = serving.get_name() and serving.get_heater() is not self.heater
+        if other and self._other_tool_line < 0:
+            self._other_tool_line = self._lines.now.number
+
+    # Path
+
+    def _on_moves(self, row: Any, count: int, print_time: float) -> None:
+        super()._on_moves(row, count, print_time)
+        if not self._is_ours:
             return
-        facts, before = self._pieces.facts(), pacer.pace
-        place = Place(facts.z_mm, facts.height_mm, self._fan)
-        # Without a known interface this run only measures what the window reaches: no allowance for the bed.
-        pace = pacer.layer(plan.ages(), plan.interface_c, self._settings.material, self._around(), place)
-        self._paced_s = self._end_s
-        path.set_pace(pace.factor)
-        if not path.has_layers:
-            pace = Pace(pace.factor)
-        elif pace.pause_s > 0.0:
-            path.pause(pace.pause_s)
-        if pace.factor != before.factor or pace.pause_s > 0.0:
-            self._paces.append(PaceChange(path.lines - 1, pace))
+        if math.isnan(self._begin_s):
+            self._begin_s = self._planned_s = print_time
+        for number in range(row.first, row.first + count):
+            move = row.ring[number & row.mask]
+            duration_s = move.accel_t + move.cruise_t + move.decel_t
+            dx, dy, _, de = move.axes_d
+            if de > 0.0 and (dx or dy) and duration_s > SHORTEST_S:
+                start_mm, end_mm = tuple(move.start_pos[0:3]), tuple(move.end_pos[0:3])
+                self._roads.append(_Road(self._lines.of(number), start_mm, end_mm, print_time))
+            print_time += duration_s
 
-    def _around(self) -> Surroundings:
-        around, bed_c = self._settings.surroundings, self._path.bed_c
-        return around if math.isnan(bed_c) else replace(around, bed_c=bed_c)
+    def begin_layer(self) -> None:
+        self.session.take()
+        super().begin_layer()
 
-    def _planner(self) -> TemperaturePlan:
-        """Made when the first path comes: by then the file has told its bed."""
-        if self._plan is None:
-            settings = self._settings
-            self._plan = TemperaturePlan(self._nozzle, settings.material, self._around(), settings.craft)
-        return self._plan
+    def on_speed(self, speed: Pace) -> None:
+        if not self.session.requested.state.layer:
+            speed = Pace(speed.factor)  # nobody waits in the middle of a layer
+        before = self._paces[-1].pace.factor if self._paces else 1.0
+        if speed.factor != before or speed.pause_s > 0.0:
+            self._paces.append(PaceChange(self._lines.now.number, speed))
 
-    def _take(self, moves: Sequence[TimedMove]) -> None:
-        """Add them, and plan when enough has come."""
-        window_s = math.inf
-        for timed in moves:
-            self._add(timed)
-            window_s = min(window_s, timed.move.print_time)
-            if self._end_s - window_s >= WINDOW_S:
-                self._make_if_due()
-                window_s = math.inf
-        self._make_if_due()
+    # Plan
 
-    def _add(self, timed: TimedMove) -> None:
-        if timed.nozzle_c > 0.0:
-            self._base_c = timed.nozzle_c
-        wishes, table, self._fan = timed.wishes, self._settings.table, timed.fan
-
-        def ask(time_s: float, layer: int, z_mm: float) -> Asked:
-            wish_c = wishes.wish_c(table, time_s, layer, z_mm)
-            by_place = bool(table.layers or table.heights_mm)
-            return Asked(wish_c, self._base_c, wishes.height_mm, wishes.pace, by_place=by_place)
-
-        pieces, plan = self._pieces, self._planner()
-        before = pieces.facts().laid
-        pieces.note([timed.move], timed.fan)
-        facts = pieces.facts()
-        if self._planned_s == -math.inf and facts.waiting:
-            self._planned_s = facts.next_s
-        pieces.feed(ask, plan.take)
-        facts = pieces.facts()
-        self._end_s = facts.end_s
-        if facts.laid > before:
-            layer = wishes.layer or int(facts.layer)  # of a vase only the slicer tells where one ends
-            self._owners.append((timed, layer, int(facts.laid - before)))
-
-    def _make_if_due(self) -> None:
-        if self._end_s - self._planned_s >= AHEAD_S + WINDOW_S:
-            self._make(self._end_s - AHEAD_S)
-
-    def _make(self, until_s: float) -> None:
+    def _settle(self, until_s: float) -> None:
         """Plan from where the last plan is settled; it is settled up to `until_s` then."""
-        plan = self._planner()
-        from_s = self._planned_s
-        if not from_s < self._end_s:
+        session, from_s = self.session, self._planned_s
+        if not from_s < session.path.facts().end_s:
             return
-        start_c = plan.at(from_s, self._base_c)
-        corners = plan.make(from_s, start_c)
-        self._corners += [corner for corner in corners if from_s <= corner[0] < until_s]
-        self._planned_s = min(until_s, self._end_s)
-        self._book(self._planned_s - 0.5)
+        turn = session.replan(from_s - COMMIT_S)
+        if turn.reference is not None:
+            corners = zip(turn.reference.times_s, turn.reference.temps_c, strict=True)
+            self._corners += [(s - self._begin_s, c) for s, c in corners if from_s <= s < until_s]
+        self._planned_s = min(until_s, session.lead.end_s)
+        self._collect(self._planned_s - BOOK_BEHIND_S)
+        if session.is_round():
+            self.choose_speed()
 
-    def _book(self, until_s: float) -> None:
-        while rows := self._planner().finish(until_s, BOOK_ROWS):
-            self._note(rows)
+    def _collect(self, until_s: float) -> None:
+        """Rows to the roads they belong to."""
+        self.session.book(until_s)
+        roads = self._roads
+        for row in self.session.take_rows():
+            while len(roads) > 1 and roads[1].start_s <= row.start_s:
+                self._close_road()
+            self._rows.append(row)
+        if math.isinf(until_s) and roads:
+            self._close_road()
 
-    def _note(self, rows: Sequence[Laid]) -> None:
-        """Moves whose pieces are all booked."""
-        self._rows += rows
-        at = done = 0
-        for timed, layer, count in self._owners:
-            if at + count > len(self._rows):
-                break
-            self._moves.append(_planned(timed, layer, self._rows[at : at + count]))
-            at += count
-            done += 1
-        del self._rows[:at], self._owners[:done]
+    def _close_road(self) -> None:
+        road, rows = self._roads.popleft(), self._rows
+        self._rows = []
+        if rows:
+            self._moves.append(_planned(road, road.start_s - self._begin_s, rows))
 
 
-def _planned(timed: TimedMove, layer: int, part: Sequence[Laid]) -> PlannedMove:
+def _planned(road: _Road, start_s: float, rows: Sequence[Laid]) -> PlannedMove:
     def mean(name: str) -> float:
-        return sum(getattr(row, name) for row in part) / len(part)
+        return sum(getattr(row, name) for row in rows) / len(rows)
 
-    move = timed.move
     names = ("wall_c", "melt_c", "substrate_c", "interface_c", "interface_fixed_c")
-    place = (move.start_pos[:3], move.end_pos[:3], move.print_time)
     wall_c, melt_c, substrate_c, interface_c, fixed_c = map(mean, names)
-    pace = timed.wishes.pace
-    return PlannedMove(timed.line, layer, *place, wall_c, melt_c, substrate_c, interface_c, fixed_c, pace)
+    line, temps = road.line, (wall_c, melt_c, substrate_c, interface_c, fixed_c)
+    return PlannedMove(
+        line.number, line.layer, road.start_mm, road.end_mm, start_s, *temps, line.speed_factor
+    )
+
+
+class VolumetricE:
+    """M200 D<diameter>: E counts mm³ from then on, as firmware has it that the file may be for; D0: mm again."""
+
+    def __init__(self, printer: Any) -> None:
+        self._gcode = printer.lookup_object("gcode")
+        self._modes = printer.lookup_object("gcode_move")
+        self._mm_per_e = 1.0
+        if self._gcode.get_handler("M200") is None:
+            self._gcode.register_command("M200", self.cmd_M200)
+            self._flow = self._gcode.register_command("M221", None)
+            self._gcode.register_command("M221", self.cmd_M221)
+
+    def cmd_M200(self, gcmd: Any) -> None:
+        diameter_mm = gcmd.get_float("D", 0.0, minval=0.0)
+        percent = 100.0 * self._modes.modes.extrude_factor / self._mm_per_e
+        self._mm_per_e = 4.0 / (math.pi * diameter_mm**2) if diameter_mm else 1.0
+        self._set_percent(percent)
+
+    def cmd_M221(self, gcmd: Any) -> None:
+        self._set_percent(gcmd.get_float("S", 100.0, above=0.0))
+
+    def _set_percent(self, percent: float) -> None:
+        params = {"S": percent * self._mm_per_e}
+        self._flow(self._gcode.create_gcode_command("M221", "M221", params))

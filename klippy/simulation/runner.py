@@ -21,6 +21,7 @@ import reactor as reactor_module
 from link.serialport import PortError
 from printer import Printer
 
+from . import preview
 from . import world as world_module
 from .builds import OUT
 from .machine import Machine, assemble
@@ -259,6 +260,14 @@ class Simulation:
     def _print(self) -> None:
         sdcard = self.printer.lookup_object("virtual_sdcard")
         gcode = self.printer.lookup_object("gcode")
+        try:
+            wrong = preview.objection(self.options.gcode, preview.describe(self.printer))
+        except OSError as e:
+            wrong = f"Unable to read {self.options.gcode}: {e.strerror}"
+        if wrong:
+            self.facts.faults.append(wrong)
+            self._end(BAD_INPUT, wrong)
+            return
         try:
             gcode.run_script(f"SDCARD_PRINT_FILE FILENAME={shlex.quote(self.options.gcode.name)}")
         except self.printer.command_error as e:

@@ -29,7 +29,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +38,7 @@ import numpy as np
 import bench_plan_cost
 import plan_temperature
 from extras import temperature_plan
-from simulation import gcode_path, plan_offline
+from simulation import plan_offline
 from simulation.report import plan as plan_report
 
 FILES = {  # kind, file of pyGCodeDecode's examples
@@ -51,7 +51,6 @@ SECTION = {"material": "ABS", "bed_temp": "100", "chamber_temp": "40"}
 NOZZLE_C, BED_C = 245, 100
 HARD_SECTION = {"material": "PC", "bed_temp": "100", "chamber_temp": "25"}
 HARD_NOZZLE_C = 265
-WIDER = "[stepper_x]\nposition_max: 200\n"  # the flat part reaches X 190
 UA_W_K, HEAT_MJ_M3K, INLET_C = 0.0276, 2.1, 25.0  # of the reference plant
 LEAST_FLOW_MM3_S = 0.3
 AVERAGE_S = 0.5
@@ -89,14 +88,15 @@ def offline(
     config = bench_plan_cost.sample_config(section)
     settings = temperature_plan.read_settings(config)
     nozzle = plan_temperature.limits_of("induction", config, settings)
-    limits = gcode_path.read_limits(config.getsection("printer"), config.getsection("extruder"))
+    printer = path.with_suffix(".cfg")
+    printer.write_text(f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n{bench_plan_cost.WIDER}")
 
     def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
-        return plan_offline.Planning(settings, nozzle, replace(limits)).run(path, base_c, lambda n: None)
+        return plan_offline.OfflineRun(settings, nozzle, base_c).run(printer, path)
 
     found, plain, known = plan_offline.plan_whole(settings, run)
     figures = plan_report.figures(found, settings.material, plain.summary)
-    figures["interface_wanted_c"] = known.craft.interface_c
+    figures["interface_wanted_c"] = known.options.interface_c
     figures["duration_fixed_s"] = round(plain.duration_s, 1)
     return found, figures, bench_plan_cost.cost_us(path)
 
@@ -108,7 +108,7 @@ def simulate(
     section = "[temperature_plan]\n" + "".join(f"{k}: {v}\n" for k, v in {**SECTION, **options}.items())
     record = folder / f"{name}-plan.csv"
     config, trace = folder / f"{name}.cfg", folder / f"{name}.csv"
-    text = f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n{WIDER}"
+    text = f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n{bench_plan_cost.WIDER}"
     config.write_text(f"{text}{section}record: {record}\n{more}")
     command = [ROOT / "scripts" / "simulate.py", config, gcode, "--trace", trace, "--until", seconds]
     done = subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True, check=False)

@@ -29,7 +29,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -40,15 +40,15 @@ from configfile import ConfigWrapper
 from extras import temperature_plan
 from extras.induction import settings as induction_settings
 from lookahead import LookAheadQueue
-from simulation import gcode_path
+from simulation.path_host import PathHost, PathPrinter
 from thermal.control.control_api import Reference
-from thermal.plan.requests import Wishes
+from thermal.plan.requests import Wishes, read_comment
 
 AHEAD_S = 2.0  # toolhead.BUFFER_FULL_S
 NOZZLE_C = 245.0
 SECTION = {"material": "ABS", "bed_temp": "100", "chamber_temp": "40", "minimum_speed_factor": "1"}
+WIDER = "[stepper_x]\nposition_max: 200\n"  # the flat part reaches X 190
 FILES = ("benchy.gcode", "cubhelix.gcode", "brace.gcode")
-LIMITS = gcode_path.Limits(180.0, 2500.0)
 INSTRUCTION_MOVES = 3000
 MEMORY_MOVES = (100_000, 1_000_000)
 Planned = tuple[Any, Wishes]  # Move of the look-ahead, what holds for it
@@ -108,6 +108,9 @@ class Printer:
     def _wake(self, timer: object, time_s: float) -> None:
         self.woken = True
 
+    def register_event_handler(self, event: str, handler: object) -> None:
+        """No event is sent here."""
+
     def lookup_object(self, name: str, default: Any = None) -> Any:
         return self._objects.get(name, default)
 
@@ -119,12 +122,12 @@ def _nothing(*args: object, **kwargs: object) -> object:
 class Section(temperature_plan.TemperaturePlanner):
     """[temperature_plan] on that printer, driven by hand."""
 
-    def __init__(self, printer: Printer) -> None:
+    def __init__(self, printer: Any) -> None:
         super().__init__(printer, temperature_plan.read_settings(sample_config(SECTION)))
         self._on_connect()
         self._on_ready()
 
-    def _set_factor(self, factor: float) -> None:
+    def set_speed(self, factor: float) -> None:
         """The pace is off."""
 
     def moves(self, row: Any, count: int, time_s: float) -> None:
@@ -153,11 +156,11 @@ class Watch:
         self.spent_s += self._clock() - self._began - self._own_s
 
 
-def replay(moves: Iterator[Planned], planned: bool) -> tuple[int, float]:
+def replay(moves: Iterable[Planned], planned: bool) -> tuple[int, float]:
     """(moves, seconds of processor time that the section took)."""
     printer = Printer()
     section = Section(printer)
-    queue = LookAheadQueue(LIMITS)
+    queue = LookAheadQueue()
     count, time_s, state, watch = 0, 1.0, Wishes(), Watch(planned)
     for move, wishes in moves:
         count += 1
@@ -166,7 +169,7 @@ def replay(moves: Iterator[Planned], planned: bool) -> tuple[int, float]:
             section.mark(wishes)
             watch.stop()
             state = wishes
-        if not queue.add_move(move, LIMITS):
+        if not queue.add_move(move, move.toolhead.extruder):
             continue
         ready, row = queue.plan(lazy=True), queue.row
         watch.start()
@@ -189,14 +192,40 @@ def replay(moves: Iterator[Planned], planned: bool) -> tuple[int, float]:
     return count, watch.spent_s
 
 
-def moves_of(path: Path, folder: Path) -> Iterator[Planned]:
+class Collector:
+    """Moves as the host's look-ahead gives them out, each with what the comments before it say."""
+
+    def __init__(self) -> None:
+        self.moves: list[Planned] = []
+        self._state = Wishes()
+
+    def on_ready(self, printer: PathPrinter) -> None:
+        printer.lookup_object("toolhead").register_move_listener(self._on_moves)
+        printer.lookup_object("gcode").register_comment_listener(self._on_comment)
+
+    def _on_moves(self, moves: Sequence[Any]) -> None:
+        self.moves += [(move, self._state) for move in moves]
+
+    def _on_comment(self, line: str) -> None:
+        found = read_comment(line)
+        self._state = self._state if found is None else self._state.comment(found)
+
+    def before_line(self, number: int) -> None:
+        """All lines are alike."""
+
+    def after_line(self) -> None:
+        """The moves come by themselves."""
+
+
+def moves_of(path: Path, folder: Path) -> list[Planned]:
     """The file's moves, with targets of our own (it is sliced for PLA)."""
     text = path.read_text(encoding="utf-8", errors="replace")
-    plain = folder / path.name
+    plain, config = folder / path.name, folder / "path.cfg"
     plain.write_text(re.sub(r"(?m)^M1[0-9]{2}\b.*", "", text), encoding="utf-8")
-    for batch in gcode_path.GcodePath(LIMITS).moves(plain):
-        for timed in batch:
-            yield timed.move, timed.wishes
+    config.write_text(f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n{WIDER}", encoding="utf-8")
+    reader = Collector()
+    PathHost(config, plain).run(reader)
+    return reader.moves
 
 
 def data_file(name: str) -> Path:
@@ -219,8 +248,7 @@ def cost_us(path: Path, count: int = 50_000) -> float:
 
 def again_and_again(path: Path, folder: Path) -> Iterator[Planned]:
     """A print without end: the file over and over."""
-    while True:
-        yield from moves_of(path, folder)
+    return itertools.cycle(moves_of(path, folder))
 
 
 def peak_mb() -> float:

@@ -28,10 +28,11 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
         ("thermal", "thermal"),
         (
             "base",
-            "util queuelogger reactor configabsent configtext configfile gcode_command gcode gcode_io pins msgproto",
+            "util queuelogger reactor roles configabsent configtext configfile"
+            " gcode_command gcode gcode_io pins msgproto",
         ),
         ("link", "link serialhdl clocksync mcu"),
-        ("motion", "stepper stepstream kinematics lookahead g1path toolhead"),
+        ("motion", "motionlimits stepper stepstream kinematics lookahead g1path toolhead"),
         ("extras", "extras"),
         ("app", "webhooks printer klippy parsedump"),
         ("simulation", "simulation"),

@@ -8,10 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from induction_cdef import CDEF
-from pure_harness import INDUCTION_SOURCES, load
+from pure_harness import load_induction
 
-ffi, lib = load("induction", INDUCTION_SOURCES, CDEF)  # with the sanitizer for undefined behaviour
+ffi, lib = load_induction()
 
 LIMIT_MAX = 1 << 24
 SUM_MAX = 4095 * 4**7  # of the longest block

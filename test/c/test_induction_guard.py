@@ -6,10 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from induction_cdef import CDEF
-from pure_harness import INDUCTION_SOURCES, load
+from pure_harness import load_induction
 
-ffi, lib = load("induction", INDUCTION_SOURCES, CDEF)
+ffi, lib = load_induction()
 NONE, LOW, HIGH, CLIPPED, STUCK, TIMEOUT = range(6)
 
 

@@ -15,6 +15,8 @@ from pure_harness import Plant
 PERIOD = 600  # ticks: 120 kHz
 MAX_DURATION = FREQ // 10
 SETTLE = 20
+CLIPPED = "Induction coil signal at the end of the ADC's range"
+TIMEOUT = "Induction bridge off: no phase command from the host in time"
 
 
 @dataclass(frozen=True)
@@ -283,7 +285,7 @@ def test_the_same_phase_again_feeds_the_watchdog_and_costs_no_block():
     assert len(held) > 150 and {r.count for r in held} == {192}
     assert [r.discarded for r in held] == [SETTLE] + [0] * (len(held) - 1)
     unit.mcu.run(0.005)
-    assert unit.mcu.shutdown_reason() == "Missed scheduling of next induction phase"
+    assert unit.mcu.shutdown_reason() == TIMEOUT
 
 
 @pytest.mark.parametrize("records", [0, 8])
@@ -422,7 +424,7 @@ def test_a_dead_host_has_the_bridge_off_within_max_duration(last_phase):
     at, phase = unit.mcu.bridge_sets[-1]
     assert phase == 0
     assert clock < at <= clock + MAX_DURATION + PERIOD
-    assert unit.mcu.shutdown_reason() == "Missed scheduling of next induction phase"
+    assert unit.mcu.shutdown_reason() == TIMEOUT
     assert unit.state()["trip"] == 5
 
 
@@ -476,10 +478,14 @@ def test_after_clear_shutdown_it_works_again():
 @pytest.mark.parametrize(
     ("codes", "reason", "trip"),
     [
-        (lambda clock: 100 + clock // PERIOD % 2, "Induction signal below limit", 1),
-        (lambda clock: 2000 + clock // PERIOD % 2, "Induction signal above limit", 2),
-        (lambda clock: 0 if clock // PERIOD % 3 == 0 else 900, "ADC out of range", 3),
-        (lambda clock: 700, "ADC out of range", 4),
+        (lambda clock: 100 + clock // PERIOD % 2, "Induction coil signal below its limit", 1),
+        (lambda clock: 2000 + clock // PERIOD % 2, "Induction coil signal above its limit", 2),
+        (
+            lambda clock: 0 if clock // PERIOD % 3 == 0 else 900,
+            "Induction coil signal at the end of the ADC's range",
+            3,
+        ),
+        (lambda clock: 700, "Induction coil signal stands still", 4),
     ],
 )
 def test_guard_trips_after_its_blocks_with_the_bridge_off(codes, reason, trip):
@@ -508,7 +514,7 @@ def test_a_tripped_guard_refuses_power_after_clear_shutdown():
     unit.phase(2012)
     unit.mcu.run(0.01)
     assert unit.mcu.bridge_sets[-1][1] == 0
-    assert unit.mcu.shutdown_reason() == "Missed scheduling of next induction phase"
+    assert unit.mcu.shutdown_reason() == TIMEOUT
 
 
 def test_without_limits_a_dead_sensor_does_not_trip():

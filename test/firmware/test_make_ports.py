@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+import pty
 import re
 import shutil
 import subprocess
@@ -76,6 +77,22 @@ def test_a_compiler_that_is_missing_is_named_with_its_package(port: str, tmp_pat
     run = run_make(f"PORT={port}", f"OUT={tmp_path / 'out'}", PATH=str(tmp_path))
     assert run.returncode == 2
     assert re.search(r"needs \S+-gcc \(Debian: apt-get install \S*gcc", run.stderr), run.stderr
+
+
+@pytest.mark.parametrize(("term", "words"), [(None, "TERM is ''"), ("no-such", "TERM is 'no-such'")])
+def test_a_menu_without_a_terminal_is_answered_in_a_sentence(term: str | None, words: str) -> None:
+    ours, theirs = pty.openpty()
+    environment = {name: value for name, value in os.environ.items() if name != "TERM"}
+    environment |= {"srctree": "src"} | ({} if term is None else {"TERM": term})
+    command = [sys.executable, "scripts/run_menuconfig.py", "Kconfig"]
+    for terminal, wanted in ((theirs, words), (subprocess.DEVNULL, "must be a terminal")):
+        run = subprocess.run(
+            command, cwd=ROOT, env=environment, stdin=terminal, stdout=terminal, stderr=subprocess.PIPE, text=True,
+            check=False,
+        )  # fmt: skip
+        assert run.returncode == 2 and run.stderr.count("\n") == 1 and wanted in run.stderr
+    os.close(ours)
+    os.close(theirs)
 
 
 def test_every_port_can_be_chosen_in_the_menu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

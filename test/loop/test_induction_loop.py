@@ -214,6 +214,24 @@ def test_a_broken_machine_is_noticed_and_shut_off(
     assert rig.phase == 0  # what is commanded; a stuck bridge is the supply relay's affair
 
 
+@pytest.mark.parametrize("law", ["model", "pid"])
+@pytest.mark.parametrize(
+    "plant", [{}, {"mass_factor": 0.7, "efficiency_factor": 1.3}], ids=["nominal", "light"]
+)
+def test_a_target_of_max_temp_is_held(plant: dict[str, float], law: str) -> None:
+    """Noise, overshoot and a flow that ends at once are no reason to shut down."""
+    parameters = default_parameters(law=true_law(), control=law, max_temp_c=320.0)
+    rig = Rig(Plant(3, **plant), parameters, 5)
+    rig.run(0.6)
+    rig.set_target(320.0)
+    rig.run(3.0)
+    for flow in (15.0, 0.0):
+        rig.plant.set_inputs(flow, 0.0)
+        rig.run(1.0)
+    assert rig.loop.fault == ""
+    assert abs(skin(rig)[-1] - 320.0) < 1.0
+
+
 def test_silence_of_the_unit_stops_the_heating_before_the_fault() -> None:
     silent = {"on": False}
     rig = Rig(Plant(3), default_parameters(), 5, drop=lambda _: silent["on"])

@@ -63,7 +63,7 @@ class StreamedSimulation(WatchedSimulation):
         return [m["params"] for m in self.client.messages if m["source"] == kind and m["of"] == name]
 
 
-@pytest.fixture(scope="module", params=[1, 2])
+@pytest.fixture(scope="module", params=[2, 3])  # of 16 runs with other lines one was at 11 us after 8 to 10 s
 def printed(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> StreamedSimulation:
     path = tmp_path_factory.mktemp("three") / "part.gcode"
     path.write_text(GCODE)

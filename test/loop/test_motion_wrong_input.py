@@ -24,11 +24,13 @@ WRONG = {
     "G1 X30 E900": "below minimum temp",
     "G4 P-1": "P must have minimum",
     "G92 Xnan": "is not a number",
-    "M204 S0": "S must be above",
-    "M220 S-10": "S must be above",
-    "SET_VELOCITY_LIMIT VELOCITY=0": "VELOCITY must be above",
+    "M204 S0": "S must have minimum of 0.001",
+    "M220 S-10": "S must have minimum of 0.1",
+    "SET_VELOCITY_LIMIT VELOCITY=0": "VELOCITY must have minimum of 0.001",
     "SET_VELOCITY_LIMIT ACCEL=nan": "is not a number",
     "SET_PRESSURE_ADVANCE ADVANCE=-1": "ADVANCE must have minimum",
+    "SET_PRESSURE_ADVANCE ADVANCE=1e9": "ADVANCE must have maximum of 10",
+    "SET_EXTRUDER_ROTATION_DISTANCE EXTRUDER=extruder DISTANCE=1e-6": "Rotation distance 1e-06 out of range",
     "STEPPER_BUZZ STEPPER=stepper_q": "stepper_q",
 }
 

@@ -181,7 +181,7 @@ class Chain:
         if not own.valid:
             return
         self.believed_s = end_s
-        within = self.supervise.temp_low_c <= own.temp_c <= self.supervise.temp_high_c
+        within = self.supervise.temp_low_c <= own.temp_c <= self.supervise.temp_high_c + self.supervise.over_c
         self.beyond = 0 if within else self.beyond + 1
         if self.beyond >= self.supervise.limit_blocks:
             self.tripped_c = own.temp_c

@@ -117,13 +117,13 @@ class FakeMcu:
 class FakeGcode:
     def __init__(self) -> None:
         self.commands: dict[str, Callable[[Any], None]] = {}
-        self.mux: dict[tuple[str, str], Callable[[Any], None]] = {}
+        self.mux: dict[tuple[str, str | None], Callable[[Any], None]] = {}
         self.lines: list[str] = []
 
     def register_command(self, cmd: str, func: Any, when_not_ready: bool = False, desc: str = "") -> None:
         self.commands[cmd] = func
 
-    def register_mux_command(self, cmd: str, key: str, value: str, func: Any, desc: str = "") -> None:
+    def register_mux_command(self, cmd: str, key: str, value: str | None, func: Any, desc: str = "") -> None:
         assert (cmd, value) not in self.mux
         self.mux[cmd, value] = func
 
@@ -141,8 +141,11 @@ class FakeCommand:
         self.gcode = gcode
         self.params = params
 
-    def get(self, name: str, *default: str) -> str:
-        return self.params.get(name, default[0]) if default else self.params[name]
+    def get(self, name: str, *default: Any) -> Any:
+        return self.params.get(name, *default) if default else self.params[name]
+
+    def get_commandline(self) -> str:
+        return " ".join(f"{name}={value}" for name, value in self.params.items())
 
     def get_float(
         self, name: str, default: float, above: float | None = None, maxval: float | None = None
@@ -206,7 +209,7 @@ class FakePrinter:
         self.reactor = FakeReactor()
         self.gcode = FakeGcode()
         self.pins: dict[str, FakePin] = {}
-        self.events: dict[str, list[Callable[[], None]]] = {}
+        self.events: dict[str, list[Callable[..., Any]]] = {}
         self.start_args = start_args
         self.shutdown_text = ""
         self.objects: dict[str, Any] = {"gcode": self.gcode, "pins": self, "toolhead": FakeToolhead()}
@@ -217,6 +220,10 @@ class FakePrinter:
 
     def config(self, section: str) -> ConfigWrapper:
         return ConfigWrapper(self, self._data, self._access, section)
+
+    def settings(self, section: str) -> dict[str, Any]:
+        """What was read, with defaults: configfile.settings."""
+        return {option: value for (name, option), value in self._access.items() if name == section}
 
     def load(self, section: str) -> Any:
         return self.load_object(self.config(section), section)
@@ -233,7 +240,10 @@ class FakePrinter:
     def lookup_object(self, name: str, *default: Any) -> Any:
         return self.objects.get(name, default[0]) if default else self.objects[name]
 
-    def register_event_handler(self, event: str, handler: Callable[[], None]) -> None:
+    def lookup_objects(self, module: str) -> list[tuple[str, Any]]:
+        return [(n, obj) for n, obj in self.objects.items() if n == module or n.startswith(f"{module} ")]
+
+    def register_event_handler(self, event: str, handler: Callable[..., Any]) -> None:
         self.events.setdefault(event, []).append(handler)
 
     def send(self, event: str) -> None:

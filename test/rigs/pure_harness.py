@@ -7,6 +7,7 @@ operation.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import subprocess
@@ -17,6 +18,8 @@ from types import SimpleNamespace
 from typing import Any
 
 import cffi
+
+from chelper.compiler import read_headers
 
 ROOT = Path(__file__).resolve().parents[2]
 SRC = ROOT / "src"
@@ -33,44 +36,7 @@ INDUCTION_SOURCES = ("filters.c", "oversample.c", "phase.c", "guard.c", "attenti
 PLANT_SOURCES = tuple(
     str(PLANT / name) for name in ("plant.c", "plant_tank.c", "plant_noise.c", "thermal_load.c")
 )
-
-PLANT_CDEF = """
-struct plant_param { const char *name, *unit, *doc; double reference, strong, min, max; };
-extern struct plant_param plant_params[];
-extern int plant_param_count;
-struct plant;
-struct plant_outputs { double skin_c, bore_c, melt_c, second_c, power_w, electrical_w, flow_mm3_s; };
-struct plant_balance { double metal_j, lost_j, melt_j, stored_j; };
-struct plant *plant_new(void);
-void plant_free(struct plant *p);
-void plant_init(struct plant *p, const double *values, uint64_t seed);
-int plant_param_index(const char *name);
-void plant_set_param(struct plant *p, int index, double value);
-double plant_get_param(const struct plant *p, int index);
-void plant_set_phase(struct plant *p, double phase_ticks);
-void plant_set_inputs(struct plant *p, double flow_mm3_s, double fan);
-void plant_advance(struct plant *p, double dt_s);
-void plant_sample(struct plant *p, uint16_t *out, uint32_t n, double period_s);
-void plant_read(const struct plant *p, struct plant_outputs *out);
-void plant_energy(const struct plant *p, struct plant_balance *out);
-
-struct thermal_load_param { const char *name, *unit, *doc; double hotend, bed, min, max; };
-extern struct thermal_load_param thermal_load_params[];
-extern int thermal_load_param_count;
-struct thermal_load;
-struct thermal_load_outputs { double body_c, sensor_c, element_c, melt_c, power_w, flow_mm3_s; };
-struct thermal_load *thermal_load_new(void);
-void thermal_load_free(struct thermal_load *l);
-void thermal_load_init(struct thermal_load *l, const double *values, uint64_t seed);
-int thermal_load_param_index(const char *name);
-void thermal_load_set_param(struct thermal_load *l, int index, double value);
-double thermal_load_get_param(const struct thermal_load *l, int index);
-void thermal_load_set_duty(struct thermal_load *l, double duty);
-void thermal_load_set_inputs(struct thermal_load *l, double flow_mm3_s, double fan);
-void thermal_load_advance(struct thermal_load *l, double dt_s);
-void thermal_load_sample(struct thermal_load *l, uint16_t *out, uint32_t n);
-void thermal_load_read(const struct thermal_load *l, struct thermal_load_outputs *out);
-"""
+PLANT_HEADERS = (PLANT / "plant.h", PLANT / "thermal_load.h")
 
 
 def compile_library(name: str, sources: Sequence[str], sanitize: str = "", flags: Sequence[str] = ()) -> Path:
@@ -101,11 +67,20 @@ def compile_library(name: str, sources: Sequence[str], sanitize: str = "", flags
     return target
 
 
-def load(name: str, sources: Sequence[str], cdef: str, sanitize: str = "undefined") -> tuple[cffi.FFI, Any]:
-    """Build if needed and open: (ffi, lib)."""
+@functools.cache
+def load(
+    name: str, sources: Sequence[str], headers: Sequence[Path], sanitize: str = "undefined"
+) -> tuple[cffi.FFI, Any]:
+    """Build if needed and open: (ffi, lib) with what the headers declare."""
     ffi = cffi.FFI()
-    ffi.cdef(cdef)
+    ffi.cdef(read_headers(headers))
     return ffi, ffi.dlopen(str(compile_library(name, sources, sanitize)))
+
+
+@functools.cache
+def load_induction() -> tuple[cffi.FFI, Any]:
+    """The pure files of the firmware's induction unit, with the sanitizer for undefined behaviour."""
+    return load("induction", INDUCTION_SOURCES, tuple(SRC / f"{Path(c).stem}.h" for c in INDUCTION_SOURCES))
 
 
 class _Device:
@@ -115,7 +90,7 @@ class _Device:
     presets: tuple[str, ...] = ()
 
     def __init__(self, preset: str, seed: int = 1, sanitize: str = "", **changes: float) -> None:
-        self.ffi, self.lib = load("plant", PLANT_SOURCES, PLANT_CDEF, sanitize)
+        self.ffi, self.lib = load("plant", PLANT_SOURCES, PLANT_HEADERS, sanitize)
         rows = self.params()
         if unknown := set(changes) - {row.name for row in rows}:
             raise KeyError(f"no such parameter: {sorted(unknown)}")

@@ -131,6 +131,62 @@ def test_a_run_on_a_broken_machine_ends_by_itself_and_keeps_the_trace(
     assert list(tmp_path.glob("induction-nozzle-*.csv"))
 
 
+LOOK = """
+[delayed_gcode look]
+gcode:
+  {% set nozzle = printer["induction_heater nozzle"] %}
+  { action_respond_info("LOOK %.1f %.3f %.2f %s %s" % (printer.extruder.temperature, printer.extruder.power,
+    nozzle.power_w, nozzle.calibrating, nozzle.can_extrude)) }
+  UPDATE_DELAYED_GCODE ID=look DURATION=1
+"""
+SHOWN = re.compile(r"LOOK ([-0-9.]+) ([0-9.]+) ([0-9.]+) (True|False) (True|False)")
+
+
+@pytest.mark.parametrize(
+    (
+        "law",
+        "reference",
+        "late_c",
+    ),  # at 15 C/s; the thermocouple lags by 0.6 s, a typed reading is up to 6 s old
+    [
+        ("tank", "reference", 15.0),
+        ("tank", "manual", 3.0),  # the law in force, which is right here
+        ("uncalibrated", "reference", 15.0),
+        ("uncalibrated", "manual", 90.0),
+    ],
+)
+def test_status_follows_the_nozzle_while_it_is_calibrated(
+    simulate: Simulate, tmp_path: Path, law: str, reference: str, late_c: float
+) -> None:
+    """Every front end shows it: hot, and under power."""
+    log, path = tmp_path / "host.log", tmp_path / "printer.cfg"
+    heater = f"[induction_heater nozzle]\nestimator: {law}\ncalibration_folder: {tmp_path}\n"
+    path.write_text(f"[include {CONFIG}]\n{heater}{LOOK}{PERSON}")
+    begin = "CALIBRATE" if reference == "manual" else "INDUCTION_CALIBRATE REFERENCE=reference POWER=8"
+    gcode = f"{begin}\nUPDATE_DELAYED_GCODE ID=look DURATION=0.5\n" + "G4 P500\n" * 60 + "ABORT\nG4 P3000\n"
+    run = simulate(gcode, config=path, more=["--log", str(log)])
+    assert run.status == 0, run.stderr
+    rows = zip(run.column("t_s"), run.column("true_c"), run.column("estimate_c"), strict=True)
+    heating = [(true_c, shown_c) for t_s, true_c, shown_c in rows if 8.0 < t_s < 29.0]
+    assert max(true_c for true_c, _ in heating) > 200.0
+    assert all(abs(shown_c - true_c) < late_c for true_c, shown_c in heating)
+    looks = SHOWN.findall(log.read_text())
+    during, after = [look for look in looks if look[3] == "True"], looks[-1]
+    assert len(during) > 18 and {extrude for *_, extrude in during} == {"False"}
+    assert all(6.0 < float(power_w) < 10.0 for _, _, power_w, *_ in during[8:18]), during  # POWER=8
+    assert all(float(share) == pytest.approx(float(w) / 81.3, abs=0.001) for _, share, w, *_ in during)
+    assert after[3] == "False" and float(after[2]) < 0.5
+
+
+def test_turning_the_heaters_off_ends_a_calibration(simulate: Simulate, tmp_path: Path) -> None:
+    log = tmp_path / "host.log"
+    gcode = "INDUCTION_CALIBRATE REFERENCE=reference\nG4 P8000\nTURN_OFF_HEATERS\nG4 P500\n"
+    run = simulate(gcode, config=machine(tmp_path), more=["--log", str(log)])
+    assert run.status == 0, run.stderr
+    assert "Calibration ended: the heater was turned off. Nothing was changed." in log.read_text()
+    assert max(run.column("power_w")[-30:]) < 2.0
+
+
 def test_commands_around_the_thermometer(simulate: Simulate, tmp_path: Path) -> None:
     """ABORT gives the heater back at once; ZERO moves the reading; DUMP writes blocks; STATUS tells."""
     log, dump = tmp_path / "host.log", tmp_path / "dump.csv"

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
 
 from log_extract import extract, story
-from system.conftest import CONFIG, Run, Simulate
+from system.conftest import CONFIG, ROOT, Run, Simulate
 
 HOT = "G28\nM109 S250\nG90\nM83\n"
 
@@ -73,6 +78,73 @@ def test_a_file_that_asks_for_the_impossible_ends_with_its_error(
         assert word in run.stderr.lower(), run.stderr
     assert run.summary["exit_status"] == 2
     assert run.summary["faults"]
+
+
+def test_a_config_of_a_real_printer_is_told_from_a_broken_sensor(simulate: Simulate) -> None:
+    config = CONFIG.with_name("example-cartesian.cfg")
+    assert_clear(simulate("G28\n", config=config), 2, "no [simulator ...] section", "sim-induction.cfg")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (
+            b"root:x:0:0:root:/root:/bin/bash\ndaemon:x:1:1:daemon:/usr/sbin:/usr/sbin/nologin\n",
+            "not G-code: no line",
+        ),
+        (b"; only\n; remarks\n", "not G-code: no line"),
+        (b"\x7fELF\x02\x01\x01\0\0\0G28\n", "not G-code: it is a binary file"),
+    ],
+)
+def test_a_file_that_is_no_g_code_is_not_printed(
+    simulate: Simulate, tmp_path: Path, content: bytes, words: str
+) -> None:
+    path = tmp_path / "passwd"
+    path.write_bytes(content)
+    run = simulate(path)
+    assert_clear(run, 2, f"passwd is {words}")
+    assert run.summary["faults"] == [run.summary["reason"]]
+
+
+def test_a_part_larger_than_the_bed_is_refused_before_anything_is_heated(simulate: Simulate) -> None:
+    run = simulate(HOT + "G1 X20 Y20 Z0.3 F6000\nG1 X181 E1\n")
+    assert_clear(run, 2, "part.gcode, line 6: 'G1 X181 E1' is out of range: X 181", "from 0 to 180 mm")
+    assert max(run.column("target_c")) == 0.0 and run.summary["simulated_s"] < 5.0
+
+
+def test_ctrl_c_ends_the_demo_with_one_sentence(tmp_path: Path) -> None:
+    command = [sys.executable, str(ROOT / "scripts" / "demo.py"), "--out", str(tmp_path)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as demo:
+        limit_s, trace = time.monotonic() + 60.0, tmp_path / "trace.csv"
+        while not trace.exists() or not trace.stat().st_size:
+            assert time.monotonic() < limit_s
+            time.sleep(0.05)
+        os.killpg(demo.pid, signal.SIGINT)  # as a terminal does: the demo and what it has started
+        assert demo.communicate(timeout=30)[1] == "simulate: interrupted\n"
+    assert demo.returncode == 130
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [
+        (
+            ("fault=4", "fault_code=300"),
+            ("Induction coil signal stands still", "'nozzle': its last reading", "amplifier"),
+        ),
+        (("fault=2",), ("Induction heater 'nozzle'", "the coil's signal", "sensing lead open")),
+        (("fault=5",), ("Induction heater 'nozzle'", "the coil's signal", "sensing lead open")),
+    ],
+    ids=["signal stands still", "coil open", "sensing lead open"],
+)
+def test_a_fault_of_the_coil_s_signal_is_named_as_one(
+    simulate: Simulate, fault: tuple[str, ...], words: tuple[str, ...]
+) -> None:
+    """Not as one of a temperature sensor: this nozzle has none."""
+    run = simulate(
+        "M109 S200\nG4 P1000\n", settings=[f"simulator nozzle nozzle.{setting}" for setting in fault]
+    )
+    assert_clear(run, 3, *words)
+    assert "temperature sensor" not in run.stderr
 
 
 def test_an_unknown_command_is_mentioned_and_passed_over(simulate: Simulate) -> None:

@@ -28,7 +28,7 @@ def play(simulate: Simulate, tmp_path: Path, lines: str, more: str = "") -> tupl
         ("PID_CALIBRATE HEATER=extruder TARGET=900", "TARGET"),
         ("PID_CALIBRATE HEATER=extruder", "TARGET"),
         ("MODEL_CALIBRATE HEATER=oven", "Unknown heater 'oven'"),
-        ("MODEL_CALIBRATE", "HEATER"),
+        ("PID_CALIBRATE TARGET=200", "missing HEATER"),
     ],
 )
 def test_a_bad_command_is_told_and_nothing_is_heated(
@@ -72,15 +72,65 @@ def test_a_pid_run_of_the_nozzle_can_be_ended_and_run_again(simulate: Simulate, 
 
 
 def test_pid_gains_of_the_nozzle_hold_it(simulate: Simulate, tmp_path: Path) -> None:
-    lines = "PID_CALIBRATE HEATER=extruder TARGET=220\nM109 S230\nG4 P5000\n"
-    status, text, _ = play(simulate, tmp_path, lines)
+    lines = "PID_CALIBRATE HEATER=extruder TARGET=220 KEEP_LAW=pid\nLAW\nM109 S230\nG4 P5000\n"
+    status, text, _ = play(simulate, tmp_path, lines, LAW)
     assert status == 0 and "set [induction_heater nozzle] pid_kp_w_per_k" in text
+    assert "set [induction_heater nozzle] control = pid" in text and "works with pid" in text
+    assert "The new gains are in use" in text and "MODEL_CALIBRATE" not in text
+
+
+LAW = """
+[gcode_macro LAW]
+gcode: { action_respond_info("works with %s" % printer["induction_heater nozzle"].control) }
+"""
+
+
+def test_a_nozzle_with_the_model_law_keeps_it_and_says_how_to_change_that(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    status, text, _ = play(simulate, tmp_path, "PID_CALIBRATE HEATER=extruder TARGET=220\nLAW\n", LAW)
+    assert status == 0 and "works with model" in text
+    assert (
+        "set [induction_heater nozzle] pid_kp_w_per_k" in text
+        and "set [induction_heater nozzle] control" not in text
+    )
+    words = "Heater 'extruder' stays with control: model"
+    begun, found = text.index("will swing around"), text.index("PID parameters:")
+    assert (
+        begun < text.index(words) < found < text.rindex(words)
+    )  # before a minute is spent, and with the gains
+    assert "MODEL_CALIBRATE HEATER=extruder" in text and "KEEP_LAW=pid changes the law" in text
+
+
+def test_a_nozzle_with_a_pid_gets_its_new_gains_without_more_words(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    more = LAW + "[induction_heater nozzle]\ncontrol: pid\n"
+    status, text, _ = play(simulate, tmp_path, "PID_CALIBRATE HEATER=nozzle TARGET=220\nLAW\n", more)
+    assert status == 0 and "works with pid" in text
+    assert "The new gains are in use" in text and "KEEP_LAW" not in text
+
+
+def test_all_commands_know_the_nozzle_by_both_names(simulate: Simulate, tmp_path: Path) -> None:
+    lines = "INDUCTION_STATUS\n"
+    for name in ("nozzle", "extruder"):
+        lines += f"INDUCTION_STATUS HEATER={name}\nSET_HEATER_TEMPERATURE HEATER={name} TARGET=100\nG4 P500\n"
+        lines += f"HEATER_PROFILE HEATER={name} SAVE={name}\nHEATER_PROFILE HEATER={name} LIST=1\n"
+        lines += f"HEATER_PROFILE HEATER={name} LOAD={name}\nSET_HEATER_TEMPERATURE HEATER={name} TARGET=0\n"
+    lines += "PID_CALIBRATE HEATER=nozzle TARGET=150 WAIT=0\nG4 P500\nABORT\nG4 P500\n"
+    status, text, _ = play(simulate, tmp_path, lines + "INDUCTION_DUMP DURATION=0.1\nG4 P500\n")
+    assert status == 0, text[-600:]
+    assert text.count("Induction heater 'nozzle': law tank") == 3
+    assert "extruder nozzle: control=model" in text and "extruder extruder (in use): control=model" in text
+    status, text, _ = play(simulate, tmp_path, "MODEL_CALIBRATE TARGET=150\nG4 P500\nABORT\nG4 P500\n")
+    assert status == 0 and "MODEL_CALIBRATE: heater 'extruder' up to 150 C" in text
 
 
 WHILE_HOLDING = {
     "PID_CALIBRATE HEATER=oven TARGET=200": "Unknown heater 'oven'",
     "PID_CALIBRATE HEATER=extruder TARGET=250": "Turn heater 'extruder' off before calibrating it",
-    "PID_CALIBRATE HEATER=extruder TARGET=900": "TARGET must have maximum of 320",
+    "PID_CALIBRATE HEATER=extruder TARGET=900": "TARGET must have maximum of 300",
+    "PID_CALIBRATE HEATER=extruder TARGET=250 KEEP_LAW=model": "only 'pid' can come of it",
     "PID_CALIBRATE HEATER=extruder TARGET=hot": "TARGET: 'hot' is not a number",
     "PID_CALIBRATE HEATER=heater_bed TARGET=60 WAIT=x": "WAIT: 'x' is not a whole number",
     "PID_CALIBRATE HEATER=heater_bed TARGET=23": "TARGET must be 10 C above",

@@ -11,6 +11,8 @@ enum { WORD_X, WORD_Y, WORD_Z, WORD_E, WORD_F, WORD_COUNT };
 /* Decimal numbers of up to this many digits are exact: digits and power of ten both fit a double, so that the
  * one division rounds correctly (David Gay, "Correctly rounded binary-decimal conversions", 1990). */
 enum { EXACT_DIGITS = 15 };
+/* As motionlimits.py: the lowest speed of a move. */
+#define MIN_SPEED_MM_S 1e-3
 /* As lookahead.py: acceleration of moves of the extruder alone, least length of a motion, equal filament ratios. */
 #define UNLIMITED_ACCEL 99999999.9
 #define MIN_DISTANCE_MM 1e-9
@@ -206,7 +208,7 @@ run_words(struct g1_state *s, struct lookahead *la, const struct words *w)
     if (w->given >> WORD_F & 1)
         speed = w->value[WORD_F] * MM_PER_MIN;
     double effective = speed * s->speed_factor;
-    if (!(speed > 0.) || !(effective > 0.) || !isfinite(target[0] + target[1] + target[2] + target[3] + speed))
+    if (!(speed > 0.) || !(effective >= MIN_SPEED_MM_S) || !isfinite(target[0] + target[1] + target[2] + target[3] + speed))
         return 0;
     struct lookahead_move move = { .move_d = 0. };
     fill_move(s, target, effective, &move);

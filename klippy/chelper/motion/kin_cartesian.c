@@ -1,9 +1,7 @@
 /* Cartesian machines: one stepper, one axis. */
 #include <stdlib.h>
 
-#include "itersolve.h"
-
-struct stepper_kinematics *cartesian_stepper_alloc(char axis);
+#include "kinematics.h"
 
 struct stepper_kinematics *
 cartesian_stepper_alloc(char axis)

@@ -11,21 +11,24 @@
 #include <math.h>
 #include <stdlib.h>
 
-#include "itersolve.h"
-
-#include "kin_curved.h"
+#include "kinematics.h"
 
 /* Nearer to the centre of a polar machine the bed's angle has no meaning: treated as standing still (mm^2). */
 #define POLAR_CENTRE_MM2 1e-12
 
-struct curved {
-    struct stepper_kinematics sk;       /* first: the two are one object */
-    double p[7];                        /* geometry: each kinematics names its entries below */
+struct geometry {
+    double p[6];                        /* each kinematics names its entries below */
 };
 
-static struct curved *
+struct curved {
+    struct stepper_kinematics sk;       /* first: the two are one object */
+    struct geometry geometry;
+};
+
+static struct stepper_kinematics *
 new_curved(double (*position)(const struct stepper_kinematics *, const double *),
-           double (*slope)(const struct stepper_kinematics *, const double *, const double *), unsigned int axes)
+           double (*slope)(const struct stepper_kinematics *, const double *, const double *), unsigned int axes,
+           double period, struct geometry geometry)
 {
     struct curved *k = calloc(1, sizeof(*k));
     if (!k)
@@ -34,13 +37,15 @@ new_curved(double (*position)(const struct stepper_kinematics *, const double *)
     k->sk.position = position;
     k->sk.slope = slope;
     k->sk.axes = axes;
-    return k;
+    k->sk.period = period;
+    k->geometry = geometry;
+    return (struct stepper_kinematics *)k;      /* not &k->sk, which gcc's analyzer takes for a leak of k */
 }
 
 static const double *
 geometry(const struct stepper_kinematics *sk)
 {
-    return ((const struct curved *)sk)->p;
+    return ((const struct curved *)sk)->geometry.p;
 }
 
 /* ---- delta: p = arm^2, tower x, tower y ---- */
@@ -71,13 +76,7 @@ delta_slope(const struct stepper_kinematics *sk, const double *xyz, const double
 struct stepper_kinematics *
 delta_stepper_alloc(double arm2, double tower_x, double tower_y)
 {
-    struct curved *k = new_curved(delta_position, delta_slope, 7u);
-    if (!k)
-        return NULL;
-    k->p[0] = arm2;
-    k->p[1] = tower_x;
-    k->p[2] = tower_y;
-    return &k->sk;
+    return new_curved(delta_position, delta_slope, 7u, 0., (struct geometry){{ arm2, tower_x, tower_y }});
 }
 
 /* ---- deltesian: p = arm^2, foot x ---- */
@@ -101,12 +100,7 @@ deltesian_slope(const struct stepper_kinematics *sk, const double *xyz, const do
 struct stepper_kinematics *
 deltesian_stepper_alloc(double arm2, double arm_x)
 {
-    struct curved *k = new_curved(deltesian_position, deltesian_slope, 5u);
-    if (!k)
-        return NULL;
-    k->p[0] = arm2;
-    k->p[1] = arm_x;
-    return &k->sk;
+    return new_curved(deltesian_position, deltesian_slope, 5u, 0., (struct geometry){{ arm2, arm_x }});
 }
 
 /* ---- winch: p = anchor x, y, z ---- */
@@ -132,13 +126,7 @@ winch_slope(const struct stepper_kinematics *sk, const double *xyz, const double
 struct stepper_kinematics *
 winch_stepper_alloc(double anchor_x, double anchor_y, double anchor_z)
 {
-    struct curved *k = new_curved(winch_position, winch_slope, 7u);
-    if (!k)
-        return NULL;
-    k->p[0] = anchor_x;
-    k->p[1] = anchor_y;
-    k->p[2] = anchor_z;
-    return &k->sk;
+    return new_curved(winch_position, winch_slope, 7u, 0., (struct geometry){{ anchor_x, anchor_y, anchor_z }});
 }
 
 /* ---- polar ---- */
@@ -176,14 +164,11 @@ angle_slope(const struct stepper_kinematics *sk, const double *xyz, const double
 struct stepper_kinematics *
 polar_stepper_alloc(char type)
 {
-    if (type != 'r' && type != 'a')
-        return NULL;
-    struct curved *k = type == 'r' ? new_curved(radius_position, radius_slope, 3u)
-                                   : new_curved(angle_position, angle_slope, 3u);
-    if (!k)
-        return NULL;
-    k->sk.period = type == 'a' ? 2. * M_PI : 0.;
-    return &k->sk;
+    if (type == 'r')
+        return new_curved(radius_position, radius_slope, 3u, 0., (struct geometry){{ 0. }});
+    if (type == 'a')
+        return new_curved(angle_position, angle_slope, 3u, 2. * M_PI, (struct geometry){{ 0. }});
+    return NULL;
 }
 
 /* ---- rotary delta: p = shoulder radius, shoulder height, cos and sin of its direction, upper arm, lower arm^2 ---- */
@@ -227,15 +212,8 @@ struct stepper_kinematics *
 rotary_delta_stepper_alloc(double shoulder_radius, double shoulder_height, double angle, double upper_arm,
                            double lower_arm)
 {
-    struct curved *k = new_curved(rotary_delta_position, rotary_delta_slope, 7u);
-    if (!k)
-        return NULL;
-    k->p[0] = shoulder_radius;
-    k->p[1] = shoulder_height;
-    k->p[2] = cos(angle);
-    k->p[3] = sin(angle);
-    k->p[4] = upper_arm;
-    k->p[5] = lower_arm * lower_arm;
-    k->sk.period = 2. * M_PI;
-    return &k->sk;
+    struct geometry p = {
+        { shoulder_radius, shoulder_height, cos(angle), sin(angle), upper_arm, lower_arm * lower_arm },
+    };
+    return new_curved(rotary_delta_position, rotary_delta_slope, 7u, 2. * M_PI, p);
 }

@@ -1,11 +1,7 @@
 /* Machines whose steppers follow a fixed mix of the axes: core machines and free combinations. */
 #include <stdlib.h>
 
-#include "itersolve.h"
-
-struct stepper_kinematics *corexy_stepper_alloc(char type);
-struct stepper_kinematics *corexz_stepper_alloc(char type);
-struct stepper_kinematics *generic_cartesian_stepper_alloc(double x, double y, double z);
+#include "kinematics.h"
 
 struct stepper_kinematics *
 generic_cartesian_stepper_alloc(double x, double y, double z)

@@ -14,6 +14,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 from ..probing import surface_fit
 from ..probing.points import ProbePointsHelper
 from .config import (
@@ -34,7 +37,7 @@ class BedMesh:
     """Printer object 'bed_mesh'."""
 
     def __init__(
-        self, config: Any, shape: MeshShape, options: MeshOptions, profiles: dict[str, Profile]
+        self, config: ConfigWrapper, shape: MeshShape, options: MeshOptions, profiles: dict[str, Profile]
     ) -> None:
         self.printer = config.get_printer()
         self.shape = shape  # as configured
@@ -186,7 +189,7 @@ class BedMesh:
         objects = exclude.get_status(0.0)["objects"] if exclude is not None else []
         return [(float(x), float(y)) for known in objects for x, y in known.get("polygon", ())]
 
-    def _choose_shape(self, gcmd: Any) -> tuple[MeshShape, bool]:
+    def _choose_shape(self, gcmd: GCodeCommand) -> tuple[MeshShape, bool]:
         """What a command asks for, and whether it goes by the objects. Raises MeshError."""
         shape = changed_shape(self.shape, gcmd)
         if not gcmd.get_int("ADAPTIVE", 0):
@@ -207,7 +210,7 @@ class BedMesh:
         """What to probe for a shape. Raises MeshError."""
         return shape.plan(self.options.faulty, self.options.zero_reference)
 
-    def cmd_BED_MESH_CALIBRATE(self, gcmd: Any) -> None:
+    def cmd_BED_MESH_CALIBRATE(self, gcmd: GCodeCommand) -> None:
         """BED_MESH_CALIBRATE [PROFILE=] [METHOD=automatic|manual] [ADAPTIVE=1 [ADAPTIVE_MARGIN=]] [MESH_MIN=x,y] ..."""
         name = gcmd.get("PROFILE", "default")
         if not name.strip():
@@ -255,7 +258,7 @@ class BedMesh:
             "update the printer config file and restart the printer."
         )
 
-    def cmd_BED_MESH_PROFILE(self, gcmd: Any) -> None:
+    def cmd_BED_MESH_PROFILE(self, gcmd: GCodeCommand) -> None:
         """BED_MESH_PROFILE LOAD=<name>|SAVE=<name>|REMOVE=<name>."""
         action = next((a for a in ("LOAD", "SAVE", "REMOVE") if gcmd.get(a, None) is not None), None)
         if action is None:
@@ -274,7 +277,7 @@ class BedMesh:
         else:
             self._remove(gcmd, name)
 
-    def _remove(self, gcmd: Any, name: str) -> None:
+    def _remove(self, gcmd: GCodeCommand, name: str) -> None:
         self.profiles = {other: profile for other, profile in self.profiles.items() if other != name}
         self.printer.lookup_object("configfile").remove_section(f"bed_mesh {name}")
         self._note_status()
@@ -285,11 +288,11 @@ class BedMesh:
 
     # -- other commands --
 
-    def cmd_BED_MESH_CLEAR(self, gcmd: Any) -> None:
+    def cmd_BED_MESH_CLEAR(self, gcmd: GCodeCommand) -> None:
         """No mesh from now on."""
         self.use(None, "")
 
-    def cmd_BED_MESH_OFFSET(self, gcmd: Any) -> None:
+    def cmd_BED_MESH_OFFSET(self, gcmd: GCodeCommand) -> None:
         """BED_MESH_OFFSET [X=mm] [Y=mm] [ZFADE=mm]: of a further nozzle, against the first."""
         if self.surface is None:
             gcmd.respond_info("No mesh loaded to offset")
@@ -301,7 +304,7 @@ class BedMesh:
         )
         self.printer.lookup_object("gcode_move").reset_last_position()
 
-    def cmd_BED_MESH_OUTPUT(self, gcmd: Any) -> None:
+    def cmd_BED_MESH_OUTPUT(self, gcmd: GCodeCommand) -> None:
         """BED_MESH_OUTPUT [PGP=1]: the mesh for people; PGP=1 the places that would be probed, too."""
         if gcmd.get_int("PGP", 0):
             self._tell_points(gcmd)
@@ -319,7 +322,7 @@ class BedMesh:
             f"Interpolation Algorithm: {mesh.mesh_params()['algo']}\nMeasured points:\n{_table(surface.heights)}"
         )
 
-    def _tell_points(self, gcmd: Any) -> None:
+    def _tell_points(self, gcmd: GCodeCommand) -> None:
         probe = self.printer.lookup_object("probe", None)
         x_offset, y_offset = probe.get_offsets()[:2] if probe is not None else (0.0, 0.0)
         try:
@@ -331,7 +334,7 @@ class BedMesh:
             lines.append(f"{number} | ({x - x_offset:.1f}, {y - y_offset:.1f}) | ({x:.1f}, {y:.1f})")
         gcmd.respond_info("\n".join(lines))
 
-    def cmd_BED_MESH_MAP(self, gcmd: Any) -> None:
+    def cmd_BED_MESH_MAP(self, gcmd: GCodeCommand) -> None:
         """The mesh for programs."""
         if self.current is None:
             gcmd.respond_info("Bed has not been probed")
@@ -378,7 +381,7 @@ def _table(rows: Sequence[Sequence[float]]) -> str:
     return "\n".join(" ".join(f"{z:9.6f}" for z in row) for row in rows)
 
 
-def _reference_by_index(config: Any, shape: MeshShape, options: MeshOptions) -> MeshOptions:
+def _reference_by_index(config: ConfigWrapper, shape: MeshShape, options: MeshOptions) -> MeshOptions:
     """The older relative_reference_index: a number among the points instead of a place."""
     index = config.getint("relative_reference_index", None)
     if index is None or options.zero_reference is not None:
@@ -395,7 +398,7 @@ def _reference_by_index(config: Any, shape: MeshShape, options: MeshOptions) -> 
     return replace(options, zero_reference=place)
 
 
-def load_config(config: Any) -> BedMesh:
+def load_config(config: ConfigWrapper) -> BedMesh:
     printer = config.get_printer()
     printer.load_object(config, "gcode_move")
     shape = read_shape(config)

@@ -7,6 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 from .points import ALGORITHMS, LEAST_COUNT, MeshError, MeshShape, Region
 
 PROFILE_VERSION = 1
@@ -58,14 +61,14 @@ def _pair(values: Sequence[int], what: str) -> tuple[int, int]:
     return values[0], values[-1]
 
 
-def read_shape(config: Any) -> MeshShape:
+def read_shape(config: ConfigWrapper) -> MeshShape:
     try:
         return _read_shape(config).checked()
     except MeshError as e:
         raise config.error(f"Section '{config.get_name()}': {e}") from None
 
 
-def _read_shape(config: Any) -> MeshShape:
+def _read_shape(config: ConfigWrapper) -> MeshShape:
     pps = _pair(config.getintlist("mesh_pps", (2,)), "mesh_pps")
     if min(pps) < 0:
         raise MeshError("mesh_pps cannot be negative")
@@ -82,7 +85,7 @@ def _read_shape(config: Any) -> MeshShape:
     return MeshShape((low[0], low[1]), (high[0], high[1]), counts, **more)
 
 
-def read_options(config: Any) -> MeshOptions:
+def read_options(config: ConfigWrapper) -> MeshOptions:
     start, end = config.getfloat("fade_start", 1.0), config.getfloat("fade_end", 0.0)
     zero = config.getfloatlist("zero_reference_position", None, count=2)
     return MeshOptions(
@@ -97,7 +100,7 @@ def read_options(config: Any) -> MeshOptions:
     )
 
 
-def _read_regions(config: Any) -> tuple[Region, ...]:
+def _read_regions(config: ConfigWrapper) -> tuple[Region, ...]:
     found = (_REGION.fullmatch(name) for name in config.get_prefix_options("faulty_region_"))
     regions: list[Region] = []
     for number in sorted({int(match[1]) for match in found if match}):
@@ -112,7 +115,7 @@ def _read_regions(config: Any) -> tuple[Region, ...]:
     return tuple(regions)
 
 
-def changed_shape(shape: MeshShape, gcmd: Any) -> MeshShape:
+def changed_shape(shape: MeshShape, gcmd: GCodeCommand) -> MeshShape:
     """With the parameters of a command. Raises MeshError."""
 
     def numbers(name: str, parser: Any) -> Any:
@@ -154,7 +157,7 @@ def changed_shape(shape: MeshShape, gcmd: Any) -> MeshShape:
 # ---- profiles --------------------------------------------------------------------------------------------------
 
 
-def read_profiles(config: Any) -> dict[str, Profile]:
+def read_profiles(config: ConfigWrapper) -> dict[str, Profile]:
     """The sections [bed_mesh NAME]."""
     profiles = {}
     for section in config.get_prefix_sections("bed_mesh "):

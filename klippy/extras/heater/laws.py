@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+from configfile import ConfigWrapper
 from thermal.control import control_api, pid, predictive, two_period
 from thermal.models.heater_model import ModelParameters
 from thermal.records import ParameterError
@@ -149,18 +150,18 @@ class ModelLaw(HeaterLaw):
         return abs(target_c - smoothed_c) > PID_BUSY_C
 
 
-def _read_pid(config: Any, max_power: float, smooth_s: float) -> tuple[Any, Any]:
+def _read_pid(config: ConfigWrapper, max_power: float, smooth_s: float) -> tuple[Any, Any]:
     pid_kp = config.getfloat("pid_Kp", above=0.0)
     pid_ki, pid_kd = (config.getfloat(option, minval=0.0) for option in ("pid_Ki", "pid_Kd"))
     return pid.PID, pid.klipper_pid(pid_kp, pid_ki, pid_kd, max_power, smooth_s)
 
 
-def _read_watermark(config: Any, max_power: float, smooth_s: float) -> tuple[Any, Any]:
+def _read_watermark(config: ConfigWrapper, max_power: float, smooth_s: float) -> tuple[Any, Any]:
     max_delta_c = config.getfloat("max_delta", 2.0, above=0.0, maxval=MAX_DELTA_MOST_C)
     return pid.WATERMARK, pid.WatermarkParameters(max_delta_c, max_power)
 
 
-def read_practical(config: Any, output_high: float) -> two_period.PracticalParameters:
+def read_practical(config: ConfigWrapper, output_high: float) -> two_period.PracticalParameters:
     """The options of `control: practical`; `output_high` is full drive in the heater's unit (duty or watts)."""
     return two_period.PracticalParameters(
         output_high,
@@ -169,7 +170,7 @@ def read_practical(config: Any, output_high: float) -> two_period.PracticalParam
     )
 
 
-def _read_practical(config: Any, max_power: float, smooth_s: float) -> tuple[Any, Any]:
+def _read_practical(config: ConfigWrapper, max_power: float, smooth_s: float) -> tuple[Any, Any]:
     return two_period.PRACTICAL, read_practical(config, max_power)
 
 
@@ -204,7 +205,7 @@ def model_parameters(values: dict[str, float], max_power: float) -> ModelParamet
     )
 
 
-def _read_model(config: Any, max_power: float, smooth_s: float) -> tuple[Any, Any]:
+def _read_model(config: ConfigWrapper, max_power: float, smooth_s: float) -> tuple[Any, Any]:
     values = {
         "heater_power_w": config.getfloat("heater_power_w", above=0.0),
         "model_heat_j_per_k": config.getfloat("model_heat_j_per_k", above=0.0),
@@ -220,7 +221,7 @@ def _read_model(config: Any, max_power: float, smooth_s: float) -> tuple[Any, An
     return predictive.MODEL, model_parameters(values, max_power)
 
 
-def _both(config: Any, values: dict[str, float], *options: str) -> None:
+def _both(config: ConfigWrapper, values: dict[str, float], *options: str) -> None:
     """Options of which one says nothing without the other."""
     given = [option for option in options if values[option]]
     if len(given) == 1:
@@ -231,7 +232,7 @@ def _both(config: Any, values: dict[str, float], *options: str) -> None:
         )
 
 
-def _read_mcu_onoff(config: Any, max_power: float, smooth_s: float) -> tuple[Any, Any]:
+def _read_mcu_onoff(config: ConfigWrapper, max_power: float, smooth_s: float) -> tuple[Any, Any]:
     """What the MCU does by itself, in words of the watermark law: for status and M190 only."""
     onoff = control_api.Law("mcu_onoff", pid.watermark_step, pid.WatermarkState(), pid.WATERMARK.follow)
     return onoff, pid.WatermarkParameters(2.0, max_power)
@@ -247,7 +248,7 @@ LAWS: dict[str, tuple[Reader, type[HeaterLaw]]] = {
 }
 
 
-def read_law(config: Any, max_power: float, smooth_time_s: float) -> HeaterLaw:
+def read_law(config: ConfigWrapper, max_power: float, smooth_time_s: float) -> HeaterLaw:
     """The law of `control:` with its options; raises the config's error, in plain words, on impossible ones."""
     name = config.getchoice("control", {name: name for name in LAWS})
     reader, kind = LAWS[name]
@@ -266,7 +267,7 @@ def read_law(config: Any, max_power: float, smooth_time_s: float) -> HeaterLaw:
     return kind(law, parameters, options)
 
 
-def _let_be(config: Any, own: str) -> None:
+def _let_be(config: ConfigWrapper, own: str) -> None:
     """Options of the other laws are no mistake: changing `control` is no reason to delete a tuning."""
     for law, options in OPTIONS.items():
         for option in options if law != own else ():

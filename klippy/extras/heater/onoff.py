@@ -13,6 +13,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 from .laws import HeaterLaw
 from .ordinary import MAX_HEAT_TIME_S, AnySensor, Heater, HeaterSettings
 
@@ -24,7 +27,7 @@ FULL_16_BIT = 0xFFFF
 class OnOffUnit:
     """The firmware's config_onoff, and what it meters."""
 
-    def __init__(self, config: Any, sensor: Any) -> None:
+    def __init__(self, config: ConfigWrapper, sensor: Any) -> None:
         printer = config.get_printer()
         text = config.get("heater_pin")
         pin = printer.lookup_object("pins").lookup_pin(text, can_invert=True)
@@ -89,7 +92,7 @@ class OnOffHeater(Heater):
     """An ordinary heater whose pin the MCU switches; `power` is the metered average."""
 
     def __init__(
-        self, printer: Any, settings: HeaterSettings, sensor: AnySensor, law: HeaterLaw, unit: OnOffUnit
+        self, printer: Printer, settings: HeaterSettings, sensor: AnySensor, law: HeaterLaw, unit: OnOffUnit
     ) -> None:
         super().__init__(printer, settings, sensor, law, unit)
         self.unit = unit
@@ -119,7 +122,7 @@ class OnOffHeater(Heater):
         return super().set_control(law, keep_target)
 
 
-def build(config: Any, settings: HeaterSettings, sensor: Any, law: HeaterLaw) -> OnOffHeater:
+def build(config: ConfigWrapper, settings: HeaterSettings, sensor: Any, law: HeaterLaw) -> OnOffHeater:
     """Heater of a section with control: mcu_onoff; raises the config's error if the sensor cannot serve."""
     if settings.max_power < 1.0:
         raise config.error(f"Section '{settings.name}': control: mcu_onoff is on or off, max_power must be 1")

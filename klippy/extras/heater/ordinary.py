@@ -14,6 +14,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 from .laws import HeaterLaw, Surroundings
 
 PWM_DELAY_S = 0.300  # from sample to PWM change; at least one report interval, so it is always in the future
@@ -46,7 +49,7 @@ def range_error(degrees: float, min_temp: float, max_temp: float) -> str:
     return f"Requested temperature ({degrees:.1f}) out of range ({min_temp:.1f}:{max_temp:.1f})"
 
 
-def is_batch(printer: Any) -> bool:
+def is_batch(printer: Printer) -> bool:
     """Writing commands to a file, with nothing to measure.
 
     Waits return at once, cold extrusion is allowed.
@@ -67,7 +70,7 @@ class HeaterSettings:
     pwm_cycle_s: float
 
 
-def read_settings(config: Any) -> HeaterSettings:
+def read_settings(config: ConfigWrapper) -> HeaterSettings:
     """HeaterSettings of a section; raises the config's error on a missing or wrong option."""
     min_temp_c = config.getfloat("min_temp", minval=-273.15)
     max_temp_c = config.getfloat("max_temp", above=min_temp_c)
@@ -86,7 +89,7 @@ class Heater:
     """An ordinary heater: sensor reports in, PWM out."""
 
     def __init__(
-        self, printer: Any, settings: HeaterSettings, sensor: AnySensor, law: HeaterLaw, pwm: Any
+        self, printer: Printer, settings: HeaterSettings, sensor: AnySensor, law: HeaterLaw, pwm: Any
     ) -> None:
         self.printer = printer
         self.settings = settings

@@ -13,6 +13,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Protocol
 
+from gcode import GCodeCommand
+from roles import Printer
 from thermal.control import control_api, loop
 from thermal.identification import step_test
 
@@ -27,7 +29,7 @@ SENSOR_LEAST_C = 0.0
 QUIET_S = 10.0  # no reading for so long: the sensor is gone
 
 
-def need_fit(gcmd: Any) -> None:
+def need_fit(gcmd: GCodeCommand) -> None:
     """Before a run of minutes: are the packages there that its evaluation needs? Raises the command's error."""
     missing = [name for name in FIT_PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
@@ -135,7 +137,7 @@ def _stepper(run: Run, most: float) -> Callable[..., tuple[control_api.ControlOu
 class Session:
     """One calibration of one heater."""
 
-    def __init__(self, printer: Any, heater: Any, what: str) -> None:
+    def __init__(self, printer: Printer, heater: Any, what: str) -> None:
         self.printer = printer
         self.heater = heater
         self.what = what
@@ -150,7 +152,7 @@ class Session:
         self._told_s = self._heard_s = 0.0
         self.active = False
 
-    def check_sensor(self, gcmd: Any) -> float:
+    def check_sensor(self, gcmd: GCodeCommand) -> float:
         """Temperature now; an error for a sensor that is silent or reads what no room has."""
         eventtime = self._reactor.monotonic()
         until_s = eventtime + FRESH_S
@@ -196,7 +198,7 @@ class Session:
     def say(self, text: str) -> None:
         self.gcode.respond_info(text)
 
-    def _cmd_abort(self, gcmd: Any) -> None:
+    def _cmd_abort(self, gcmd: GCodeCommand) -> None:
         if self._run is not None:
             self._run.abort("ended by ABORT")
 

@@ -5,11 +5,14 @@ Ordinary heaters and induction nozzles alike; an option given here is checked by
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
 from configfile import ConfigWrapper, error
 from configtext import ConfigData, ConfigParser
+from gcode import GCodeCommand
+from roles import Printer
 from thermal.control import pid, two_period
 from thermal.records import ParameterError
 from thermal.sensing import heat_balance_monitor
@@ -68,12 +71,49 @@ class _Overlay:
         return self._of(option).getchoice(option, *args, **kwargs)
 
 
-def heater_of(printer: Any, gcmd: Any) -> Any:
-    """The heater that a command names; an unknown one is the command's error, with the names there are."""
+def heater_of(printer: Printer, gcmd: GCodeCommand, sole_nozzle: bool = False) -> Any:
+    """The heater that HEATER= names: an induction nozzle by its section's name, too, and with `sole_nozzle` by none if
+    it is the only one. An unknown one is the command's error, with the names there are."""
+    nozzles = _nozzles(printer)
+    name = gcmd.get("HEATER", None) if sole_nozzle and nozzles else gcmd.get("HEATER")
+    if name is None:
+        if len(nozzles) > 1:
+            raise gcmd.error(
+                f"Error on '{gcmd.get_commandline()}': missing HEATER (choices: {', '.join(sorted(nozzles))})"
+            )
+        (name,) = nozzles
+    if name in nozzles:
+        return nozzles[name]
     try:
-        return printer.lookup_object("heaters").lookup_heater(gcmd.get("HEATER"))
+        return printer.lookup_object("heaters").lookup_heater(name)
     except error as e:
         raise gcmd.error(str(e)) from None
+
+
+def _nozzles(printer: Printer) -> dict[str, Any]:
+    """Induction heaters by their sections' names."""
+    sections = printer.lookup_objects("induction_heater")
+    return {section.heater.section_name: section.heater for _, section in sections}
+
+
+Handler = Callable[[Any], None]
+
+
+def register_commands(printer: Printer, nozzle: Any, commands: Sequence[tuple[str, Handler, str]]) -> None:
+    """Commands (name, handler, help) of an induction nozzle: HEATER= is its section's name or that of the extruder it
+    serves; if it is the only one, none is needed."""
+    gcode = printer.lookup_object("gcode")
+    for command, handler, text in commands:
+        gcode.register_mux_command(command, "HEATER", nozzle.section_name, handler, desc=text)
+
+    def on_connect() -> None:
+        names = [nozzle.name] if nozzle.name != nozzle.section_name else []
+        names += [None] if len(_nozzles(printer)) == 1 else []
+        for command, handler, _ in commands:
+            for name in names:
+                gcode.register_mux_command(command, "HEATER", name, handler)
+
+    printer.register_event_handler("klippy:connect", on_connect)
 
 
 def is_induction(heater: Any) -> bool:
@@ -95,7 +135,7 @@ def section_of(heater: Any) -> str:
     return f"induction_heater {heater.section_name}" if is_induction(heater) else heater.settings.name
 
 
-def _as_config(printer: Any, section: str, tuning: dict[str, str]) -> ConfigWrapper:
+def _as_config(printer: Printer, section: str, tuning: dict[str, str]) -> ConfigWrapper:
     data = ConfigData()
     lines = "\n".join(f"{option}: {value}" for option, value in tuning.items())
     ConfigParser(data).parse_text(f"[{section}]\n{lines}\n", "tuning")
@@ -131,7 +171,7 @@ def options_of(heater: Any) -> Tuning:
     return Tuning(control=chosen.law.name, **texts)
 
 
-def read(heater: Any, config: Any, tuning: dict[str, str]) -> Any:
+def read(heater: Any, config: ConfigWrapper, tuning: dict[str, str]) -> Any:
     """What a section's tuning means for this heater. Raises the config's error, or ParameterError."""
     known = INDUCTION_OPTIONS if is_induction(heater) else ("control", *_all_options())
     strange = sorted(set(tuning) - set(known))
@@ -141,12 +181,12 @@ def read(heater: Any, config: Any, tuning: dict[str, str]) -> Any:
             f" ({config.where(strange[0])})."
         )
     if is_induction(heater):
-        overlay = _Overlay(heater.config, config, set(tuning))
+        overlay: Any = _Overlay(heater.config, config, set(tuning))
         return induction_settings.read_parameters(overlay, heater.unit.settings)
     return heater_laws.read_law(config, heater.get_max_power(), heater.get_smooth_time())
 
 
-def check(printer: Any, heater: Any, tuning: dict[str, str]) -> Any:
+def check(printer: Printer, heater: Any, tuning: dict[str, str]) -> Any:
     """What the tuning means for this heater. Raises command_error in plain words on one that cannot be."""
     try:
         return read(heater, _as_config(printer, section_of(heater), tuning), tuning)
@@ -158,7 +198,7 @@ def _all_options() -> list[str]:
     return [name for names in heater_laws.OPTIONS.values() for name in names]
 
 
-def use(printer: Any, heater: Any, tuning: dict[str, str]) -> None:
+def use(printer: Printer, heater: Any, tuning: dict[str, str]) -> None:
     """Work with this tuning from now on, target kept, at the present power. Raises command_error."""
     refuse_lent(heater)
     meant = check(printer, heater, tuning)
@@ -182,7 +222,7 @@ def use(printer: Any, heater: Any, tuning: dict[str, str]) -> None:
     )
 
 
-def stage(printer: Any, heater: Any, tuning: dict[str, str]) -> None:
+def stage(printer: Printer, heater: Any, tuning: dict[str, str]) -> None:
     """Put the tuning where SAVE_CONFIG finds it."""
     configfile = printer.lookup_object("configfile")
     section = section_of(heater)

@@ -18,11 +18,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from gcode import GCodeCommand
+from roles import Printer
 from thermal.identification import sweep
 from thermal.models import heat_loss
 from thermal.sensing import heat_balance_monitor, laws, temperature_filter
 
 from ..heater import run as heater_run
+from ..heater import tuning as heater_tuning
 from ..outputs import output_file
 from . import settings
 
@@ -47,7 +50,7 @@ LOSS_UNCERTAINTY = 0.03  # of a calibrated two-node model
 class InductionCalibrate:
     """One heater's commands; one run at a time."""
 
-    def __init__(self, printer: Any, heater: Any, section: str, folder: str) -> None:
+    def __init__(self, printer: Printer, heater: Any, section: str, folder: str) -> None:
         self.printer = printer
         self.heater = heater
         self.section = section
@@ -63,21 +66,20 @@ class InductionCalibrate:
         self._fitting = False
 
     def register(self) -> None:
-        name = self.heater.section_name
-        for command, handler, text in (
+        commands = (
             ("INDUCTION_CALIBRATE", self.cmd_calibrate, "Calibrate the nozzle thermometer"),
             ("INDUCTION_STATUS", self.cmd_status, "State of the nozzle thermometer"),
             ("INDUCTION_ZERO", self.cmd_zero, "Correct the thermometer at one known temperature"),
             ("INDUCTION_REFERENCE", self.cmd_reference, "Tell a manual reference reading"),
-        ):
-            self.gcode.register_mux_command(command, "HEATER", name, handler, desc=text)
+        )
+        heater_tuning.register_commands(self.printer, self.heater, commands)
 
     def _say(self, text: str) -> None:
         self.gcode.respond_info(text)
 
     # The run
 
-    def cmd_calibrate(self, gcmd: Any) -> None:
+    def cmd_calibrate(self, gcmd: GCodeCommand) -> None:
         reference = gcmd.get("REFERENCE", "manual")
         if self._fitting:
             raise gcmd.error("The last calibration is still being fitted")
@@ -119,7 +121,7 @@ class InductionCalibrate:
             while (self._run is not None or self._fitting) and not self.printer.is_shutdown():
                 eventtime = self._reactor.pause(eventtime + 0.1)
 
-    def _find_reference(self, gcmd: Any, name: str) -> Any:
+    def _find_reference(self, gcmd: GCodeCommand, name: str) -> Any:
         if name == "manual":
             return None
         for prefix in ("temperature_sensor ", "heater_generic ", ""):
@@ -136,16 +138,19 @@ class InductionCalibrate:
             " or REFERENCE=manual)"
         )
 
-    def cmd_abort(self, gcmd: Any) -> None:
+    def cmd_abort(self, gcmd: GCodeCommand) -> None:
         if self._run is None:
             raise gcmd.error("Nothing to abort")
         self._run.abort("ended by ABORT")
 
-    def cmd_reference(self, gcmd: Any) -> None:
+    def cmd_reference(self, gcmd: GCodeCommand) -> None:
         """REFERENCE=manual: what an instrument of one's own shows now."""
         if self._run is None or self._reference is not None:
             raise gcmd.error("INDUCTION_REFERENCE is for a calibration with REFERENCE=manual")
-        self._run.reference(self.heater.now_s(), gcmd.get_float("TEMP", minval=-20.0, maxval=600.0))
+        temp_c = gcmd.get_float("TEMP", minval=-20.0, maxval=600.0)
+        self._run.reference(self.heater.now_s(), temp_c)
+        if not self.heater.parameters.supervise.calibrated:  # a law in force is quicker than a person
+            self.heater.show_reference(temp_c)
 
     def _on_timer(self, eventtime: float) -> float:
         run = self._run
@@ -157,6 +162,7 @@ class InductionCalibrate:
             if reading and (reading != self._seen[1] or now_s - self._seen[0] >= SAME_S):
                 self._seen = (now_s, reading)
                 run.reference(now_s, reading)
+                self.heater.show_reference(reading)
         if run.over:
             self._finish(run)
             return float(self._reactor.NEVER)
@@ -292,7 +298,7 @@ class InductionCalibrate:
 
     # One point, and a look
 
-    def cmd_zero(self, gcmd: Any) -> None:
+    def cmd_zero(self, gcmd: GCodeCommand) -> None:
         """The nozzle is at TEMP now: move the law's drifting number so that it says so."""
         temp_c = gcmd.get_float("TEMP", minval=-20.0, maxval=600.0)
         parameters, state = self.heater.parameters, self.heater.loop.state
@@ -313,7 +319,7 @@ class InductionCalibrate:
         self._stage(law, None)
         gcmd.respond_info(f"Thermometer moved by {shift_c:+.1f} C, now {temp_c:.1f} C. SAVE_CONFIG keeps it.")
 
-    def cmd_status(self, gcmd: Any) -> None:
+    def cmd_status(self, gcmd: GCodeCommand) -> None:
         status = self.heater.get_detail(self._reactor.monotonic())
         parameters = self.heater.parameters
         name, values = laws.coefficients_of(parameters.estimator.law)

@@ -6,8 +6,11 @@ import csv
 from pathlib import Path
 from typing import Any, TextIO
 
+from gcode import GCodeCommand
+from roles import Printer
 from thermal.records import SampleBlock, TempEstimate
 
+from ..heater import tuning as heater_tuning
 from ..outputs import output_file
 
 BATCH_S = 0.100  # rows go to clients together
@@ -18,7 +21,7 @@ HEADER = ("time", "phase", "count", "raw_mean", "raw_min", "raw_max", "temperatu
 class InductionDump:
     """Listens to the loop only while somebody wants rows."""
 
-    def __init__(self, printer: Any, heater: Any, folder: str) -> None:
+    def __init__(self, printer: Printer, heater: Any, folder: str) -> None:
         self.printer = printer
         self.heater = heater
         self._folder = Path(folder).expanduser()
@@ -31,10 +34,8 @@ class InductionDump:
 
     def register(self) -> None:
         name = self.heater.section_name
-        gcode = self.printer.lookup_object("gcode")
-        gcode.register_mux_command(
-            "INDUCTION_DUMP", "HEATER", name, self.cmd_dump, desc="Write raw blocks to a CSV file"
-        )
+        command = ("INDUCTION_DUMP", self.cmd_dump, "Write raw blocks to a CSV file")
+        heater_tuning.register_commands(self.printer, self.heater, [command])
         hooks = self.printer.lookup_object("webhooks", None)
         if hooks is not None:
             hooks.register_mux_endpoint("induction/dump_samples", "heater", name, self._on_request)
@@ -95,7 +96,7 @@ class InductionDump:
 
     # File
 
-    def cmd_dump(self, gcmd: Any) -> None:
+    def cmd_dump(self, gcmd: GCodeCommand) -> None:
         if self._file is not None:
             raise gcmd.error("INDUCTION_DUMP is writing already")
         name = gcmd.get("FILE", f"induction-{self.heater.section_name}-dump.csv")

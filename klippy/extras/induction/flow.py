@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import chelper
+from roles import Printer
 from thermal.control.control_api import IDLE, Schedule
 
 BEHIND_S = 0.050  # blocks that are still to arrive lie this far back
@@ -23,7 +24,7 @@ SAME_SHARE = 0.02  # neighbouring spans nearer than this are one
 class FlowAhead:
     """Looks ahead for one heater."""
 
-    def __init__(self, printer: Any, extruder_name: str) -> None:
+    def __init__(self, printer: Printer, extruder_name: str) -> None:
         self.printer = printer
         self.extruder_name = extruder_name
         self.flow = self.fan = IDLE

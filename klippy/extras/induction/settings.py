@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import fields, replace
-from typing import Any
 
+from configfile import ConfigWrapper
 from thermal.control import actuator, loop, nozzle_model, predictive, two_period
 from thermal.control import pid as pid_control
 from thermal.models import heat_loss, melt_exchange
@@ -36,6 +36,8 @@ DEFAULT_KI_W_PER_K_S = 10.0
 DEFAULT_KD_W_S_PER_K = 0.15
 DEFAULT_DERIVATIVE_S = 0.010
 DEFAULT_LEAD_S = 0.015
+# So far a nozzle warms on once a law that swings has cut the power; supervision leaves as much again.
+LATE_C = 5.0
 DEFAULT_BLOCK_SAMPLES = 192  # 1.6 ms at 120 kHz
 RECORDS_MOST = 7  # of 6 bytes fit one message
 CALM_MESSAGE_S = 0.0115  # while nothing happens: a message each 11.2 ms
@@ -46,7 +48,7 @@ DEFAULT_CONTROL_S = 0.008  # a phase step costs 20 samples of settling: 2 % of t
 CALIBRATED_APPROACH = loop.Approach(power_w=60.0, band_c=45.0, leave_c=80.0, rebase_fraction=math.inf)
 
 
-def read_law(config: Any) -> tuple[laws.Law, bool]:
+def read_law(config: ConfigWrapper) -> tuple[laws.Law, bool]:
     """(sensing law, calibrated); each coefficient is an option with the seeds' value as default.
 
     The options of all laws are read: changing `estimator` is no reason to delete a calibration.
@@ -67,7 +69,7 @@ def read_law(config: Any) -> tuple[laws.Law, bool]:
     return laws.law_of(*laws.coefficients_of(law), residual), choice != UNCALIBRATED
 
 
-def read_unit(config: Any) -> UnitSettings:
+def read_unit(config: ConfigWrapper) -> UnitSettings:
     oversample = config.getint("oversample", 4, minval=3, maxval=7)
     longest = 4**oversample
     frequency_hz = config.getfloat("frequency", 120000.0, minval=20000.0, maxval=1000000.0)
@@ -93,7 +95,7 @@ def read_unit(config: Any) -> UnitSettings:
     )
 
 
-def _timing(config: Any, unit: UnitSettings) -> loop.Timing:
+def _timing(config: ConfigWrapper, unit: UnitSettings) -> loop.Timing:
     period_s = 1.0 / unit.frequency_hz
     return loop.Timing(
         period_s * unit.block_samples,
@@ -104,7 +106,7 @@ def _timing(config: Any, unit: UnitSettings) -> loop.Timing:
     )
 
 
-def _drive(config: Any, timing: loop.Timing, frequency_hz: float) -> actuator.ActuatorParameters:
+def _drive(config: ConfigWrapper, timing: loop.Timing, frequency_hz: float) -> actuator.ActuatorParameters:
     vdc_v = config.getfloat("vdc", 24.0, above=0.0)
     law = DriveLaw(
         config.getfloat("power_full_w", 81.3, above=0.0),
@@ -122,7 +124,7 @@ def _drive(config: Any, timing: loop.Timing, frequency_hz: float) -> actuator.Ac
     )
 
 
-def _pid(config: Any, power_max_w: float) -> pid_control.PidParameters:
+def _pid(config: ConfigWrapper, power_max_w: float) -> pid_control.PidParameters:
     return pid_control.PidParameters(
         config.getfloat("pid_kp_w_per_k", DEFAULT_KP_W_PER_K, above=0.0),
         config.getfloat("pid_ki_w_per_k_s", DEFAULT_KI_W_PER_K_S, minval=0.0),
@@ -134,7 +136,7 @@ def _pid(config: Any, power_max_w: float) -> pid_control.PidParameters:
 
 
 def _control(
-    config: Any,
+    config: ConfigWrapper,
     drive: DriveLaw,
     heat: heat_loss.HeatCapacity,
     loss: heat_balance_monitor.TwoNodeLoss,
@@ -159,10 +161,12 @@ def _control(
     if choice == "pid":
         return loop.Control(pid_control.PID, pid, power_max_w)
     if choice == "watermark":
-        return loop.Control(pid_control.WATERMARK, watermark, power_max_w, cycle_c=watermark.max_delta_c)
+        cycle_c, beyond_c = watermark.max_delta_c, watermark.max_delta_c + LATE_C
+        return loop.Control(pid_control.WATERMARK, watermark, power_max_w, cycle_c=cycle_c, beyond_c=beyond_c)
     if choice == "practical":
         cycle_c = heater_laws.PRACTICAL_BUSY_C
-        return loop.Control(two_period.PRACTICAL, table, power_max_w, cycle_c=cycle_c)
+        beyond_c = table.cutoff_c + LATE_C
+        return loop.Control(two_period.PRACTICAL, table, power_max_w, cycle_c=cycle_c, beyond_c=beyond_c)
     return loop.Control(predictive.MODEL, held, power_max_w, models=True)
 
 
@@ -184,14 +188,14 @@ def approach_for(law: laws.Law, drive: DriveLaw) -> loop.Approach:
     return replace(default, power_w=min(default.power_w, drive.power_max_w))
 
 
-def _approach(config: Any, drive: DriveLaw, law: laws.Law) -> loop.Approach:
+def _approach(config: ConfigWrapper, drive: DriveLaw, law: laws.Law) -> loop.Approach:
     default = approach_for(law, drive)
     band_c = config.getfloat("approach_band", default.band_c, minval=10.0, maxval=300.0)
     power_w = config.getfloat("approach_power_w", default.power_w, above=0.0, maxval=drive.power_max_w)
     return loop.Approach(power_w, band_c, band_c + default.leave_c - default.band_c, default.rebase_fraction)
 
 
-def _loss(config: Any) -> heat_loss.LossLaw:
+def _loss(config: ConfigWrapper) -> heat_loss.LossLaw:
     default = heat_loss.LossLaw()
     factor = config.getfloat("loss_factor", 1.0, above=0.0, maxval=10.0)
     conductance_w_k = config.getfloat("loss_w_per_k", default.conductance_w_k, minval=0.0)
@@ -208,7 +212,7 @@ def _loss(config: Any) -> heat_loss.LossLaw:
     )
 
 
-def _melt(config: Any) -> melt_exchange.MeltExchange:
+def _melt(config: ConfigWrapper) -> melt_exchange.MeltExchange:
     """What the filament takes; MODEL_CALIBRATE with FLOW measures it."""
     default = melt_exchange.MeltExchange()
     return replace(
@@ -220,7 +224,7 @@ def _melt(config: Any) -> melt_exchange.MeltExchange:
 
 
 def _plausible(
-    config: Any, heat: heat_loss.HeatCapacity, loss: heat_loss.LossLaw
+    config: ConfigWrapper, heat: heat_loss.HeatCapacity, loss: heat_loss.LossLaw
 ) -> heat_balance_monitor.PlausibleParameters:
     return heat_balance_monitor.PlausibleParameters(
         heat,
@@ -234,7 +238,7 @@ def _plausible(
     )
 
 
-def read_parameters(config: Any, unit: UnitSettings) -> loop.LoopParameters:
+def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParameters:
     """Everything the chain of one nozzle is told."""
     law, calibrated = read_law(config)
     front = features.FeatureParameters(
@@ -267,7 +271,7 @@ def read_parameters(config: Any, unit: UnitSettings) -> loop.LoopParameters:
     )
 
 
-def guard_rows(config: Any, parameters: loop.LoopParameters) -> list[guard_limits.LimitRow]:
+def guard_rows(config: ConfigWrapper, parameters: loop.LoopParameters) -> list[guard_limits.LimitRow]:
     """The MCU's table; without a calibration only the ends of the ADC can be judged."""
     margin_c = config.getfloat("guard_margin", 40.0, minval=5.0, maxval=200.0)
     if not parameters.supervise.calibrated:

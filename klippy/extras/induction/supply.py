@@ -9,6 +9,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from configfile import ConfigWrapper
+
 REPORT_S = 0.050
 SAMPLE_S = 0.001
 SAMPLES = 8
@@ -53,7 +55,7 @@ def set_supply(heater: Any, volt: float) -> None:
     heater.parameters = heater.loop.parameters = changed
 
 
-def read(config: Any) -> SupplySensor | None:
+def read(config: ConfigWrapper) -> SupplySensor | None:
     """The section's sensor, None without `vdc_pin`."""
     pin = config.get("vdc_pin", None)
     if pin is None:

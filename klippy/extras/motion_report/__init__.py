@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import chelper
+from configfile import ConfigWrapper
+from roles import Printer
 from toolhead import Coord
 
 from . import dump as motion_dump
@@ -16,7 +18,7 @@ REFRESH_S = 0.050
 class MotionReport:
     """live_position, live_velocity, live_extruder_velocity."""
 
-    def __init__(self, printer: Any) -> None:
+    def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self.steppers: dict[str, Any] = {}
         self._ffi, self._lib = chelper.get_ffi()
@@ -45,7 +47,7 @@ class MotionReport:
         self._trapq_names = sorted(trapqs)
         motion_dump.register(self.printer, self.steppers, trapqs)
 
-    def register_stepper(self, config: Any, mcu_stepper: Any) -> None:
+    def register_stepper(self, config: ConfigWrapper, mcu_stepper: Any) -> None:
         self.steppers[mcu_stepper.get_name()] = mcu_stepper
 
     def _state_at(self, trapq: Any, print_time: float) -> tuple[float, float, float, float] | None:
@@ -86,5 +88,5 @@ class MotionReport:
         return self._status
 
 
-def load_config(config: Any) -> MotionReport:
+def load_config(config: ConfigWrapper) -> MotionReport:
     return MotionReport(config.get_printer())

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from typing import Any
 
 import chelper
+from roles import Printer
 
 PERIOD_S = 0.25
 RECORDS_MAX = 1024  # records in one message; more follow in the next ones at once
@@ -23,7 +24,7 @@ class Stream:
     """One source of messages and its clients. `read()` gives what is new since the last call, None if nothing."""
 
     def __init__(
-        self, printer: Any, header: tuple[str, ...], start: Callable[[], None], read: Callable[[], Rows]
+        self, printer: Printer, header: tuple[str, ...], start: Callable[[], None], read: Callable[[], Rows]
     ):
         self._reactor = printer.get_reactor()
         self._header = header
@@ -61,7 +62,7 @@ class StepperSource:
 
     HEADER = ("interval", "count", "add")
 
-    def __init__(self, printer: Any, stepper: Any) -> None:
+    def __init__(self, printer: Printer, stepper: Any) -> None:
         self._stepper = stepper
         self._mcu = stepper.get_mcu()
         self._reactor = printer.get_reactor()
@@ -104,7 +105,7 @@ class TrapqSource:
 
     HEADER = ("time", "duration", "start_velocity", "acceleration", "start_position", "direction")
 
-    def __init__(self, printer: Any, trapq: Any) -> None:
+    def __init__(self, printer: Printer, trapq: Any) -> None:
         self._mcu = printer.lookup_object("mcu")
         self._reactor = printer.get_reactor()
         self._trapq = trapq
@@ -140,7 +141,7 @@ class TrapqSource:
         }  # fmt: skip
 
 
-def register(printer: Any, steppers: dict[str, Any], trapqs: dict[str, Any]) -> None:
+def register(printer: Printer, steppers: dict[str, Any], trapqs: dict[str, Any]) -> None:
     """Both endpoints, for steppers and motion queues by name."""
     hooks = printer.lookup_object("webhooks", None)
     if hooks is None:

@@ -12,14 +12,16 @@ from __future__ import annotations
 
 from itertools import count
 from pathlib import Path
-from typing import Any, TextIO
+from typing import TextIO
+
+from roles import Printer
 
 
 class OutputError(Exception):
     """The file cannot be written; the text is for people."""
 
 
-def default_folder(printer: Any) -> str:
+def default_folder(printer: Printer) -> str:
     """Beside the log, so that front ends offer both; a program without a log says where else (`output_folder`)."""
     args = printer.get_start_args()
     log_file = args.get("log_file")

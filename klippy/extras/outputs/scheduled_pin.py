@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from roles import Printer
+
 MIN_GAP_S = 0.1  # between two values: an MCU keeps one value waiting per pin
 LEAD_S = 0.25  # a held-back value is sent that long before it is due
 RESEND_SHARE = 0.5  # of the pin's maximum duration: refresh well before the MCU's own time-out
@@ -13,7 +15,9 @@ RESEND_SHARE = 0.5  # of the pin's maximum duration: refresh well before the MCU
 class ScheduledPin:
     """Sends `apply(print_time, value)` in order of print time; a value overtaken by the next one is dropped."""
 
-    def __init__(self, printer: Any, mcu: Any, apply: Callable[[float, float], None], initial: float) -> None:
+    def __init__(
+        self, printer: Printer, mcu: Any, apply: Callable[[float, float], None], initial: float
+    ) -> None:
         self._printer = printer
         self._reactor = printer.get_reactor()
         self._mcu = mcu

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 from .. import manual_probe
 
 Point = Sequence[float]
@@ -17,7 +20,10 @@ class ProbePointsHelper:
     """Options `points`, `horizontal_move_z` and `speed`, and the way over them."""
 
     def __init__(
-        self, config: Any, finalize_callback: Finalize, default_points: Sequence[Point] | None = None
+        self,
+        config: ConfigWrapper,
+        finalize_callback: Finalize,
+        default_points: Sequence[Point] | None = None,
     ) -> None:
         self.printer = config.get_printer()
         self.finalize_callback = finalize_callback
@@ -56,7 +62,7 @@ class ProbePointsHelper:
 
     # -- running --
 
-    def start_probe(self, gcmd: Any) -> None:
+    def start_probe(self, gcmd: GCodeCommand) -> None:
         """Go over the points; METHOD=manual or no probe: the user probes each by paper."""
         manual_probe.verify_no_manual_probe(self.printer)
         probe = self.printer.lookup_object("probe", None)
@@ -76,13 +82,13 @@ class ProbePointsHelper:
             raise gcmd.error("horizontal_move_z can't be less than probe's z_offset")
         self._probe_all(probe, gcmd)
 
-    def _require_homed(self, gcmd: Any) -> None:
+    def _require_homed(self, gcmd: GCodeCommand) -> None:
         toolhead = self.printer.lookup_object("toolhead")
         homed = toolhead.get_status(self.printer.get_reactor().monotonic())["homed_axes"]
         if not set("xyz") <= set(homed):
             raise gcmd.error("Must home before probe: G28 first")
 
-    def _probe_all(self, probe: Any, gcmd: Any) -> None:
+    def _probe_all(self, probe: Any, gcmd: GCodeCommand) -> None:
         lift_speed = self.speed  # the first lift: nothing hangs on it
         while True:
             places: list[list[float]] = []
@@ -110,7 +116,7 @@ class ProbePointsHelper:
         toolhead.get_last_move_time()
         return self.finalize_callback(self._offsets, places)
 
-    def _next_by_hand(self, gcmd: Any) -> None:
+    def _next_by_hand(self, gcmd: GCodeCommand) -> None:
         """The paper test at the next point, or the end."""
         if len(self._manual_places) == len(self.probe_points or ()):
             places, self._manual_places = self._manual_places, []

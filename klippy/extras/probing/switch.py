@@ -9,6 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 
 class ProbeSwitch:
     """The probe as an endstop (klippy/link/mcu_homing.py) that is brought out before and back after use.
@@ -16,7 +19,7 @@ class ProbeSwitch:
     A subclass with another way to do that overrides `raise_probe` and `lower_probe`.
     """
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self._z_offset = config.getfloat("z_offset")
         self._each_sample = config.getboolean("deactivate_on_each_sample", True)
@@ -119,7 +122,7 @@ class ProbeSwitch:
 class ProbeEvents:
     """Brings the probe out and back around every move that ends at it, G28's included."""
 
-    def __init__(self, printer: Any, mcu_probe: Any) -> None:
+    def __init__(self, printer: Printer, mcu_probe: Any) -> None:
         self._printer = printer
         self._mcu_probe = mcu_probe
         self._homing = False

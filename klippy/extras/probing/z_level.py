@@ -12,6 +12,9 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 from .points import ProbePointsHelper
 
 # Motors are turned one after the other, never more than this out of line at a time (mm).
@@ -26,7 +29,7 @@ class ZLevel:
     """A levelling command with its retries."""
 
     def __init__(
-        self, config: Any, motors: int, heights: HeightsAtMotors, max_adjust: float | None = None
+        self, config: ConfigWrapper, motors: int, heights: HeightsAtMotors, max_adjust: float | None = None
     ) -> None:
         self.printer = config.get_printer()
         self.name = config.get_name()
@@ -68,7 +71,7 @@ class ZLevel:
     def get_status(self, eventtime: float) -> dict[str, Any]:
         return {"applied": self.applied}
 
-    def run(self, gcmd: Any) -> None:
+    def run(self, gcmd: GCodeCommand) -> None:
         """Probe and level, again if need be."""
         self._gcmd = gcmd
         self._retries = gcmd.get_int("RETRIES", self._default_retries, minval=0)

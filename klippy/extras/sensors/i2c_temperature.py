@@ -13,6 +13,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from configfile import ConfigWrapper
+from roles import Printer
+
 from .. import bus
 
 MAX_FAILURES = 3
@@ -247,7 +250,7 @@ class I2cTemperature:
     """The object `KIND NAME` of one sensor."""
 
     def __init__(
-        self, printer: Any, name: str, device: Device, i2c: bus.MCU_I2C, report_time_s: float
+        self, printer: Printer, name: str, device: Device, i2c: bus.MCU_I2C, report_time_s: float
     ) -> None:
         self.printer = printer
         self.reactor = printer.get_reactor()
@@ -326,18 +329,18 @@ class I2cTemperature:
         return status
 
 
-def _build(config: Any, device: Device, address: int, report_time_s: float) -> I2cTemperature:
+def _build(config: ConfigWrapper, device: Device, address: int, report_time_s: float) -> I2cTemperature:
     i2c = bus.MCU_I2C_from_config(config, address)
     sensor = I2cTemperature(config.get_printer(), config.get_name().split()[-1], device, i2c, report_time_s)
     sensor.register()
     return sensor
 
 
-def build_lm75(config: Any) -> I2cTemperature:
+def build_lm75(config: ConfigWrapper) -> I2cTemperature:
     return _build(config, Lm75(), 0x48, config.getfloat("lm75_report_time", 0.8, minval=0.5))
 
 
-def build_htu21d(config: Any) -> I2cTemperature:
+def build_htu21d(config: ConfigWrapper) -> I2cTemperature:
     names = {name: name for name in HTU21D_RESOLUTIONS}
     device = Htu21d(
         config.getchoice("htu21d_resolution", names, default="TEMP11_HUM11"),
@@ -346,15 +349,15 @@ def build_htu21d(config: Any) -> I2cTemperature:
     return _build(config, device, 0x40, config.getfloat("htu21d_report_time", 30.0, minval=1.0))
 
 
-def build_sht3x(config: Any) -> I2cTemperature:
+def build_sht3x(config: ConfigWrapper) -> I2cTemperature:
     return _build(config, Sht3x(), 0x44, config.getfloat("sht3x_report_time", 1.0, minval=0.5))
 
 
-def build_aht10(config: Any) -> I2cTemperature:
+def build_aht10(config: ConfigWrapper) -> I2cTemperature:
     return _build(config, Aht10(), 0x38, config.getfloat("aht10_report_time", 30.0, minval=5.0))
 
 
-def build_bme280(config: Any) -> I2cTemperature:
+def build_bme280(config: ConfigWrapper) -> I2cTemperature:
     return _build(config, Bme280(), 0x76, 0.8)
 
 

@@ -8,52 +8,48 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from configfile import ConfigWrapper
 from thermal.control.loop import LoopParameters
 from thermal.models.melt_exchange import NozzleLimits
 from thermal.plan import requests
 from thermal.plan.deposit import Surroundings
 from thermal.plan.materials import MATERIALS, Material
 from thermal.plan.planner import Craft
+from thermal.plan.session import PlanSettings
 
 FOLLOW_MM = 60000.0  # a fair part of a print: the weld is held where the user's own target has it on average
 HEADROOM_C = 5.0  # the nozzle passes its reference by a degree or two, and at max_temp the printer shuts down
 SLOWEST = 0.2  # of the file's speed; slicers go down to a tenth for their least time of a layer
 
 
-@dataclass(frozen=True, slots=True)
-class Settings:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Settings(PlanSettings):
     """The section's options."""
 
     heater: str
-    material: Material
-    surroundings: Surroundings
-    craft: Craft
-    table: requests.WishTable
     exchange_w_k: float | None  # instead of the heater's own
     melt_mm3: float
     power_share: float
-    slowest: float  # least part of the file's speed
-    longest_pause_s: float  # before a layer
     enabled: bool
     record: str | None  # file for a row of each laid piece
     written_at: Mapping[str, str]  # options of the table: file and line
 
 
-def _refusal(config: Any, option: str, what: str) -> Exception:
+def _refusal(config: ConfigWrapper, option: str, what: str) -> Exception:
     error: Exception = config.error(
         f"Option '{option}' in section '{config.get_name()}': {what} ({config.where(option)})."
     )
     return error
 
 
-def _read(config: Any, option: str, reader: Callable[[str], Any]) -> Any:
+def _read(config: ConfigWrapper, option: str, reader: Callable[[str], Any]) -> Any:
     try:
         return reader(config.get(option, ""))
     except ValueError as e:
         raise _refusal(config, option, str(e)) from None
 
 
-def _table(config: Any, material: Material) -> requests.WishTable:
+def _table(config: ConfigWrapper, material: Material) -> requests.WishTable:
     """All that is asked for by name. The window would clamp what lies outside it, and the user never know."""
     table = requests.WishTable(
         {requests.feature_name(k): v for k, v in _read(config, "features", requests.read_names).items()},
@@ -72,7 +68,7 @@ def _table(config: Any, material: Material) -> requests.WishTable:
     return table
 
 
-def _record(config: Any) -> str | None:
+def _record(config: ConfigWrapper) -> str | None:
     """A file that can be written, as far as can be told without making it."""
     text = config.get("record", None)
     if text is None:
@@ -89,7 +85,7 @@ def _record(config: Any) -> str | None:
     raise _refusal(config, "record", f"{wrong}; the name of a file in a folder that exists is needed")
 
 
-def _material(config: Any) -> Material:
+def _material(config: ConfigWrapper) -> Material:
     names = {name: name for name in MATERIALS} | {name.lower(): name for name in MATERIALS}
     base = MATERIALS[config.getchoice("material", names, "PLA")]
     low_c = config.getfloat("melt_min", base.low_c, minval=100.0, maxval=500.0)
@@ -122,7 +118,7 @@ def nozzle_limits(settings: Settings, parameters: LoopParameters, min_extrude_c:
     )
 
 
-def read_settings(config: Any) -> Settings:
+def read_settings(config: ConfigWrapper) -> Settings:
     """The section's options. Raises the config's error."""
     name = config.get("heater", "extruder")
     material = _material(config)
@@ -133,15 +129,15 @@ def read_settings(config: Any) -> Settings:
     if config.has_section(name):
         filament_mm = config.getsection(name).getfloat("filament_diameter", 1.75, above=0.0)
     return Settings(
-        name,
-        material,
-        Surroundings(
+        heater=name,
+        material=material,
+        surroundings=Surroundings(
             bed_c=config.getfloat("bed_temp", 60.0),
             chamber_c=config.getfloat("chamber_temp", 25.0),
             still_w_m2k=config.getfloat("still_air", 30.0, above=0.0),
             fan_w_m2k=config.getfloat("fan_air", 60.0, minval=0.0),
         ),
-        Craft(
+        options=Craft(
             interface_c=(wanted_c or least_c) if config.getboolean("bonding", True) else None,
             follow_mm=FOLLOW_MM if wanted_c is None else 0.0,
             core=config.getboolean("flow", False),
@@ -150,13 +146,13 @@ def read_settings(config: Any) -> Settings:
             preview=config.getboolean("preview", True),
             smooth_s=config.getfloat("smooth_time", 0.3, minval=0.0, maxval=5.0),
         ),
-        _table(config, material),
-        config.getfloat("melt_exchange", None, above=0.0),
-        config.getfloat("melt_volume", 0.0, minval=0.0),
-        config.getfloat("power_share", 0.8, above=0.0, maxval=1.0),
-        config.getfloat("minimum_speed_factor", SLOWEST, above=0.0, maxval=1.0),
-        config.getfloat("max_layer_pause", 0.0, minval=0.0, maxval=120.0),
-        config.getboolean("enable", True),
-        _record(config),
-        {option: config.where(option) for option in ("features", "objects", "layers", "heights")},
+        table=_table(config, material),
+        exchange_w_k=config.getfloat("melt_exchange", None, above=0.0),
+        melt_mm3=config.getfloat("melt_volume", 0.0, minval=0.0),
+        power_share=config.getfloat("power_share", 0.8, above=0.0, maxval=1.0),
+        slowest=config.getfloat("minimum_speed_factor", SLOWEST, above=0.0, maxval=1.0),
+        longest_pause_s=config.getfloat("max_layer_pause", 0.0, minval=0.0, maxval=120.0),
+        enabled=config.getboolean("enable", True),
+        record=_record(config),
+        written_at={option: config.where(option) for option in ("features", "objects", "layers", "heights")},
     )

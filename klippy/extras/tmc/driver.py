@@ -10,6 +10,9 @@ from __future__ import annotations
 import logging
 from typing import Any, Protocol
 
+from configfile import ConfigWrapper
+from gcode import GCodeCommand
+
 from .chips import FLAGS, SIGNED, Chip
 from .current import CurrentModel
 from .registers import Fields, microstep_bits, speed_threshold
@@ -42,7 +45,7 @@ class Link(Protocol):
 class StepperDriver:
     """Printer object 'tmcXXXX STEPPER'."""
 
-    def __init__(self, config: Any, chip: Chip, link: Link, current: CurrentModel) -> None:
+    def __init__(self, config: ConfigWrapper, chip: Chip, link: Link, current: CurrentModel) -> None:
         self.printer = config.get_printer()
         self.stepper_name = config.get_name().split(None, 1)[-1]
         self.name = self.stepper_name.split()[-1]
@@ -69,7 +72,7 @@ class StepperDriver:
         self._chip_name = f"{chip.name}_{self.name}"
         self._diag_pin = self._read_diag_pin(config)
 
-    def _read_driver_options(self, config: Any) -> None:
+    def _read_driver_options(self, config: ConfigWrapper) -> None:
         for name, value in self.chip.fixed.items():
             self.values.set(name, value)
         for name, default in self.chip.options.items():
@@ -82,7 +85,7 @@ class StepperDriver:
                 value = config.getint(option, default, minval=0, maxval=size - 1)
             self.values.set(name, value)
 
-    def _read_microsteps(self, config: Any) -> None:
+    def _read_microsteps(self, config: ConfigWrapper) -> None:
         if not config.has_section(self.stepper_name):
             raise config.error(
                 f"Section '{config.get_name()}': there is no section [{self.stepper_name}] for its motor"
@@ -95,7 +98,7 @@ class StepperDriver:
             raise config.error(f"Option 'microsteps' in section '{self.stepper_name}': {e}") from None
         self.values.set("intpol", int(config.getboolean("interpolate", True)))
 
-    def _read_diag_pin(self, config: Any) -> str | None:
+    def _read_diag_pin(self, config: ConfigWrapper) -> str | None:
         """The pin that tells a stall, if there is one."""
         if self.chip.stall is None:
             return None
@@ -263,12 +266,12 @@ class StepperDriver:
             "hold_current": self.hold_current,
         }
 
-    def cmd_INIT_TMC(self, gcmd: Any) -> None:
+    def cmd_INIT_TMC(self, gcmd: GCodeCommand) -> None:
         """INIT_TMC STEPPER=<name>."""
         self.printer.lookup_object("toolhead").wait_moves()
         self._write_all()
 
-    def cmd_DUMP_TMC(self, gcmd: Any) -> None:
+    def cmd_DUMP_TMC(self, gcmd: GCodeCommand) -> None:
         """DUMP_TMC STEPPER=<name> [REGISTER=<name>]."""
         wanted, chip = gcmd.get("REGISTER", None), self.chip
         self.printer.lookup_object("toolhead").get_last_move_time()
@@ -288,7 +291,7 @@ class StepperDriver:
         lines += [self.values.describe(r, self._read(r)) for r in chip.readable]
         gcmd.respond_info("\n".join(lines))
 
-    def cmd_SET_TMC_FIELD(self, gcmd: Any) -> None:
+    def cmd_SET_TMC_FIELD(self, gcmd: GCodeCommand) -> None:
         """SET_TMC_FIELD STEPPER= FIELD= VALUE=<number> | VELOCITY=<mm/s>."""
         name = gcmd.get("FIELD").lower()
         fields = self.chip.fields
@@ -314,7 +317,7 @@ class StepperDriver:
             raise gcmd.error(str(e)) from None
         self._write(register)
 
-    def cmd_SET_TMC_CURRENT(self, gcmd: Any) -> None:
+    def cmd_SET_TMC_CURRENT(self, gcmd: GCodeCommand) -> None:
         """SET_TMC_CURRENT STEPPER= [CURRENT=<A>] [HOLDCURRENT=<A>]."""
         largest = self.current.largest_a
         run = gcmd.get_float("CURRENT", None, above=0.0, maxval=largest)

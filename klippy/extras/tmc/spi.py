@@ -7,7 +7,7 @@ at once; the first datagram sent ends up in the driver farthest from MOSI, and i
 
 from __future__ import annotations
 
-from typing import Any
+from configfile import ConfigWrapper
 
 from .. import bus
 
@@ -22,7 +22,7 @@ BUS_OPTIONS = ("spi_speed", "spi_bus", *(f"spi_software_{line}_pin" for line in 
 class Chain:
     """Drivers behind one chip select."""
 
-    def __init__(self, config: Any, length: int, share_type: str | None) -> None:
+    def __init__(self, config: ConfigWrapper, length: int, share_type: str | None) -> None:
         self.spi = bus.MCU_SPI_from_config(config, MODE, default_speed=SPEED_HZ, share_type=share_type)
         self.mcu = self.spi.get_mcu()
         self.mutex = self.mcu.get_printer().get_reactor().mutex()
@@ -42,7 +42,7 @@ class Chain:
         return bytes(params["response"])[start : start + DATAGRAM_BYTES]
 
 
-def lookup_chain(config: Any) -> tuple[Chain, int]:
+def lookup_chain(config: ConfigWrapper) -> tuple[Chain, int]:
     """(chain, position in it) of the options cs_pin, chain_length and chain_position."""
     length = config.getint("chain_length", None, minval=2)
     if length is None:
@@ -67,7 +67,7 @@ def lookup_chain(config: Any) -> tuple[Chain, int]:
 class RegisterLink:
     """Registers of one driver."""
 
-    def __init__(self, config: Any) -> None:
+    def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
         self.name = config.get_name().split(None, 1)[-1]
         self.chain, self.position = lookup_chain(config)

@@ -13,6 +13,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from configfile import ConfigWrapper
+
 SYNC, MASTER_ADDRESS, WRITE_FLAG = 0x05, 0xFF, 0x80
 IFCNT = 0x02
 BAUD = 40000
@@ -102,7 +104,7 @@ class Wire:
         return bytes(params["read"])
 
 
-def lookup_wire(config: Any) -> Wire:
+def lookup_wire(config: ConfigWrapper) -> Wire:
     """The UART of options uart_pin and tx_pin (default: the same)."""
     pins = config.get_printer().lookup_object("pins")
     rx_params = pins.lookup_pin(config.get("uart_pin"), can_pullup=True, share_type="tmc_uart_rx")
@@ -121,7 +123,7 @@ def lookup_wire(config: Any) -> Wire:
 class RegisterLink:
     """Registers of one driver on a wire."""
 
-    def __init__(self, config: Any, addresses: int = 4) -> None:
+    def __init__(self, config: ConfigWrapper, addresses: int = 4) -> None:
         self.printer = config.get_printer()
         self.name = config.get_name().split(None, 1)[-1]
         self.wire = lookup_wire(config)

@@ -72,7 +72,9 @@ def _layer_starts(moves: Sequence[PlannedMove]) -> list[int]:
     starts = [0]
     for number, move in enumerate(moves):
         first = moves[starts[-1]]
-        if move.layer != first.layer and abs(move.end_mm[2] - first.end_mm[2]) >= LAYER_STEP_MM:
+        if (move.layer != first.layer or not move.layer) and abs(
+            move.end_mm[2] - first.end_mm[2]
+        ) >= LAYER_STEP_MM:
             starts.append(number)
     return starts
 

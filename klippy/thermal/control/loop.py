@@ -74,6 +74,7 @@ class Control:
     cycle_c: float = (
         0.0  # the law swings: it is at its target from so far below on, and nothing comes of waiting
     )
+    beyond_c: float = 0.0  # the greatest target lies so far below max_temp, because the law swings
 
 
 @dataclass(frozen=True, slots=True)

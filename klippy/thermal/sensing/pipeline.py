@@ -59,7 +59,7 @@ class Chain:
         p.temp_low_c, p.temp_high_c = estimator.temp_low_c, estimator.temp_high_c
         p.empty_c = estimator.temp_high_c + EMPTY_MARGIN_C
         p.phase_low_ticks = estimator.phase_low_ticks
-        p.limit_low_c, p.limit_high_c = supervise.temp_low_c, supervise.temp_high_c
+        p.limit_low_c, p.limit_high_c = supervise.temp_low_c, supervise.trip_high_c
         p.limit_blocks, p.is_calibrated = supervise.limit_blocks, supervise.calibrated
         p.power_max_w, p.power_exponent = drive.power_max_w, drive.exponent
         p.power_phase_max_ticks = drive.phase_max_ticks

@@ -19,7 +19,10 @@ class SuperviseParameters:
     """Limits of one heater."""
 
     temp_low_c: float
-    temp_high_c: float
+    temp_high_c: float  # the greatest target
+    over_c: float = (
+        5.0  # room above it: a PID passes its target by up to 4.2 C, the model law by 1.0 (Control.md)
+    )
     silence_s: float = 1.0  # no block at all
     invalid_s: float = 2.0  # blocks, but no believable temperature
     limit_blocks: int = 6  # consecutive estimates beyond a limit (10 ms): one alone may be a disturbance
@@ -30,6 +33,11 @@ class SuperviseParameters:
     stray_s: float = 2.0  # with the heater off the nozzle may in this time ...
     stray_c: float = 15.0  # ... not warm by this much
     calibrated: bool = True  # else temperatures say nothing: only silence is a fault
+
+    @property
+    def trip_high_c(self) -> float:
+        """Too hot: a target of temp_high_c must be held without that."""
+        return self.temp_high_c + self.over_c
 
 
 @dataclass(slots=True)
@@ -52,8 +60,14 @@ def start(state: SuperviseState, seen: Any, time_s: float) -> None:
 
 def _limit(parameters: SuperviseParameters, temp_c: float) -> str:
     if temp_c > parameters.temp_high_c:
-        return f"nozzle at {temp_c:.1f} C, above max_temp {parameters.temp_high_c:.1f} C"
-    return f"nozzle at {temp_c:.1f} C, below min_temp {parameters.temp_low_c:.1f} C"
+        return (
+            f"nozzle at {temp_c:.1f} C, more than {parameters.over_c:g} C above max_temp"
+            f" {parameters.temp_high_c:.1f} C"
+        )
+    return (
+        f"the coil's signal reads {temp_c:.1f} C, below min_temp {parameters.temp_low_c:.1f} C: is the coil or its"
+        " sensing lead open, the calibration another nozzle's, or the room that cold?"
+    )
 
 
 def _gain(

@@ -49,12 +49,6 @@ class Chip(Mcu):
         super().__init__(build.library, boot_clock)
 
     def boot(self, clock: int) -> None:
-        self.ffi.cdef(
-            "const char *emulator_load(const char *); int emulator_fault(char *, int);"
-            "void emulator_counters(void *); int emulator_mutate(const char *, uint32_t);"
-            "int emulator_peek(const char *, uint32_t *); int64_t emulator_profile(const char *);",
-            override=True,
-        )
         error = self.lib.emulator_load(str(self.image).encode())
         assert error == self.ffi.NULL, self.ffi.string(error).decode()
         self.chip = Emulator(_World(self.ffi, self.lib, None), 0)  # type: ignore[arg-type]

@@ -7,37 +7,18 @@ Programme: 25 -> 220 degC, hold, flow 0 -> 10 -> 0 mm^3/s, +20 degC. True temper
 
 from __future__ import annotations
 
-import hashlib
 import math
-import random
-import subprocess
 from collections.abc import Mapping
 from typing import Any
 
-import cffi
 import numpy as np
 
 from control_bench import Result
-from induction_rig import ROOT
+from induction_rig import plant_library
 from thermal.control import pid, predictive, two_period
 from thermal.control.control_api import ControlInput, Schedule
 from thermal.models.heater_model import ModelParameters
 
-CDEF = """
-struct thermal_load;
-struct thermal_load_param { const char *name, *unit, *doc; double hotend, bed, min, max; };
-extern const struct thermal_load_param thermal_load_params[];
-extern int thermal_load_param_count;
-struct thermal_load_outputs { double body_c, sensor_c, element_c, melt_c, power_w, flow_mm3_s; };
-struct thermal_load *thermal_load_new(void);
-void thermal_load_free(struct thermal_load *l);
-void thermal_load_init(struct thermal_load *l, const double *values, uint64_t seed);
-void thermal_load_set_duty(struct thermal_load *l, double duty);
-void thermal_load_set_inputs(struct thermal_load *l, double flow_mm3_s, double fan);
-void thermal_load_advance(struct thermal_load *l, double dt_s);
-void thermal_load_sample(struct thermal_load *l, uint16_t *out, uint32_t n);
-void thermal_load_read(const struct thermal_load *l, struct thermal_load_outputs *out);
-"""
 REPORT_S, DELAY_S, STEP_S = 0.3, 0.6, 0.05
 SAMPLES = 8
 TARGET_C, MORE_C, FLOW_MM3_S, BAND_C = 220.0, 20.0, 10.0, 3.0
@@ -84,35 +65,13 @@ PLANTS: dict[str, dict[str, float]] = {
     "hotend sensor x1.3": {"sensor_tau_s": 1.95},
     "hotend sensor x0.7": {"sensor_tau_s": 1.05},
 }
-_loaded: tuple[Any, Any] | None = None
-
-
-def _library() -> tuple[Any, Any]:
-    """(ffi, lib) of the conventional load, built once per content of its sources."""
-    global _loaded
-    if _loaded is None:
-        folder = ROOT / "klippy" / "simulation" / "plant"
-        files = [folder / "thermal_load.c", folder / "plant_noise.c"]
-        digest = hashlib.sha256(b"".join(p.read_bytes() for p in (*files, folder / "thermal_load.h")))
-        target = ROOT / "out" / "test" / f"load-{digest.hexdigest()[:16]}.so"
-        if not target.exists():
-            target.parent.mkdir(parents=True, exist_ok=True)
-            part = target.with_suffix(f".{random.getrandbits(32):08x}")
-            subprocess.run(
-                ["gcc", "-O2", "-shared", "-fPIC", "-o", str(part), *map(str, files), "-lm"], check=True
-            )
-            part.rename(target)
-        ffi = cffi.FFI()
-        ffi.cdef(CDEF)
-        _loaded = ffi, ffi.dlopen(str(target))
-    return _loaded
 
 
 class HotendRig:
     """One hotend under one law."""
 
     def __init__(self, law: Any, parameters: Any, seed: int, changes: Mapping[str, float]) -> None:
-        self.ffi, self.lib = _library()
+        self.ffi, self.lib = plant_library("thermal_load.h", "thermal_load.c", "plant_noise.c")
         params = self.lib.thermal_load_params
         names = [self.ffi.string(params[i].name).decode() for i in range(self.lib.thermal_load_param_count)]
         values = [changes.get(name, params[i].hotend) for i, name in enumerate(names)]

@@ -11,10 +11,11 @@ bridge's watchdog.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import math
+import os
 import random
-import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -24,6 +25,7 @@ import cffi
 import numpy as np
 
 from block_codec import Row, pack, take
+from chelper.compiler import read_headers, run_compiler
 from thermal.control import actuator, loop, nozzle_model, predictive, steady, two_period
 from thermal.control import pid as pid_control
 from thermal.identification import sweep
@@ -41,24 +43,7 @@ from thermal.sensing import (
 )
 
 ROOT = Path(__file__).resolve().parents[3]
-SOURCES = ("plant.c", "plant_tank.c", "plant_noise.c")
-CDEF = """
-struct plant;
-struct plant_param { const char *name, *unit, *doc; double reference, strong, min, max; };
-extern const struct plant_param plant_params[];
-extern int plant_param_count;
-struct plant_outputs { double skin_c, bore_c, melt_c, second_c, power_w, electrical_w, flow_mm3_s; };
-struct plant *plant_new(void);
-void plant_free(struct plant *p);
-void plant_init(struct plant *p, const double *values, uint64_t seed);
-void plant_set_param(struct plant *p, int index, double value);
-double plant_get_param(const struct plant *p, int index);
-void plant_set_phase(struct plant *p, double phase_ticks);
-void plant_set_inputs(struct plant *p, double flow_mm3_s, double fan);
-void plant_advance(struct plant *p, double dt_s);
-void plant_sample(struct plant *p, uint16_t *out, uint32_t n, double period_s);
-void plant_read(const struct plant *p, struct plant_outputs *out);
-"""
+PLANT = ROOT / "klippy" / "simulation" / "plant"
 CLOCK_HZ = 72e6
 PERIOD_TICKS = 600
 PERIOD_S = PERIOD_TICKS / CLOCK_HZ
@@ -66,35 +51,28 @@ CHUNK = 32  # the firmware's ADC half buffer
 LONE_RECORD_S = 0.020
 DATA_SIZE_MAX = 48  # of records in a message
 
-_loaded: tuple[Any, Any] | None = None
 
-
-def plant_library() -> tuple[Any, Any]:
-    """(ffi, lib) of the plant, built once per content of its sources."""
-    global _loaded
-    if _loaded is None:
-        folder = ROOT / "klippy" / "simulation" / "plant"
-        digest = hashlib.sha256()
-        for path in sorted(folder.glob("plant*")):
-            digest.update(path.read_bytes())
-        target = ROOT / "out" / "test" / f"plant-{digest.hexdigest()[:16]}.so"
-        if not target.exists():
-            target.parent.mkdir(parents=True, exist_ok=True)
-            part = target.with_suffix(f".{random.getrandbits(32):08x}")
-            files = [str(folder / name) for name in SOURCES]
-            subprocess.run(["gcc", "-O2", "-shared", "-fPIC", "-o", str(part), *files, "-lm"], check=True)
-            part.rename(target)
-        ffi = cffi.FFI()
-        ffi.cdef(CDEF)
-        _loaded = ffi, ffi.dlopen(str(target))
-    return _loaded
+@functools.cache
+def plant_library(header: str, *sources: str) -> tuple[Any, Any]:
+    """(ffi, lib) of C files of the plant's folder, built once per content of it."""
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(PLANT.glob("*.[ch]"))))
+    target = ROOT / "out" / "test" / f"{Path(header).stem}-{digest.hexdigest()[:16]}.so"
+    if not target.exists():
+        target.parent.mkdir(parents=True, exist_ok=True)
+        part = target.with_suffix(f".{os.getpid()}")
+        files = [str(PLANT / name) for name in sources]
+        run_compiler(["-O2", "-shared", "-fPIC", "-o", str(part), *files, "-lm"], "The plant")
+        part.rename(target)
+    ffi = cffi.FFI()
+    ffi.cdef(read_headers([PLANT / header]))
+    return ffi, ffi.dlopen(str(target))
 
 
 class Plant:
     """The C plant with parameters by name."""
 
     def __init__(self, seed: int, preset: str = "reference", **values: float) -> None:
-        self.ffi, self.lib = plant_library()
+        self.ffi, self.lib = plant_library("plant.h", "plant.c", "plant_tank.c", "plant_noise.c")
         count = self.lib.plant_param_count
         self.index = {self.ffi.string(self.lib.plant_params[i].name).decode(): i for i in range(count)}
         table = [getattr(self.lib.plant_params[i], preset) for i in range(count)]

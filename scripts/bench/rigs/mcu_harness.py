@@ -21,30 +21,12 @@ from typing import Any
 
 import cffi
 
+from chelper.compiler import read_headers
+
 ROOT = Path(__file__).resolve().parents[3]
 SIM_DIR = ROOT / "out" / "simulator"
 FREQ = 72_000_000
-
-CDEF = """
-struct sim_board {
-    void *ctx;
-    void (*pin_write)(void *ctx, uint32_t pin, uint8_t value, uint64_t clock);
-    uint8_t (*pin_read)(void *ctx, uint32_t pin, uint64_t clock);
-    void (*pwm_write)(void *ctx, uint32_t pin, uint32_t cycle_ticks, uint32_t value, uint64_t clock);
-    uint16_t (*adc_read)(void *ctx, uint32_t pin, uint64_t clock);
-    void (*bridge_set)(void *ctx, uint16_t phase, uint64_t clock);
-    void (*sync_adc_read)(void *ctx, uint16_t *samples, uint32_t count, uint64_t first_clock, uint32_t period_ticks);
-    void (*console_send)(void *ctx, const uint8_t *data, uint32_t len, uint64_t clock);
-    void (*spi_exchange)(void *ctx, uint32_t bus, uint8_t mode, uint8_t *data, uint32_t len, uint64_t clock);
-    uint8_t (*i2c_exchange)(void *ctx, uint32_t bus, uint8_t address, const uint8_t *write, uint32_t write_len,
-                            uint8_t *read, uint32_t read_len, uint64_t clock);
-};
-void sim_mcu_boot(const struct sim_board *board, uint64_t clock);
-uint64_t sim_mcu_next_event(void);
-void sim_mcu_advance(uint64_t clock);
-void sim_mcu_receive(const uint8_t *data, uint32_t len);
-int sim_mcu_take_reset(void);
-"""
+HEADER = ROOT / "klippy" / "simulation" / "emulator" / "emulator.h"  # with src/simulator/sim_mcu.h
 
 
 def make(target: str, *variables: str) -> None:
@@ -66,10 +48,15 @@ def library_path() -> Path:
     return SIM_DIR / "libferrite_mcu.so"
 
 
+@functools.cache
+def _declarations() -> str:
+    return read_headers([HEADER], f"-I{ROOT / 'src' / 'simulator'}")
+
+
 def load_library(path: Path) -> tuple[cffi.FFI, Any]:
     """Load a copy of the library, so that each has its own static data."""
     ffi = cffi.FFI()
-    ffi.cdef(CDEF)
+    ffi.cdef(_declarations())
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "mcu.so"
         shutil.copy(path, copy)

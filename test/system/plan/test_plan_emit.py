@@ -5,13 +5,14 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
+import plan_temperature
+from path_rig import offline_plan
 from plan_rig import watch
-from simulation import gcode_path, plan_offline
+from simulation import plan_offline
 from system.conftest import CONFIG, ROOT, Simulate
 
 SECTION = (
@@ -50,14 +51,6 @@ def part() -> str:
     return START + "G1 X65 Y50 F6000\n" + "\n".join(lines) + "\nM400\nM104 S0\n"
 
 
-def program() -> Any:
-    """scripts/plan_temperature.py as a module."""
-    sys.path.insert(0, str(ROOT / "scripts"))
-    import plan_temperature
-
-    return plan_temperature
-
-
 def emitted(folder: Path, gcode: str, section: str) -> tuple[str, plan_offline.OfflinePlan]:
     """(the file that --emit writes, the plan that it is made of)."""
     config, source, target = folder / "plan.cfg", folder / "plain.gcode", folder / "planned.gcode"
@@ -67,13 +60,7 @@ def emitted(folder: Path, gcode: str, section: str) -> tuple[str, plan_offline.O
     command = [sys.executable, tool, source, "--config", config, "--emit", target, "--step", STEP_C]
     done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    options = program().parse([str(source), "--config", str(config)])
-    access, settings, _ = program().read_config(options)
-    limits = gcode_path.read_limits(access.getsection("printer"), access.getsection("extruder"))
-    nozzle = program().limits_of("induction", access, settings)
-    return target.read_text(), plan_offline.Planning(settings, nozzle, limits).run(
-        source, 215.0, lambda n: None
-    )
+    return target.read_text(), offline_plan(folder, gcode, config.read_text())
 
 
 def test_an_emitted_file_prints_as_foretold(simulate: Simulate, tmp_path: Path) -> None:
@@ -113,10 +100,10 @@ def test_the_offline_plan_knows_the_nozzle_of_the_config(tmp_path: Path) -> None
         "#*# [induction_heater nozzle]\n#*# melt_exchange = 0.0333\n#*# heat_capacity_j_per_k = 0.45\n"
     )
     gcode.write_text("G28\n")
-    options = program().parse([str(gcode), "--config", str(config)])
-    access, settings, induction = program().read_config(options)
-    offline, planner = program().limits_of("induction", access, settings), watch(config, gcode).planner
-    assert induction and offline == planner._nozzle
+    options = plan_temperature.parse([str(gcode), "--config", str(config)])
+    access, settings, induction = plan_temperature.read_config(options)
+    offline, planner = plan_temperature.limits_of("induction", access, settings), watch(config, gcode).planner
+    assert induction and offline == planner.session.nozzle
     assert (offline.max_c, offline.min_extrude_c, offline.capacity.at(25.0)) == (285.0, 181.0, 0.45)
     assert (offline.exchange.ua_w_k, offline.exchange.volume_mm3) == (0.0333, 3.0)
 

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -288,6 +291,62 @@ def test_save_config_refuses_options_of_included_files(tmp_path: Path) -> None:
 
     session.run(body)
     assert session.config_path.read_text() == "[include more.cfg]\n"
+
+
+def save_pause_velocity(session: Session) -> None:
+    session.printer.lookup_object("configfile").set("pause_resume", "recover_velocity", 42.5)
+    session.gcode.run_script("SAVE_CONFIG")
+
+
+def test_save_config_leaves_a_whole_config_file_whenever_it_is_killed(tmp_path: Path) -> None:
+    session = Session(tmp_path, SAVED)
+    texts: list[str] = []
+
+    def look(frame: object, event: str, argument: object) -> None:
+        if event == "c_return":  # after every call into the operating system
+            texts.append(session.config_path.read_text() if session.config_path.exists() else "no file")
+
+    def body(s: Session) -> None:
+        sys.setprofile(look)
+        try:
+            save_pause_velocity(s)
+        finally:
+            sys.setprofile(None)
+
+    session.run(body)
+    new = session.config_path.read_text()
+    assert "recover_velocity = 42.5" in new and set(texts) == {SAVED, new}
+
+
+def test_save_config_keeps_permissions_and_a_symbolic_link(tmp_path: Path) -> None:
+    session = Session(tmp_path, SAVED)
+    kept = tmp_path / "kept" / "my printer.cfg"
+    kept.parent.mkdir()
+    session.config_path.rename(kept)
+    session.config_path.symlink_to(kept.relative_to(tmp_path))
+    kept.chmod(0o600)
+    session.run(save_pause_velocity)
+    assert session.config_path.is_symlink() and "recover_velocity = 42.5" in kept.read_text()
+    (backup,) = tmp_path.glob("printer-*.cfg")
+    assert [path.stat().st_mode & 0o777 for path in (kept, backup)] == [0o600, 0o600]
+    assert backup.read_text() == SAVED and list(kept.parent.iterdir()) == [kept]
+
+
+def test_save_config_that_cannot_write_says_so_and_leaves_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    session = Session(tmp_path, SAVED)
+
+    def body(s: Session) -> None:
+        monkeypatch.setattr(os, "fsync", full)
+        with pytest.raises(s.gcode.error, match=r"unable to write the config file: .*No space left"):
+            save_pause_velocity(s)
+
+    session.run(body)
+    assert list(tmp_path.iterdir()) == [session.config_path] and session.config_path.read_text() == SAVED
 
 
 def test_hand_edited_saved_block_is_refused(tmp_path: Path) -> None:

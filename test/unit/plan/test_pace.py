@@ -5,11 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
-from simulation.gcode_path import GcodePath, Limits
 from thermal.models import melt_exchange
 from thermal.plan import deposit, layer_time
 from thermal.plan.materials import MATERIALS
@@ -138,28 +136,3 @@ def test_away_from_the_bed_the_pace_is_that_of_the_interface_which_is_held() -> 
     assert far.pace_interface_c == pytest.approx(far.interface_c, abs=0.2)
     told = rings_s(replace(FOUND, interface_c=135.0, follow_mm=0.0), 2)[1]
     assert told.pace_interface_c == told.interface_c == 135.0  # a user's word has no allowance
-
-
-def moves_of(text: str, tmp_path: Path) -> list:  # type: ignore[type-arg]
-    path = tmp_path / "part.gcode"
-    path.write_text(text)
-    return [move for batch in GcodePath(Limits(200.0, 1000.0), 0.5).moves(path) for move in batch]
-
-
-def test_arcs_are_laid_as_arcs(tmp_path: Path) -> None:
-    """Half a circle of 10 mm radius from (10, 0) over (0, 10) to (-10, 0), with its filament spread evenly."""
-    moves = moves_of("M83\nG1 X10 Y0 F3000\nG3 X-10 Y0 I-10 J0 E3.14\n", tmp_path)[1:]
-    places = [m.move.end_pos for m in moves]
-    assert all(math.hypot(x, y) == pytest.approx(10.0, abs=1e-6) for x, y, *_ in places)
-    assert sum(m.move.move_d for m in moves) == pytest.approx(10.0 * math.pi, abs=0.05)
-    assert max(y for _, y, *_ in places) == pytest.approx(10.0, abs=0.05)
-    assert sum(m.move.axes_d[3] for m in moves) == pytest.approx(3.14)
-    clockwise = moves_of("M83\nG1 X10 Y0 F3000\nG2 X-10 Y0 I-10 J0 E3.14\n", tmp_path)[1:]
-    assert min(m.move.end_pos[1] for m in clockwise) == pytest.approx(-10.0, abs=0.05)
-
-
-def test_factors_and_origins_of_a_file_count(tmp_path: Path) -> None:
-    text = "M82\nG92 E0\nM221 S50\nM220 S50\nG1 X40 E4 F3000\nG92 X0\nG1 X10 E6\n"
-    first, second = moves_of(text, tmp_path)
-    assert first.move.cruise_v <= 25.0 + 1e-9 and first.move.axes_d[3] == pytest.approx(2.0)
-    assert second.move.end_pos[0] == pytest.approx(50.0) and second.move.axes_d[3] == pytest.approx(1.0)

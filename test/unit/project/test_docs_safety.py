@@ -152,7 +152,8 @@ def loop_claims() -> Iterator[str]:
 
 def supervision_claims() -> Iterator[str]:
     p = parameters().supervise
-    yield f"| {p.limit_blocks} estimates in a row ({milliseconds(p.limit_blocks):.0f} ms) |"
+    in_a_row = f"{p.limit_blocks} estimates in a row ({milliseconds(p.limit_blocks):.0f} ms)"
+    yield f"or more than {p.over_c:g} °C above `max_temp` | {in_a_row} |"
     yield f"| no samples arrive | {p.silence_s:g} s |"
     yield f"give no valid temperature | {p.invalid_s:g} s |"
     assert p.demand_fraction == 0.5

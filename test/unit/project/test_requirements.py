@@ -72,5 +72,5 @@ def test_a_program_names_the_package_it_lacks(tmp_path: Path) -> None:
         "--help",
     ]  # -S: no packages
     done = subprocess.run(list(map(str, program)), capture_output=True, text=True, check=False)
-    assert done.returncode == 1 and "Traceback" not in done.stderr
+    assert done.returncode == 2 and "Traceback" not in done.stderr
     assert "Python package 'rich' is missing; `make setup` installs it" in done.stderr

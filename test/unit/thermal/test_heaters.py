@@ -12,6 +12,7 @@ import chelper
 from block_codec import Row, content, pack
 from configtext import ConfigError
 from extras import heater_bed, heater_generic, heaters, induction_heater, temperature_sensor, verify_heater
+from extras.heater import tuning as heater_tuning
 from heater_fakes import CommandError, FakeCommand, FakePrinter
 from thermal.sensing import laws
 
@@ -309,8 +310,83 @@ def test_extruder_uses_the_induction_heater_under_its_own_name() -> None:
     printer, heater = nozzle()
     assert heater.name == "extruder"
     assert printer.lookup_object("heaters").lookup_heater("extruder") is heater
-    assert ("SET_HEATER_TEMPERATURE", "extruder") in printer.gcode.mux
-    assert ("SET_HEATER_TEMPERATURE", "nozzle") not in printer.gcode.mux
+
+
+NOZZLE_COMMANDS = (
+    "INDUCTION_CALIBRATE",
+    "INDUCTION_STATUS",
+    "INDUCTION_ZERO",
+    "INDUCTION_REFERENCE",
+    "INDUCTION_DUMP",
+)
+
+
+def test_commands_take_the_name_of_the_section_that_of_the_extruder_or_of_the_only_nozzle_none() -> None:
+    printer, heater = nozzle()
+    mux = printer.gcode.mux
+    for command in NOZZLE_COMMANDS:
+        assert mux[command, "nozzle"] == mux[command, "extruder"] == mux[command, None]
+    for name in ("nozzle", "extruder"):
+        mux["SET_HEATER_TEMPERATURE", name](FakeCommand(printer.gcode, TARGET="200"))
+        assert heater.get_temp(0.0)[1] == 200.0
+        heater.set_temp(0.0)
+        assert heater_tuning.heater_of(printer, FakeCommand(printer.gcode, HEATER=name)) is heater
+    assert heater_tuning.heater_of(printer, FakeCommand(printer.gcode), sole_nozzle=True) is heater
+
+
+TWO = (
+    CONFIG
+    + """
+[induction_heater {second}]
+sense_pin: PA1
+max_temp: 300
+[extruder1]
+heater: {second}
+"""
+)
+
+
+def two_nozzles(second: str) -> FakePrinter:
+    loaders = {**LOADERS, "extruder1": LOADERS["extruder"]}
+    printer = FakePrinter(TWO.replace("{control}", "pid").replace("{second}", second), loaders)
+    printer.load("extruder")
+    heaters_of = printer.lookup_object("heaters")
+    heaters_of.setup_heater(printer.config("extruder1"), "T1")
+    printer.send("klippy:mcu_identify")
+    printer.send("klippy:connect")
+    return printer
+
+
+def test_of_two_nozzles_one_must_be_named() -> None:
+    printer = two_nozzles("other")
+    for command in NOZZLE_COMMANDS:
+        names = {name for cmd, name in printer.gcode.mux if cmd == command}
+        assert names == {"nozzle", "extruder", "other", "extruder1"}
+    with pytest.raises(CommandError, match=r"missing HEATER \(choices: nozzle, other\)"):
+        heater_tuning.heater_of(printer, FakeCommand(printer.gcode), sole_nozzle=True)
+
+
+def test_a_nozzle_named_like_another_heater_is_refused() -> None:
+    """HEATER=extruder could be either."""
+    with pytest.raises(
+        ConfigError, match=r"'induction_heater extruder' \(printer.cfg, line \d+\): .* another name"
+    ):
+        two_nozzles("extruder")
+
+
+def test_the_extruder_s_settings_show_the_limits_of_its_nozzle() -> None:
+    """Front ends refuse every target without them."""
+    printer, _ = nozzle()
+    limits = {"min_temp": 0.0, "max_temp": 320.0, "min_extrude_temp": 160.0}
+    assert limits.items() <= printer.settings("extruder").items()
+
+
+@pytest.mark.parametrize("option", ["min_temp", "max_temp"])
+def test_a_limit_at_the_extruder_of_a_nozzle_is_sent_to_its_place(option: str) -> None:
+    text = CONFIG.replace("{control}", "pid").replace("min_extrude_temp: 160", f"{option}: 0.5")
+    where = rf"'{option}' in section 'extruder' \(printer.cfg, line \d+\).*\[induction_heater nozzle\]"
+    with pytest.raises(ConfigError, match=where):
+        FakePrinter(text, LOADERS).load("extruder")
 
 
 def test_an_unused_induction_heater_is_a_heater_of_its_own() -> None:
@@ -410,6 +486,58 @@ def test_target_above_max_temp_is_refused() -> None:
     _, heater = nozzle()
     with pytest.raises(CommandError, match=r"\(400\.0\) out of range \(0\.0:320\.0\)"):
         heater.set_temp(400.0)
+
+
+def test_a_target_of_max_temp_is_taken() -> None:
+    _, heater = nozzle()
+    heater.set_temp(320.0)
+    assert heater.get_temp(0.0)[1] == 320.0
+
+
+@pytest.mark.parametrize(("law", "most_c"), [("watermark", 313.0), ("practical", 300.0)])
+def test_a_law_that_swings_keeps_away_from_max_temp_and_says_so(law: str, most_c: float) -> None:
+    text = CONFIG.replace("{control}", "pid").replace("sense_pin: PA0", f"sense_pin: PA0\ncontrol: {law}")
+    heater = FakePrinter(text, LOADERS).load("extruder")
+    heater.set_temp(most_c)
+    with pytest.raises(CommandError, match=rf"\(0\.0:{most_c}\): control: {law} swings, .* below max_temp"):
+        heater.set_temp(most_c + 1.0)
+    heater.alter_target(320.0)
+    assert heater.get_temp(0.0)[1] == most_c
+
+
+def test_after_a_shutdown_status_shows_no_power_and_a_reading_that_ages() -> None:
+    printer, heater = nozzle()
+    deliver(printer, 0, 200.0, 2012)
+    heater.set_temp(250.0)
+    detail = printer.lookup_object("induction_heater nozzle").get_status
+    assert detail(100.0)["valid"] and detail(100.0)["phase"] == 45000 and detail(100.0)["power_w"] > 50.0
+    printer.invoke_shutdown("Shutdown due to M112 command")
+    after = detail(105.0)
+    assert (after["power"], after["power_w"], after["phase"], after["target"]) == (0.0, 0.0, 0, 0.0)
+    assert heater.get_status(105.0)["power"] == 0.0
+    assert "pwm=0.000 power_w=0.00 phase=0" in heater.stats(105.0)[1]
+    assert (after["valid"], after["guard"], after["calibrating"]) == (False, "off", False)
+    assert after["estimate_age"] == pytest.approx(5.0, abs=0.1)
+
+
+def test_a_reading_without_news_is_no_longer_valid() -> None:
+    printer, _ = nozzle()
+    deliver(printer, 0, 200.0, 2012)
+    detail = printer.lookup_object("induction_heater nozzle").get_status
+    assert detail(100.5)["valid"] and not detail(103.0)["valid"]
+
+
+def test_a_stop_by_the_board_s_guard_names_the_heater_and_its_last_reading() -> None:
+    printer, _ = nozzle()
+    deliver(printer, 0, 200.0, 2012)
+    (explain,) = printer.events["mcu:explain_shutdown"]
+    words = explain(printer.mcu, "Induction coil signal stands still")
+    assert words == "Induction heater 'nozzle': its last reading was 200 C."
+    assert (
+        explain(printer.mcu, "Timer too close")
+        == explain(object(), "Induction coil signal stands still")
+        == ""
+    )
 
 
 def test_too_hot_shuts_the_printer_down_and_nothing_more_is_sent() -> None:

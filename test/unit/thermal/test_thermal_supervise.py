@@ -76,7 +76,7 @@ def test_off_blocks_alone_do_not_count_as_silence() -> None:
         assert "no samples" not in on.watch(n * 0.017, 100.0, 0.0, 0.0)
 
 
-@pytest.mark.parametrize(("temp", "words"), [(300.5, "above max_temp"), (-0.5, "below min_temp")])
+@pytest.mark.parametrize(("temp", "words"), [(305.5, "above max_temp"), (-0.5, "sensing lead open")])
 def test_limits_trip_on_the_third_block_in_a_row(temp: float, words: str) -> None:
     on = Watched()
     for seen_c in (temp, temp, 100.0, temp, temp):
@@ -84,6 +84,13 @@ def test_limits_trip_on_the_third_block_in_a_row(temp: float, words: str) -> Non
         assert on.watch(0.1, seen_c, 200.0, 0.1) == ""
     on.block(0.1, temp)
     assert words in on.watch(0.1, temp, 200.0, 0.1)
+
+
+def test_the_noise_of_a_nozzle_held_at_max_temp_is_no_fault() -> None:
+    on = Watched()
+    for _ in range(20):
+        on.block(0.1, 304.5)
+        assert on.watch(0.1, 304.5, 300.0, 0.1) == ""
 
 
 def test_power_without_warmth_is_a_fault() -> None:
