@@ -173,7 +173,7 @@ class Move:
 
 
 def done_in_c(method: Any) -> Any:
-    """Mark a method whose work the C helper may do in its place (see g1path.py).
+    """Mark a method whose work the C helper may do in its place (see gcode_rows.h).
 
     The mark is on the function: a subclass or plugin that puts another in its place is always called."""
     method.done_in_c = True
@@ -271,6 +271,7 @@ class LookAheadQueue:
         """Plan and take out the moves that are settled (all of them unless lazy)."""
         return self.take(self.plan(lazy))
 
+    @done_in_c
     def add_move(self, move: Move, extruder: Any) -> bool:
         """Queue a move; True if it is time for a lazy flush."""
         number = self.row.next

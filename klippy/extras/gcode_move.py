@@ -8,12 +8,13 @@ A command is checked completely before anything of it takes effect: a bad parame
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import g1path
-from lookahead import done_in_c
+import chelper
+from lookahead import done_in_c, is_done_in_c
 from toolhead import Coord
 
 MM_PER_MIN = 1.0 / 60.0
@@ -98,7 +99,7 @@ class GCodeMove:
         self._move = self.transform.move
         self.reset_last_position()
         gcode = self.printer.lookup_object("gcode")
-        gcode.register_block_runner(g1path.G1Path(gcode, self, self.toolhead).run)
+        gcode.register_row_runner(MoveRows(gcode, self, self.toolhead))
 
     def _handle_shutdown(self) -> None:
         self.is_printer_ready = False
@@ -376,6 +377,80 @@ class GCodeMove:
     @property
     def Coord(self) -> type[Coord]:
         return Coord
+
+
+class MoveRows:
+    """Rows of G0 and G1 for GCodeDispatch.run_next, as far as the C helper can carry them out (gcode_rows.h)."""
+
+    # struct row_state: what comes back, and all of it
+    _OUT = struct.Struct("=11d")
+    _STATE = struct.Struct("=40d")
+
+    def __init__(self, gcode: Any, gcode_move: GCodeMove, toolhead: Any) -> None:
+        self._gcode = gcode
+        self._gcode_move = gcode_move
+        self._toolhead = toolhead
+        self._ffi, self._lib = chelper.get_ffi()
+        self._state = self._ffi.new("struct row_state *")
+        self._state_bytes = self._ffi.buffer(self._state)
+
+    def _is_plain(self) -> bool:
+        """Whether C does just what Python would: nobody has put a method of his own in place of one it stands for."""
+        toolhead, gcode = self._toolhead, self._gcode
+        extruder = toolhead.extruder
+        return (
+            not toolhead.extra_axes
+            and self._reaches_toolhead()
+            and is_done_in_c(
+                gcode.get_handler("G0"), gcode.get_handler("G1"), toolhead.move, toolhead.lookahead.add_move,
+                toolhead.kin.check_move, extruder.check_move, extruder.calc_junction, extruder.process_move,
+            )
+        )  # fmt: skip
+
+    def _reaches_toolhead(self) -> bool:
+        """Nothing, or only transforms that have nothing to do now, between G-code and toolhead."""
+        transform = self._gcode_move.transform
+        while transform is not None and transform is not self._toolhead:
+            transform = getattr(transform, "passes_to", None)
+        return transform is not None
+
+    def _pack(self) -> None:
+        """Modal state, limits of the machine and of the extruder into the C structure."""
+        toolhead, gcode_move = self._toolhead, self._gcode_move
+        modes, kin, extruder = gcode_move.modes, toolhead.kin, toolhead.extruder
+        low, high = zip(*kin.limits, strict=True)
+        heater = getattr(extruder, "heater", None)
+        filament: tuple[float, ...] = (0.0,) * 7
+        if heater is not None:
+            filament = (
+                heater.can_extrude, extruder.nozzle_diameter, extruder.max_extrude_ratio, extruder.max_e_velocity,
+                extruder.max_e_accel, extruder.max_e_dist, extruder.instant_corner_v,
+            )  # fmt: skip
+        self._STATE.pack_into(
+            self._state_bytes, 0, *gcode_move.last_position, *toolhead.commanded_pos, modes.speed, 0.0, 0.0,
+            self._gcode.has_comment_listeners(), *modes.base_position, modes.speed_factor, modes.pace,
+            modes.extrude_factor, modes.absolute_coord, modes.absolute_extrude, toolhead.max_velocity,
+            toolhead.max_accel, toolhead.junction_deviation, toolhead.max_accel_to_decel, *low, *high,
+            kin.z_limits.velocity, kin.z_limits.accel, *filament,
+        )  # fmt: skip
+
+    def run(self, text: bytes, start: int, end: int) -> int:
+        """Queue the moves of whole lines of text[start:end], until it is time to plan or a line is not for C."""
+        if not self._is_plain():
+            return start
+        self._pack()
+        buffer = self._ffi.from_buffer(text)
+        start += self._lib.rows_run(self._state, self._toolhead.lookahead.row, buffer + start, end - start)
+        state = self._OUT.unpack_from(self._state_bytes)
+        self._gcode_move.last_position = list(state[:4])
+        self._gcode_move.modes.speed = state[8]
+        self._toolhead.commanded_pos[:] = state[4:8]
+        return start
+
+    def settle(self) -> None:
+        """Let the toolhead plan what has been queued."""
+        if self._state.queued:
+            self._toolhead.note_queued(bool(self._state.due))
 
 
 def load_config(config: Any) -> GCodeMove:

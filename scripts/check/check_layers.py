@@ -31,7 +31,7 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
             "util queuelogger reactor configabsent configtext configfile gcode_command gcode gcode_io pins msgproto",
         ),
         ("link", "link serialhdl clocksync mcu"),
-        ("motion", "stepper stepstream kinematics lookahead g1path toolhead"),
+        ("motion", "stepper stepstream kinematics lookahead toolhead"),
         ("extras", "extras"),
         ("app", "webhooks printer klippy parsedump"),
         ("simulation", "simulation"),

@@ -37,7 +37,7 @@ def moves(count: int) -> str:
 def test_without_a_mesh_the_section_changes_nothing(run) -> None:  # noqa: F811
     plain = run(HOMED + moves(200), True)
     section = run(HOMED + moves(200), True, MACHINE + MESH)
-    assert section.out == plain.out and section.short_lines == plain.short_lines > 190
+    assert section.out == plain.out and section.row_lines == plain.row_lines > 190
 
 
 def test_with_a_mesh_every_move_goes_by_it(run) -> None:  # noqa: F811
@@ -46,7 +46,7 @@ def test_with_a_mesh_every_move_goes_by_it(run) -> None:  # noqa: F811
     long = run(gcode, False, MACHINE + MESH)
     assert short.out == long.out and short.position == long.position
     assert short.out != run(HOMED + moves(100), True, MACHINE + MESH).out
-    assert short.short_lines <= HOMED.count("G1")
+    assert short.row_lines <= HOMED.count("G1")
 
 
 def test_after_the_mesh_the_short_way_is_taken_again(run) -> None:  # noqa: F811
@@ -54,4 +54,4 @@ def test_after_the_mesh_the_short_way_is_taken_again(run) -> None:  # noqa: F811
     short = run(gcode, True, MACHINE + MESH)
     long = run(gcode, False, MACHINE + MESH)
     assert short.out == long.out and short.gcode_state == long.gcode_state
-    assert short.short_lines > 95
+    assert short.row_lines > 95

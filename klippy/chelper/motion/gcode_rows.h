@@ -1,5 +1,5 @@
-#ifndef FERRITE_G1PATH_H
-#define FERRITE_G1PATH_H
+#ifndef FERRITE_GCODE_ROWS_H
+#define FERRITE_GCODE_ROWS_H
 /*
  * The short way of plain G0/G1 lines: text -> modal state -> checked move -> look-ahead queue.
  *
@@ -10,13 +10,14 @@
 struct lookahead;
 
 /* Doubles only: Python packs it in one go; the first 13 come back. mm, mm/s, mm/s^2. */
-struct g1_state {
+struct row_state {
     double last[4];                 /* of G-code, in toolhead coordinates */
     double commanded[4];            /* of the toolhead */
     double speed;                   /* of G-code, before speed_factor */
     double due;                     /* out: 1 if it is time to plan */
     double queued;                  /* out: moves queued */
-    double base[4], speed_factor, extrude_factor, absolute_coord, absolute_extrude;
+    double wants_comments;          /* lines that are only a comment are left to Python */
+    double base[4], speed_factor, pace, extrude_factor, absolute_coord, absolute_extrude;
     double max_velocity, max_accel, junction_deviation, max_accel_to_decel;
     double box_min[3], box_max[3], max_z_velocity, max_z_accel;
     /* can_extrude 0: every move of the filament is left to Python */
@@ -25,6 +26,6 @@ struct g1_state {
 
 /* Runs lines of text[0..len) from the front, until one is left to Python, no whole line remains, or planning is
  * due. Returns how many characters are done with; always ends behind a line end. */
-int g1_run(struct g1_state *state, struct lookahead *la, const char *text, int len);
+int rows_run(struct row_state *state, struct lookahead *la, const char *text, int len);
 
 #endif

@@ -1,5 +1,5 @@
-/* The short way of plain G0/G1 lines: see g1path.h. */
-#include "g1path.h"
+/* Rows of plain G0/G1 lines: see gcode_rows.h. */
+#include "gcode_rows.h"
 
 #include <math.h>
 #include <stdint.h>
@@ -96,7 +96,7 @@ parse_line(const char *p, struct words *words)
 
 /* Geometry and machine limits of a move from `start` to `end`; as Move in lookahead.py. */
 static void
-fill_move(const struct g1_state *s, const double *end, double speed, struct lookahead_move *m)
+fill_move(const struct row_state *s, const double *end, double speed, struct lookahead_move *m)
 {
     double dx = end[0] - s->commanded[0], dy = end[1] - s->commanded[1], dz = end[2] - s->commanded[2];
     double de = end[3] - s->commanded[3], inverse;
@@ -145,7 +145,7 @@ limit_speed(struct lookahead_move *m, double speed, double accel)
 
 /* Inside the box? Slows the move down if z limits it. */
 static int
-check_box(const struct g1_state *s, struct lookahead_move *m)
+check_box(const struct row_state *s, struct lookahead_move *m)
 {
     for (int i = 0; i < 2; i++)
         if (!(s->box_min[i] <= m->end_pos[i] && m->end_pos[i] <= s->box_max[i]))
@@ -162,7 +162,7 @@ check_box(const struct g1_state *s, struct lookahead_move *m)
 
 /* May the filament move so? Slows down moves of the extruder alone. */
 static int
-check_extruder(const struct g1_state *s, struct lookahead_move *m)
+check_extruder(const struct row_state *s, struct lookahead_move *m)
 {
     double extrude_d = m->axes_d[3], ratio = m->axes_r[3];
     if (s->can_extrude == 0.)
@@ -179,7 +179,7 @@ check_extruder(const struct g1_state *s, struct lookahead_move *m)
 
 /* The extruder's own limit for the junction: its speed may jump by instant_corner_v at most. */
 static double
-extruder_v2(const struct g1_state *s, const struct lookahead *la, const struct lookahead_move *m)
+extruder_v2(const struct row_state *s, const struct lookahead *la, const struct lookahead_move *m)
 {
     if (la->next == la->first || s->can_extrude == 0.)
         return m->max_cruise_v2;
@@ -192,7 +192,7 @@ extruder_v2(const struct g1_state *s, const struct lookahead *la, const struct l
 
 /* Carry out one G0/G1; 0, with nothing changed, if that is for Python to do. */
 static int
-run_words(struct g1_state *s, struct lookahead *la, const struct words *w)
+run_words(struct row_state *s, struct lookahead *la, const struct words *w)
 {
     double target[4], speed = s->speed;
     for (int i = 0; i < 4; i++) {
@@ -205,7 +205,10 @@ run_words(struct g1_state *s, struct lookahead *la, const struct words *w)
     }
     if (w->given >> WORD_F & 1)
         speed = w->value[WORD_F] * MM_PER_MIN;
-    double effective = speed * s->speed_factor;
+    double factor = s->speed_factor;
+    if (s->pace != 1. && target[3] > s->last[3] && (target[0] != s->last[0] || target[1] != s->last[1]))
+        factor *= s->pace;
+    double effective = speed * factor;
     if (!(speed > 0.) || !(effective > 0.) || !isfinite(target[0] + target[1] + target[2] + target[3] + speed))
         return 0;
     struct lookahead_move move = { .move_d = 0. };
@@ -225,7 +228,7 @@ run_words(struct g1_state *s, struct lookahead *la, const struct words *w)
 }
 
 int
-g1_run(struct g1_state *s, struct lookahead *la, const char *text, int len)
+rows_run(struct row_state *s, struct lookahead *la, const char *text, int len)
 {
     int done = 0;
     s->due = s->queued = 0.;
@@ -237,6 +240,8 @@ g1_run(struct g1_state *s, struct lookahead *la, const char *text, int len)
             break;
         while (*p == ' ')
             p++;
+        if (*p == ';' && s->wants_comments != 0.)
+            break;
         if (!at_end(p) && (!parse_line(line, &words) || !run_words(s, la, &words)))
             break;
         done = (int)(end + 1 - text);
