@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import chelper
-from lookahead import done_in_c, is_done_in_c
+from lookahead import done_in_c, is_done_in_c, limits_of
 from toolhead import Coord
 
 MM_PER_MIN = 1.0 / 60.0
@@ -418,20 +418,12 @@ class MoveRows:
         """Modal state, limits of the machine and of the extruder into the C structure."""
         toolhead, gcode_move = self._toolhead, self._gcode_move
         modes, kin, extruder = gcode_move.modes, toolhead.kin, toolhead.extruder
-        low, high = zip(*kin.limits, strict=True)
-        heater = getattr(extruder, "heater", None)
-        filament: tuple[float, ...] = (0.0,) * 7
-        if heater is not None:
-            filament = (
-                heater.can_extrude, extruder.nozzle_diameter, extruder.max_extrude_ratio, extruder.max_e_velocity,
-                extruder.max_e_accel, extruder.max_e_dist, extruder.instant_corner_v,
-            )  # fmt: skip
+        low, high, z_velocity, z_accel = kin.box()
         self._STATE.pack_into(
             self._state_bytes, 0, *gcode_move.last_position, *toolhead.commanded_pos, modes.speed, 0.0, 0.0,
             self._gcode.has_comment_listeners(), *modes.base_position, modes.speed_factor, modes.pace,
-            modes.extrude_factor, modes.absolute_coord, modes.absolute_extrude, toolhead.max_velocity,
-            toolhead.max_accel, toolhead.junction_deviation, toolhead.max_accel_to_decel, *low, *high,
-            kin.z_limits.velocity, kin.z_limits.accel, *filament,
+            modes.extrude_factor, modes.absolute_coord, modes.absolute_extrude, *limits_of(toolhead),
+            *low, *high, z_velocity, z_accel, *extruder.filament_limits(),
         )  # fmt: skip
 
     def run(self, text: bytes, start: int, end: int) -> int:

@@ -7,6 +7,8 @@
  * box, breaks a limit or is no G0/G1 is left alone, whole, for the Python path, which does the same sums in the
  * same order and knows the error texts.
  */
+#include "move.h"
+
 struct lookahead;
 
 /* Doubles only: Python packs it in one go; the first 13 come back. mm, mm/s, mm/s^2. */
@@ -18,10 +20,9 @@ struct row_state {
     double queued;                  /* out: moves queued */
     double wants_comments;          /* lines that are only a comment are left to Python */
     double base[4], speed_factor, pace, extrude_factor, absolute_coord, absolute_extrude;
-    double max_velocity, max_accel, junction_deviation, max_accel_to_decel;
-    double box_min[3], box_max[3], max_z_velocity, max_z_accel;
-    /* can_extrude 0: every move of the filament is left to Python */
-    double can_extrude, nozzle_diameter, max_extrude_ratio, max_e_velocity, max_e_accel, max_e_dist, instant_corner_v;
+    struct move_limits limits;
+    struct axis_box box;
+    struct filament_limits filament;
 };
 
 /* Runs lines of text[0..len) from the front, until one is left to Python, no whole line remains, or planning is
