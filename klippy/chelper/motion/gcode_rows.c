@@ -13,11 +13,6 @@ enum { WORD_X, WORD_Y, WORD_Z, WORD_E, WORD_F, WORD_COUNT };
 enum { EXACT_DIGITS = 15 };
 #define MM_PER_MIN (1. / 60.)
 
-struct words {
-    double value[WORD_COUNT];
-    unsigned int given;             /* bit per word */
-};
-
 /* Parse [+-]digits[.digits]; returns what follows, NULL if it is written in any other way. */
 static const char *
 parse_number(const char *p, double *value)
@@ -70,7 +65,7 @@ at_end(const char *p)
 
 /* Parse "G0 ..." or "G1 ..." in its plain form: words X Y Z E F, each at most once, upper case. */
 static int
-parse_line(const char *p, struct words *words)
+parse_line(const char *p, struct gcode_words *words)
 {
     words->given = 0;
     if (p[0] != 'G' || (p[1] != '0' && p[1] != '1') || p[2] != ' ')
@@ -90,14 +85,18 @@ parse_line(const char *p, struct words *words)
     }
 }
 
-/* Queue one move of the toolhead; 0, with nothing changed, if it must not be. */
+/* A path_sink: queue one move of the toolhead; 0 if it must not be. */
 static int
-queue_move(struct row_state *s, struct lookahead *la, const double *target, double speed)
+queue_move(void *context, const double *target, double speed)
 {
+    struct row_state *s = context;
+    struct lookahead *la = s->lookahead;
     struct lookahead_move move;
     move_fill(&move, &s->limits, s->commanded, target, speed, 0.);
     if (move.move_d == 0.)
         return 1;
+    if (s->due != 0.)                   /* in the middle of a line: it is for Python to plan there */
+        return 0;
     if (move.is_kinematic_move != 0. && !move_check_box(&move, &s->box))
         return 0;
     if (move.axes_d[3] != 0. && move_check_filament(&move, &s->filament) != FILAMENT_OK)
@@ -111,50 +110,65 @@ queue_move(struct row_state *s, struct lookahead *la, const double *target, doub
     return 1;
 }
 
+void
+gcode_aim(const struct gcode_modes *modes, const struct gcode_words *words, struct gcode_aim *aim)
+{
+    const double *last = modes->last;
+    double *target = aim->target;
+    for (int i = 0; i < 4; i++) {
+        target[i] = last[i];
+        if (!(words->given >> i & 1))
+            continue;
+        double value = i == WORD_E ? words->value[i] * modes->extrude_factor : words->value[i];
+        int absolute = modes->absolute_coord != 0. && (i != WORD_E || modes->absolute_extrude != 0.);
+        target[i] = value + (absolute ? modes->base[i] : target[i]);
+    }
+    aim->modal_speed = words->given >> WORD_F & 1 ? words->value[WORD_F] * MM_PER_MIN : modes->speed;
+    double factor = modes->speed_factor;
+    if (modes->pace != 1. && target[3] > last[3] && (target[0] != last[0] || target[1] != last[1]))
+        factor *= modes->pace;
+    aim->speed = aim->modal_speed * factor;
+}
+
 /* Carry out one G0/G1; 0, with nothing changed, if that is for Python to do. */
 static int
-run_words(struct row_state *s, struct lookahead *la, const struct words *w)
+run_words(struct row_state *s, const struct gcode_words *words)
 {
-    double target[4], speed = s->speed;
-    for (int i = 0; i < 4; i++) {
-        target[i] = s->last[i];
-        if (!(w->given >> i & 1))
-            continue;
-        double value = i == WORD_E ? w->value[i] * s->extrude_factor : w->value[i];
-        int absolute = s->absolute_coord != 0. && (i != WORD_E || s->absolute_extrude != 0.);
-        target[i] = value + (absolute ? s->base[i] : target[i]);
+    struct gcode_aim aim;
+    gcode_aim(&s->modes, words, &aim);
+    const double *target = aim.target;
+    if (!(aim.modal_speed > 0.) || !(aim.speed > 0.)
+        || !isfinite(target[0] + target[1] + target[2] + target[3] + aim.modal_speed))
+        return 0;
+    const struct row_state before = *s;
+    const struct lookahead queue_before = *s->lookahead;
+    if (!path_move(s->path, target, aim.speed, queue_move, s)) {        /* perhaps after a part of it */
+        *s = before;
+        s->lookahead->next = queue_before.next;
+        s->lookahead->until_review_s = queue_before.until_review_s;
+        return 0;
     }
-    if (w->given >> WORD_F & 1)
-        speed = w->value[WORD_F] * MM_PER_MIN;
-    double factor = s->speed_factor;
-    if (s->pace != 1. && target[3] > s->last[3] && (target[0] != s->last[0] || target[1] != s->last[1]))
-        factor *= s->pace;
-    double effective = speed * factor;
-    if (!(speed > 0.) || !(effective > 0.) || !isfinite(target[0] + target[1] + target[2] + target[3] + speed))
-        return 0;
-    if (!queue_move(s, la, target, effective))
-        return 0;
-    memcpy(s->last, target, sizeof(s->last));
-    s->speed = speed;
+    memcpy(s->modes.last, target, sizeof(s->modes.last));
+    s->modes.speed = aim.modal_speed;
     return 1;
 }
 
 int
-rows_run(struct row_state *s, struct lookahead *la, const char *text, int len)
+rows_run(struct row_state *s, const char *text, int len)
 {
     int done = 0;
     s->due = s->queued = 0.;
     while (done < len && s->due == 0.) {
         const char *line = text + done, *p = line;
         const char *end = memchr(line, '\n', (size_t)(len - done));
-        struct words words;
+        struct gcode_words words;
         if (!end)
             break;
         while (*p == ' ')
             p++;
         if (*p == ';' && s->wants_comments != 0.)
             break;
-        if (!at_end(p) && (!parse_line(line, &words) || !run_words(s, la, &words)))
+        if (!at_end(p) && (!parse_line(line, &words) || !run_words(s, &words)))
             break;
         done = (int)(end + 1 - text);
     }
