@@ -22,6 +22,7 @@ from printer import Printer
 from reactor import FdPoll, Reactor
 
 POLL_S = 5.0
+OVER = ("complete", "error", "cancelled")
 
 
 class VirtualTime:
@@ -68,6 +69,7 @@ class SDHost:
         start_s = self.reactor.monotonic() - toolhead.get_last_move_time()
         toolhead.mcu.estimated_print_time = lambda eventtime: eventtime - start_s
         toolhead.can_pause = True
+        self.printer.lookup_object("gcode").is_fileinput = False  # an error does not end the run
 
     def _print(self, eventtime: float) -> None:
         lookup = self.printer.lookup_object
@@ -76,14 +78,11 @@ class SDHost:
         if self._live:
             self._go_live(lookup("toolhead"))
         gcode.run_script(f"SDCARD_PRINT_FILE FILENAME={self._file.name}")
-        while stats.get_status(eventtime)["state"] in ("standby", "printing"):
+        while stats.get_status(eventtime)["state"] not in OVER:
             eventtime = self.reactor.pause(self.reactor.monotonic() + POLL_S)
-        toolhead = lookup("toolhead")
-        toolhead.flush_step_generation()
-        logging.info("print time %.1f s, %.1f s by the clock", toolhead.print_time, eventtime)
-        self.printer.request_exit(
-            "exit" if stats.get_status(eventtime)["state"] == "complete" else "error_exit"
-        )
+        if stats.get_status(eventtime)["state"] != "complete":
+            self.printer.request_exit("error_exit")
+        gcode.request_restart("exit")
 
 
 def main() -> int:
