@@ -192,8 +192,8 @@ class LookAheadQueue:
         """Fix the speeds of the moves that are settled (all of them unless lazy); returns how many."""
         return self._lib.lookahead_plan(self.row, lazy)
 
-    def take(self, count: int) -> list[Move]:
-        """Take out the first moves, which are planned, as objects."""
+    def planned(self, count: int) -> list[Move]:
+        """The first moves, which are planned, as objects; those are let go."""
         first = self.row.first
         moves = []
         for number in range(first, first + count):
@@ -201,6 +201,11 @@ class LookAheadQueue:
             move.record[0] = self._record(number)
             moves.append(move)
             del self._moves[number]
+        return moves
+
+    def take(self, count: int) -> list[Move]:
+        """The same, taken out."""
+        moves = self.planned(count)
         self._lib.lookahead_drop(self.row, count)
         return moves
 
