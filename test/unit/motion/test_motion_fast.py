@@ -271,3 +271,16 @@ def test_callbacks_get_the_end_of_their_move_both_ways(run) -> None:
     half = len(times) // 2
     assert half == 20
     assert times[:half] == times[half:] == sorted(times[:half])
+
+
+def test_the_junction_behind_the_last_filament_is_the_same_when_the_extruder_has_cooled(run) -> None:
+    def register(printer: Any) -> None:
+        heater = printer.lookup_object("extruder").heater
+        printer.lookup_object("gcode").register_command(
+            "COOL", lambda gcmd: setattr(heater, "can_extrude", False)
+        )
+
+    cooled = HOMED + "G1 X30 E1\nCOOL\nG1 X40\nG1 X50\n"
+    assert (
+        both(run, cooled, prepare=register).out != run(cooled.replace(" E1", ""), True, prepare=register).out
+    )
