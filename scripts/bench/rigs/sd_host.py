@@ -37,7 +37,7 @@ class VirtualTime:
         return self.now
 
     def wait(self, until: float, poll: FdPoll) -> None:
-        if not poll.poll(0.0) and until < Reactor.NEVER:
+        if until < Reactor.NEVER:
             self.now = max(self.now, until)
 
 
