@@ -23,7 +23,7 @@ help:
 	@echo "make bench   print the 5 MB benchy in closed loop and report speed and memory (QUICK=1: the short file)"
 	@echo "make bench-thermometer  accuracy and latency of the estimate, beside the published chain"
 	@echo "make bench-control      every control law on the same plants, table and plots (QUICK=1)"
-	@echo "make bench-motion       moves a second in batch mode (PEER=\"CMD\": a peer beside it; QUICK=1)"
+	@echo "make bench-motion       moves a second, batch mode and print (PEER=\"CMD\": a peer beside it; QUICK=1)"
 	@echo "make bench-steady       printing in real time beside a busy computer; memory of ten hours (QUICK=1)"
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
 	@echo "make bench-firmware     cost of samples, steps, commands on the images of both chips (QUICK=1)"

@@ -1,8 +1,8 @@
 """G-code: dispatch of command lines (gcode_command.py) to registered handlers.
 
-A print is mostly G1 lines, so `run_line` is short for them: one partition, one look-up, one regular expression.
-Lines that do not have the plain form go through `_parse_slow`, which understands line numbers, checksums, lower
-case, comments and quotes.
+A print is mostly G1 lines: wherever text comes from, `run_next` gives rows of them to the C helper (gcode_rows.h), and
+all else to `run_line`, line by line. That is short for lines in the plain form; others go through `_parse_slow`, which
+understands line numbers, checksums, lower case, comments and quotes.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 from gcode_command import (
     CHECKSUM,
@@ -27,8 +27,22 @@ from gcode_command import (
 __all__ = ["CommandError", "Coord", "GCodeCommand", "GCodeDispatch"]
 
 OutputHandler = Callable[[str], None]
-# (text, start, end) -> where it stopped, behind a line end; see GCodeDispatch.run_block
-BlockRunner = Callable[[bytes, int, int], int]
+# (start, end) of the line under way; those before it are done
+LineNote = Callable[[int, int], None]
+# Rows of moves begin so: a line of G0 or G1, or one without a command
+_ROW_BEGINS = (b"G1 ", b"G0 ", b";", b"\n")
+
+
+class RowRunner(Protocol):
+    """Carries out rows of G0 and G1 (extras/gcode_move.py)."""
+
+    def run(self, text: bytes, start: int, end: int) -> int:
+        """Queue moves of whole lines of text[start:end]; returns where it stopped: at `start`, or behind a line."""
+        ...
+
+    def settle(self) -> None:
+        """Plan what was queued, and wait while enough is planned. Raises what planning raises."""
+        ...
 
 
 class Coord(NamedTuple):
@@ -97,7 +111,7 @@ class GCodeDispatch:
         self._help: dict[str, str] = {}
         self._taken_by_macros: set[str] = set()
         self._comment_listeners: list[Callable[[str], None]] = []
-        self._block_runner: BlockRunner | None = None
+        self._rows: RowRunner | None = None
         self._status_commands: dict[str, dict[str, str]] = {}
         self.is_printer_ready = False
         for event, handler in (
@@ -220,8 +234,37 @@ class GCodeDispatch:
 
     def run_script_from_command(self, script: str) -> None:
         """As `run_script`, from inside a command's handler."""
-        for line in script.split("\n"):
-            self.run_line(line)
+        text = script.encode("utf-8", "replace") + b"\n"
+        at, end = 0, len(text)
+        while at < end:
+            at = self.run_next(text, at, end)
+
+    def run_next(
+        self, text: bytes, at: int, end: int, need_ack: bool = False, note: LineNote | None = None
+    ) -> int:
+        """Run what comes next in text[at:end], which ends with a line end: a row of moves, or else one line. Returns
+        where the next line begins; errors as of `run_line`."""
+        if self._rows is not None and text.startswith(_ROW_BEGINS, at):
+            stop = self._rows.run(text, at, end)
+            if stop > at:
+                last = max(at, text.rfind(b"\n", at, stop - 1) + 1)
+                if note is not None:
+                    note(last, stop)
+                try:
+                    self._rows.settle()
+                except Exception as e:
+                    self._report(e, text[last:stop].decode("utf-8", "replace"))
+                    if not need_ack:
+                        raise
+                if need_ack and self.output_callbacks:
+                    for _ in range(text.count(b"\n", at, stop)):
+                        self.respond_raw("ok")
+                return stop
+        stop = text.index(b"\n", at) + 1
+        if note is not None:
+            note(at, stop)
+        self.run_line(text[at : stop - 1].decode("utf-8", "replace"), need_ack)
+        return stop
 
     def run_line(self, line: str, need_ack: bool = False) -> None:
         """Run one line; the caller holds the mutex. Errors are told to the user, and raised unless acknowledging."""
@@ -240,13 +283,8 @@ class GCodeDispatch:
                         self.respond_raw("ok")
                     return
             handler(gcmd)
-        except CommandError as e:
-            self.respond_error(str(e))
-            self.printer.send_event("gcode:command_error")
-            if not need_ack:
-                raise
         except Exception as e:
-            self._internal_error(line, e)
+            self._report(e, line)
             if not need_ack:
                 raise
         if need_ack:
@@ -259,29 +297,24 @@ class GCodeDispatch:
         """Call listener(line) for each line that is only a comment: slicers tell there what comes."""
         self._comment_listeners.append(listener)
 
-    def register_block_runner(self, runner: BlockRunner) -> None:
-        """A short way for rows of simple lines: runner(text, start, end) carries out as many as it can."""
-        self._block_runner = runner
+    def has_comment_listeners(self) -> bool:
+        """Whether anybody wants to see comments."""
+        return bool(self._comment_listeners)
+
+    def register_row_runner(self, runner: RowRunner) -> None:
+        """What carries out rows of moves."""
+        self._rows = runner
 
     def get_handler(self, command: str) -> Callable[[GCodeCommand], Any] | None:
         """What carries out a command now."""
         return self._handlers.get(command)
 
-    def run_block(self, text: bytes, start: int, end: int) -> int:
-        """Run lines of text[start:end] the short way, as `run_line(line, need_ack=True)` would do with nobody
-        listening; returns where the first line begins that has to go through `run_line` (`start` if none did)."""
-        if self._block_runner is None or self.output_callbacks:
-            return start
-        try:
-            return self._block_runner(text, start, end)
-        except CommandError as e:
-            self.respond_error(str(e))
+    def _report(self, problem: Exception, line: str) -> None:
+        """Tell the user why a line could not be carried out; a bug stops the printer."""
+        if isinstance(problem, CommandError):
+            self.respond_error(str(problem))
             self.printer.send_event("gcode:command_error")
-        except Exception as e:
-            self._internal_error(text[start:end].decode("utf-8", "replace").partition("\n")[0], e)
-        return end
-
-    def _internal_error(self, line: str, problem: Exception) -> None:
+            return
         message = f'Internal error on command:"{line.strip()}"'
         logging.exception(message)
         self.printer.invoke_shutdown(message)

@@ -81,16 +81,10 @@ class GCodeIO:
             self.reactor.pause(self.reactor.NOW)
 
     def _run_text(self, text: bytes, end: int) -> None:
-        """Run the lines of text[:end], the short way where that is possible, until the printer ends."""
+        """Run the lines of text[:end], until the printer ends."""
         at = 0
-        while at < end:
-            at = self.gcode.run_block(text, at, end)
-            if at < end:
-                stop = text.index(b"\n", at)
-                self.gcode.run_line(text[at:stop].decode("utf-8", "replace"), need_ack=True)
-                at = stop + 1
-            if self.printer.is_exiting():
-                return
+        while at < end and not self.printer.is_exiting():
+            at = self.gcode.run_next(text, at, end, need_ack=True)
 
     def _handle_readable(self, eventtime: float) -> None:
         if self._take_in(eventtime) and not self._running:

@@ -25,8 +25,6 @@ The calculation is chelper/motion/lookahead.c; here are the moves as Python sees
 
 from __future__ import annotations
 
-import math
-import struct
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -35,18 +33,6 @@ from gcode import Coord
 from motionlimits import MIN_SPEED, too_slow
 
 __all__ = ["Coord", "LookAheadQueue", "Move", "done_in_c", "is_done_in_c"]
-
-# Moves without a distance the planner cares about: the acceleration of pure extruder moves comes from the extruder.
-UNLIMITED_ACCEL = 99999999.9
-# A motion this short is no motion: far below any step.
-MIN_DISTANCE_MM = 1e-9
-
-
-# Fields of a Move that are single numbers in struct lookahead_move, too.
-_PLAIN_FIELDS = (
-    "move_d", "min_move_t", "accel", "junction_deviation", "max_cruise_v2", "delta_v2", "smooth_delta_v2",
-    "max_start_v2", "max_smoothed_v2",
-)  # fmt: skip
 
 
 class Limits(Protocol):
@@ -62,112 +48,82 @@ class Limits(Protocol):
     def get_max_velocity(self) -> tuple[float, float]: ...
 
 
+def limits_of(toolhead: Limits) -> tuple[float, float, float, float]:
+    """struct move_limits."""
+    return (
+        toolhead.max_velocity,
+        toolhead.max_accel,
+        toolhead.junction_deviation,
+        toolhead.max_accel_to_decel,
+    )
+
+
+def _field(name: str, kind: Callable[[Any], Any] = float) -> Any:
+    """An attribute that is a field of the C structure."""
+    return property(
+        lambda move: kind(getattr(move.record, name)),
+        lambda move, value: setattr(move.record, name, value),
+    )
+
+
 class Move:
-    """One straight move. Kinematics and extruder may slow it down (`limit_speed`) until it is queued.
+    """One straight move, as the C helper has it (struct lookahead_move in move.h). Kinematics and extruder may slow it
+    down (`limit_speed`) until it is queued.
 
     Distances mm, speeds mm/s (`_v2`: squared), times s.
     """
 
-    __slots__ = (
-        "accel",
-        "accel_t",
-        "axes_d",
-        "axes_r",
-        "cruise_t",
-        "cruise_v",
-        "decel_t",
-        "delta_v2",
-        "end_pos",
-        "end_v",
-        "extra_d",
-        "is_kinematic_move",
-        "junction_deviation",
-        "max_cruise_v2",
-        "max_smoothed_v2",
-        "max_start_v2",
-        "min_move_t",
-        "move_d",
-        "print_time",
-        "smooth_delta_v2",
-        "start_pos",
-        "start_v",
-        "timing_callbacks",
-        "toolhead",
-    )
+    __slots__ = ("extra_d", "print_time", "record", "timing_callbacks", "toolhead")
 
     print_time: float  # of the start; set when the move is committed
+    start_pos: tuple[float, float, float, float] = _field("start_pos", tuple)
+    end_pos: tuple[float, float, float, float] = _field("end_pos", tuple)
+    axes_d: tuple[float, float, float, float] = _field("axes_d", tuple)
+    axes_r: tuple[float, float, float, float] = _field("axes_r", tuple)
+    is_kinematic_move: bool = _field("is_kinematic_move", bool)
+    move_d: float = _field("move_d")
+    min_move_t: float = _field("min_move_t")
+    accel: float = _field("accel")
+    junction_deviation: float = _field("junction_deviation")
+    max_cruise_v2: float = _field("max_cruise_v2")
+    delta_v2: float = _field("delta_v2")
+    smooth_delta_v2: float = _field("smooth_delta_v2")
+    max_start_v2: float = _field("max_start_v2")
+    max_smoothed_v2: float = _field("max_smoothed_v2")
     # set when it is planned
-    start_v: float
-    cruise_v: float
-    end_v: float
-    accel_t: float
-    cruise_t: float
-    decel_t: float
+    start_v: float = _field("start_v")
+    cruise_v: float = _field("cruise_v")
+    end_v: float = _field("end_v")
+    accel_t: float = _field("accel_t")
+    cruise_t: float = _field("cruise_t")
+    decel_t: float = _field("decel_t")
 
     def __init__(
         self, toolhead: Limits, start_pos: Sequence[float], end_pos: Sequence[float], speed: float
     ) -> None:
         if not speed >= MIN_SPEED:
             raise too_slow(speed)
+        ffi, lib = chelper.get_ffi()
         self.toolhead = toolhead
-        self.start_pos = (start_pos[0], start_pos[1], start_pos[2], start_pos[3])
         self.timing_callbacks: list[Callable[[float], None]] | None = None
-        self.accel = toolhead.max_accel
-        self.junction_deviation = toolhead.junction_deviation
-        dx = end_pos[0] - start_pos[0]
-        dy = end_pos[1] - start_pos[1]
-        dz = end_pos[2] - start_pos[2]
-        de = end_pos[3] - start_pos[3]
         self.extra_d = tuple(b - a for a, b in zip(start_pos[4:], end_pos[4:], strict=False))
-        move_d = math.sqrt(dx * dx + dy * dy + dz * dz)
-        if move_d >= MIN_DISTANCE_MM:
-            self.is_kinematic_move = True
-            self.end_pos = (end_pos[0], end_pos[1], end_pos[2], end_pos[3])
-            if speed > toolhead.max_velocity:
-                speed = toolhead.max_velocity
-            inverse = 1.0 / move_d
-        else:  # the extruder or further axes alone
-            self.is_kinematic_move = False
-            self.end_pos = (start_pos[0], start_pos[1], start_pos[2], end_pos[3])
-            dx = dy = dz = 0.0
-            move_d = max(abs(de), *map(abs, self.extra_d)) if self.extra_d else abs(de)
-            self.accel = UNLIMITED_ACCEL
-            inverse = 1.0 / move_d if move_d else 0.0
-        self.move_d = move_d
-        self.axes_d = (dx, dy, dz, de)
-        self.axes_r = (dx * inverse, dy * inverse, dz * inverse, de * inverse)
-        self.min_move_t = move_d / speed
-        self.max_start_v2 = 0.0
-        self.max_smoothed_v2 = 0.0
-        self.max_cruise_v2 = speed * speed
-        self.delta_v2 = 2.0 * move_d * self.accel
-        self.smooth_delta_v2 = 2.0 * move_d * toolhead.max_accel_to_decel
+        self.record = ffi.new("struct lookahead_move *")
+        others_mm = max(map(abs, self.extra_d)) if self.extra_d else 0.0
+        lib.move_fill(self.record, [limits_of(toolhead)], start_pos[:4], end_pos[:4], speed, others_mm)
 
     @classmethod
     def from_record(cls, toolhead: Limits, record: Any) -> Move:
-        """The object of a move the C helper has made (struct lookahead_move)."""
+        """The object of a move the C helper has made."""
         move = cls.__new__(cls)
         move.toolhead = toolhead
         move.timing_callbacks = None
         move.extra_d = ()
-        move.start_pos, move.end_pos = tuple(record.start_pos), tuple(record.end_pos)
-        move.axes_d, move.axes_r = tuple(record.axes_d), tuple(record.axes_r)
-        move.is_kinematic_move = bool(record.is_kinematic_move)
-        for name in _PLAIN_FIELDS:
-            setattr(move, name, getattr(record, name))
+        move.record = chelper.get_ffi()[0].new("struct lookahead_move *", record)
         return move
 
     def limit_speed(self, speed: float, accel: float) -> None:
         """Slow the move down to at most this speed and acceleration along its path."""
-        speed2 = speed * speed
-        if speed2 < self.max_cruise_v2:
-            self.max_cruise_v2 = speed2
-            self.min_move_t = self.move_d / speed
-        if accel < self.accel:
-            self.accel = accel
-        self.delta_v2 = 2.0 * self.move_d * self.accel
-        if self.smooth_delta_v2 > self.delta_v2:
-            self.smooth_delta_v2 = self.delta_v2
+        chelper.get_ffi()[1].move_limit_speed(self.record, speed, accel)
 
     def move_error(self, msg: str = "Move out of range") -> Exception:
         """An error for the user that names where the move wants to go."""
@@ -176,7 +132,7 @@ class Move:
 
 
 def done_in_c(method: Any) -> Any:
-    """Mark a method whose work the C helper may do in its place (see g1path.py).
+    """Mark a method whose work the C helper may do in its place (see gcode_rows.h).
 
     The mark is on the function: a subclass or plugin that puts another in its place is always called."""
     method.done_in_c = True
@@ -194,15 +150,11 @@ class LookAheadQueue:
 
     # Try to fix moves whenever this much (least) motion time has come in.
     REVIEW_S = 0.250
-    # What a move brings along, in the order of struct lookahead_move.
-    _PLANNED = struct.Struct("=24d")
 
     def __init__(self, toolhead: Any = None) -> None:
         self._toolhead = toolhead
         ffi, self._lib = chelper.get_ffi()
         self.row = ffi.gc(self._lib.lookahead_alloc(self.REVIEW_S), self._lib.lookahead_free)
-        self._scratch = ffi.new("struct lookahead_move *")
-        self._scratch_bytes = ffi.buffer(self._scratch)
         self._moves: dict[int, Move] = {}  # by number in the row
 
     def __len__(self) -> int:
@@ -235,25 +187,28 @@ class LookAheadQueue:
         """The last move goes no faster than this (mm/s), or than it is entered."""
         if not len(self):
             return
-        last, record = self._move(self.row.next - 1), self._record(self.row.next - 1)
-        last.max_cruise_v2 = min(record.max_cruise_v2, max(speed * speed, record.max_start_v2))
-        record.max_cruise_v2 = last.max_cruise_v2
+        record = self._record(self.row.next - 1)
+        record.max_cruise_v2 = min(record.max_cruise_v2, max(speed * speed, record.max_start_v2))
+        self._move(self.row.next - 1).record.max_cruise_v2 = record.max_cruise_v2
 
     def plan(self, lazy: bool = False) -> int:
         """Fix the speeds of the moves that are settled (all of them unless lazy); returns how many."""
         return self._lib.lookahead_plan(self.row, lazy)
 
-    def take(self, count: int) -> list[Move]:
-        """Take out the first moves, which are planned, as objects."""
+    def planned(self, count: int) -> list[Move]:
+        """The first moves, which are planned, as objects; those are let go."""
         first = self.row.first
         moves = []
         for number in range(first, first + count):
-            move, record = self._move(number), self._record(number)
-            move.max_start_v2, move.max_smoothed_v2 = record.max_start_v2, record.max_smoothed_v2
-            move.start_v, move.cruise_v, move.end_v = record.start_v, record.cruise_v, record.end_v
-            move.accel_t, move.cruise_t, move.decel_t = record.accel_t, record.cruise_t, record.decel_t
+            move = self._move(number)
+            move.record[0] = self._record(number)
             moves.append(move)
             del self._moves[number]
+        return moves
+
+    def take(self, count: int) -> list[Move]:
+        """The same, taken out."""
+        moves = self.planned(count)
         self._lib.lookahead_drop(self.row, count)
         return moves
 
@@ -274,6 +229,7 @@ class LookAheadQueue:
         """Plan and take out the moves that are settled (all of them unless lazy)."""
         return self.take(self.plan(lazy))
 
+    @done_in_c
     def add_move(self, move: Move, extruder: Any) -> bool:
         """Queue a move; True if it is time for a lazy flush."""
         number = self.row.next
@@ -285,10 +241,5 @@ class LookAheadQueue:
                 if way or before.extra_d[axis : axis + 1] not in ((), (0.0,)):
                     axis_v2 = self._toolhead.extra_axes[axis].calc_junction(before, move, axis)
                     extruder_v2 = min(extruder_v2, axis_v2)
-        self._PLANNED.pack_into(
-            self._scratch_bytes, 0, *move.start_pos, *move.end_pos, *move.axes_d, *move.axes_r, move.move_d,
-            move.min_move_t, move.accel, move.junction_deviation, move.is_kinematic_move, move.max_cruise_v2,
-            move.delta_v2, move.smooth_delta_v2,
-        )  # fmt: skip
         self._moves[number] = move
-        return self._lib.lookahead_add(self.row, self._scratch, extruder_v2) != 0
+        return self._lib.lookahead_add(self.row, move.record, extruder_v2) != 0

@@ -165,49 +165,41 @@ class ToolHead:
         elif self.print_time < self._drip_done:
             self.print_time = self._drip_done
 
-    def _commit(self, moves: Sequence[Move]) -> None:
-        """Moves with fixed speeds get their times and go to the motion queues."""
-        append, trapq, extruder_move = self._trapq_append, self.trapq, self.extruder.process_move
-        print_time = self.print_time
-        for move in moves:
-            move.print_time = print_time
-            if move.is_kinematic_move:
-                x, y, z, _ = move.start_pos
-                rx, ry, rz, _ = move.axes_r
-                append(
-                    trapq, print_time, move.accel_t, move.cruise_t, move.decel_t,
-                    x, y, z, rx, ry, rz, move.start_v, move.cruise_v, move.accel,
-                )  # fmt: skip
-            if move.axes_d[3]:
-                extruder_move(print_time, move)
-            for number, way in enumerate(move.extra_d):
-                if way:
-                    self.extra_axes[number].process_move(print_time, move, number)
-            print_time += move.accel_t + move.cruise_t + move.decel_t
-            if move.timing_callbacks is not None:
-                for callback in move.timing_callbacks:
-                    callback(print_time)
-        for listener in self._listeners:
-            listener(moves)
-        self.print_time = self._motion_end = print_time
-        self._make_steps()
-
-    def _commit_unseen(self, count: int) -> None:
-        """As _commit, for the first `count` planned moves, without Python looking at each."""
-        extruder, filament, row = self.extruder, self._filament_mm, self.lookahead.row
-        extruder_trapq = getattr(extruder, "trapq", self._no_trapq)
+    def _commit(self, count: int) -> None:
+        """The first `count` moves, whose speeds are fixed, get their times and go to the motion queues. Python looks at
+        each only if somebody wants to."""
+        extruder, filament, queue = self.extruder, self._filament_mm, self.lookahead
+        by_hand = bool(self.extra_axes) or not is_done_in_c(extruder.process_move)
+        moves = queue.planned(count) if by_hand or self._listeners else []
+        extruder_trapq = self._no_trapq if by_hand else getattr(extruder, "trapq", self._no_trapq)
         filament[0] = start = getattr(extruder, "last_position", 0.0)
         time = self.print_time
         told: list[tuple[Callable[[float], None], float]] = []
-        for part, callbacks in self.lookahead.callbacks(count):
-            time = self._commit_in_c(row, part, time, self.trapq, extruder_trapq, filament)
+        parts = [(1, move.timing_callbacks or []) for move in moves] or queue.callbacks(count)
+        for number, (part, callbacks) in enumerate(parts):
+            end = self._commit_in_c(queue.row, part, time, self.trapq, extruder_trapq, filament)
+            if moves:
+                moves[number].print_time = time
+            if by_hand:
+                self._commit_others(time, moves[number])
+            time = end
             told += [(callback, time) for callback in callbacks]
         if filament[0] != start:
             extruder.last_position = filament[0]
         self.print_time = self._motion_end = time
         for callback, end in told:
             callback(end)
+        for listener in self._listeners:
+            listener(moves)
         self._make_steps()
+
+    def _commit_others(self, print_time: float, move: Move) -> None:
+        """The parts of a move that the C helper does not know: further axes, another extruder's."""
+        if move.axes_d[3]:
+            self.extruder.process_move(print_time, move)
+        for number, way in enumerate(move.extra_d):
+            if way:
+                self.extra_axes[number].process_move(print_time, move, number)
 
     def _make_steps(self) -> None:
         """Work out steps as far as the plan reaches, once it is worth it."""
@@ -222,10 +214,7 @@ class ToolHead:
         self._go_on()
         for listener in self._record_listeners:
             listener(self.lookahead.row, count, self.print_time)
-        if self._listeners or self.extra_axes or not is_done_in_c(self.extruder.process_move):
-            self._commit(self.lookahead.take(count))
-        else:
-            self._commit_unseen(count)
+        self._commit(count)
 
     def _settle(self) -> None:
         """Everything known becomes steps and goes out; afterwards the head is at rest."""

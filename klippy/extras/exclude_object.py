@@ -14,8 +14,10 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
+import chelper
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
+from lookahead import done_in_c
 from roles import Printer
 
 _E = 3
@@ -31,7 +33,7 @@ class ObjectFilter:
     """
 
     def __init__(self, following: Any) -> None:
-        self._next = following
+        self.next_transform = following
         self.skipping = False
         self._stopped_at: list[float] | None = None  # real position while moves are left out
         self._commanded = list(following.get_position())
@@ -41,10 +43,12 @@ class ObjectFilter:
         ]  # highest commanded extruder position: retraction is counted from it
         self._real_depth_mm = 0.0
         self._prime_mm = 0.0  # to be pushed forward before the next extrusion
+        ffi, lib = chelper.get_ffi()
+        self._stage = ffi.new("struct path_stage *", {"kind": lib.PATH_SHIFT})
 
     def get_position(self) -> list[float]:
         """The commanded position; if the toolhead was moved past us (homing), where it is now."""
-        real = list(self._next.get_position())
+        real = list(self.next_transform.get_position())
         if self._stopped_at is not None and real == self._stopped_at:
             return list(self._commanded)
         commanded = [*real[:_E], real[_E] + self._left_out_mm + self._prime_mm, *real[_E + 1 :]]
@@ -52,6 +56,21 @@ class ObjectFilter:
         self._peak_mm = max(self._peak_mm, commanded[_E])
         return commanded
 
+    def row_stage(self) -> Any:
+        """For a row of moves (path_stage.h); None while moves or a prime are left out."""
+        if self.skipping or self._stopped_at is not None or self._prime_mm:
+            return None
+        stage = self._stage
+        stage.peak_e, stage.left_out_e = self._peak_mm, self._left_out_mm
+        stage.last = self._commanded[:4]
+        return stage
+
+    def take_row(self, stage: Any) -> None:
+        """Such a row has been run."""
+        self._peak_mm = stage.peak_e
+        self._commanded[:4] = stage.last
+
+    @done_in_c
     def move(self, newpos: Sequence[float], speed: float) -> None:
         """One move of the G-code."""
         before_mm = self._commanded[_E]
@@ -59,7 +78,7 @@ class ObjectFilter:
         self._peak_mm = max(self._peak_mm, newpos[_E])
         if self.skipping:
             if self._stopped_at is None:
-                self._stopped_at = list(self._next.get_position())
+                self._stopped_at = list(self.next_transform.get_position())
                 self._real_depth_mm = depth_before_mm + self._prime_mm
                 self._prime_mm = 0.0
             self._commanded = list(newpos)
@@ -71,12 +90,12 @@ class ObjectFilter:
             self._prime_mm = 0.0
         self._commanded = list(newpos)
         real_e_mm = newpos[_E] - self._left_out_mm - self._prime_mm
-        self._next.move([*newpos[:_E], real_e_mm, *newpos[_E + 1 :]], speed)
+        self.next_transform.move([*newpos[:_E], real_e_mm, *newpos[_E + 1 :]], speed)
 
     def _go_on(self, commanded_e_mm: float, depth_mm: float) -> None:
         """The first move after an excluded object: make the real retraction that of the G-code."""
         self._stopped_at = None
-        real_e_mm = self._next.get_position()[_E]
+        real_e_mm = self.next_transform.get_position()[_E]
         missing_mm = self._real_depth_mm - depth_mm  # > 0: drawn back farther than the G-code believes
         self._left_out_mm = commanded_e_mm - real_e_mm - missing_mm
         if missing_mm > 0.0:
@@ -85,9 +104,9 @@ class ObjectFilter:
             self._push(missing_mm)
 
     def _push(self, distance_mm: float) -> None:
-        position = list(self._next.get_position())
+        position = list(self.next_transform.get_position())
         position[_E] += distance_mm
-        self._next.move(position, _EVEN_OUT_MM_S)
+        self.next_transform.move(position, _EVEN_OUT_MM_S)
 
 
 class ExcludeObject:

@@ -8,21 +8,22 @@ A command is checked completely before anything of it takes effect: a bad parame
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import g1path
+import chelper
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
-from lookahead import done_in_c
+from lookahead import done_in_c, is_done_in_c, limits_of
 from motionlimits import PERCENT, POSITION, SPEED
 from roles import Printer
 from toolhead import Coord
 
-MM_PER_MIN = 1.0 / 60.0
 DEFAULT_SPEED_MM_S = 25.0
 AXES = "XYZE"
+WORDS = "XYZEF"  # of G1, in the order of struct gcode_words
 
 
 @dataclass(slots=True)
@@ -66,6 +67,8 @@ class GCodeMove:
         self._extra_letters: dict[str, int] = {}  # of further axes: their numbers in a position
         self.is_printer_ready = False
         self._move: Any = None
+        ffi, self._lib = chelper.get_ffi()
+        self._aim = ffi.new("struct gcode_aim *")
 
     # -- set-up --
 
@@ -102,7 +105,7 @@ class GCodeMove:
         self._move = self.transform.move
         self.reset_last_position()
         gcode = self.printer.lookup_object("gcode")
-        gcode.register_block_runner(g1path.G1Path(gcode, self, self.toolhead).run)
+        gcode.register_row_runner(MoveRows(gcode, self, self.toolhead))
 
     def _handle_shutdown(self) -> None:
         self.is_printer_ready = False
@@ -171,49 +174,43 @@ class GCodeMove:
 
     @done_in_c
     def cmd_G1(self, gcmd: GCodeCommand) -> None:
-        """G0, G1 [X] [Y] [Z] [E] [F]."""
+        """G0, G1 [X] [Y] [Z] [E] [F], and letters of further axes: one line, read here, otherwise as in rows."""
         params = gcmd.get_command_parameters()
-        modes, target = self.modes, self.last_position[:]
-        base = modes.base_position
-        speed = modes.speed
+        values, given, further = [0.0] * len(WORDS), 0, {}
         try:
-            if "X" in params:
-                value = float(params["X"])
-                target[0] = value + base[0] if modes.absolute_coord else value + target[0]
-            if "Y" in params:
-                value = float(params["Y"])
-                target[1] = value + base[1] if modes.absolute_coord else value + target[1]
-            if "Z" in params:
-                value = float(params["Z"])
-                target[2] = value + base[2] if modes.absolute_coord else value + target[2]
-            if "E" in params:
-                value = float(params["E"]) * modes.extrude_factor
-                absolute = modes.absolute_coord and modes.absolute_extrude
-                target[3] = value + base[3] if absolute else value + target[3]
+            for number, letter in enumerate(WORDS):
+                if letter in params:
+                    values[number] = float(params[letter])
+                    given |= 1 << number
             for letter, number in self._extra_letters.items():
                 if letter in params:
-                    value = float(params[letter])
-                    target[number] = value + (base if modes.absolute_coord else target)[number]
-            if "F" in params:
-                speed = float(params["F"]) * MM_PER_MIN
+                    further[number] = float(params[letter])
         except ValueError:
             raise self._bad_number(gcmd) from None
+        aim = self._aim
+        self._lib.gcode_aim([self.modal_state()], [(values, given)], aim)
+        target = [*aim.target, *self.last_position[4:]]
+        for number, value in further.items():
+            target[number] = (
+                value + (self.modes.base_position if self.modes.absolute_coord else target)[number]
+            )
         # a sum is finite exactly if all its parts are (coordinates far below overflow)
+        speed = aim.modal_speed
         if not math.isfinite(sum(target) + speed):
             raise self._bad_number(gcmd)
         if speed <= 0.0:
             raise gcmd.error(f"Invalid speed in '{gcmd.get_commandline()}': F must be above zero")
-        factor = modes.speed_factor
-        if modes.pace != 1.0 and self._lays(target):
-            factor *= modes.pace
-        self._move(target, speed * factor)
-        modes.speed = speed
+        self._move(target, aim.speed)
+        self.modes.speed = speed
         self.last_position = target
 
-    def _lays(self, target: Sequence[float]) -> bool:
-        """Is this move a road: does it extrude on its way across the bed?"""
-        x, y, _, e = self.last_position[:4]
-        return target[3] > e and (target[0] != x or target[1] != y)
+    def modal_state(self) -> tuple[Any, ...]:
+        """struct gcode_modes."""
+        modes = self.modes
+        return (
+            self.last_position[:4], modes.speed, modes.base_position[:4], modes.speed_factor, modes.pace,
+            modes.extrude_factor, modes.absolute_coord, modes.absolute_extrude,
+        )  # fmt: skip
 
     def _bad_number(self, gcmd: GCodeCommand) -> Exception:
         """The error that names the parameter at fault."""
@@ -380,6 +377,87 @@ class GCodeMove:
     @property
     def Coord(self) -> type[Coord]:
         return Coord
+
+
+class MoveRows:
+    """Rows of G0 and G1 for GCodeDispatch.run_next, as far as the C helper can carry them out (gcode_rows.h)."""
+
+    # the doubles of struct row_state, and those of them that come back
+    _STATE = struct.Struct("=40d")
+    _LAST, _SPEED, _COMMANDED = slice(0, 4), 4, slice(14, 18)
+
+    def __init__(self, gcode: Any, gcode_move: GCodeMove, toolhead: Any) -> None:
+        self._gcode = gcode
+        self._gcode_move = gcode_move
+        self._toolhead = toolhead
+        self._ffi, self._lib = chelper.get_ffi()
+        self._state = self._ffi.new("struct row_state *")
+        self._state.lookahead = toolhead.lookahead.row
+        self._state_bytes = self._ffi.buffer(self._state, self._STATE.size)
+
+    def _is_plain(self) -> bool:
+        """Whether C does just what Python would: nobody has put a method of his own in place of one it stands for."""
+        toolhead, gcode = self._toolhead, self._gcode
+        extruder = toolhead.extruder
+        return not toolhead.extra_axes and is_done_in_c(
+            gcode.get_handler("G0"), gcode.get_handler("G1"), toolhead.move, toolhead.lookahead.add_move,
+            toolhead.kin.check_move, extruder.check_move, extruder.calc_junction, extruder.process_move,
+        )  # fmt: skip
+
+    def _stages(self) -> list[tuple[Any, Any]] | None:
+        """Transforms between G-code and toolhead that have something to do, with their stages in C (path_stage.h).
+        None: one of them must see every move."""
+        found: list[tuple[Any, Any]] = []
+        transform = self._gcode_move.transform
+        while transform is not self._toolhead:
+            if not is_done_in_c(transform.move):
+                return None
+            following = getattr(transform, "passes_to", None)
+            if following is None:
+                stage = transform.row_stage()
+                if stage is None:
+                    return None
+                found.append((transform, stage))
+                following = transform.next_transform
+            transform = following
+        return found
+
+    def _pack(self, stages: Sequence[tuple[Any, Any]]) -> None:
+        """Modal state, limits of the machine and of the extruder into the C structure."""
+        toolhead = self._toolhead
+        last, speed, base, *factors = self._gcode_move.modal_state()
+        low, high, z_velocity, z_accel = toolhead.kin.box()
+        self._STATE.pack_into(
+            self._state_bytes, 0, *last, speed, *base, *factors, *toolhead.commanded_pos, 0.0, 0.0,
+            self._gcode.has_comment_listeners(), *limits_of(toolhead), *low, *high, z_velocity, z_accel,
+            *toolhead.extruder.filament_limits(),
+        )  # fmt: skip
+        following = self._ffi.NULL
+        for _, stage in reversed(stages):
+            stage.next = following
+            following = stage
+        self._state.path = following
+
+    def run(self, text: bytes, start: int, end: int) -> int:
+        """Queue the moves of whole lines of text[start:end], until it is time to plan or a line is not for C."""
+        stages = self._stages() if self._is_plain() else None
+        if stages is None:
+            return start
+        self._pack(stages)
+        buffer = self._ffi.from_buffer(text)
+        start += self._lib.rows_run(self._state, buffer + start, end - start)
+        state = self._STATE.unpack_from(self._state_bytes)
+        self._gcode_move.last_position = list(state[self._LAST])
+        self._gcode_move.modes.speed = state[self._SPEED]
+        self._toolhead.commanded_pos[:] = state[self._COMMANDED]
+        for transform, stage in stages:
+            transform.take_row(stage)
+        return start
+
+    def settle(self) -> None:
+        """Let the toolhead plan what has been queued."""
+        if self._state.queued:
+            self._toolhead.note_queued(bool(self._state.due))
 
 
 def load_config(config: ConfigWrapper) -> GCodeMove:

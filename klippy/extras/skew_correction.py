@@ -17,8 +17,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
+import chelper
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
+from lookahead import done_in_c
 from roles import Printer
 
 PLANES = ("xy", "xz", "yz")
@@ -34,9 +36,18 @@ class Skew:
 
     def commanded(self, wanted: Sequence[float]) -> list[float]:
         """What to command to reach a point; further coordinates stay."""
-        x, y, z = wanted[:3]
-        y_corrected = y - self.yz * z
-        return [x - self.xy * y_corrected - self.xz * z, y_corrected, z, *wanted[3:]]
+        ffi, lib = chelper.get_ffi()
+        place = ffi.new("double[4]")
+        lib.path_unskew(self.stage(), wanted[:4], place)
+        return [*place[0:3], *wanted[3:]]
+
+    def stage(self) -> Any:
+        """The same in the C helper (path_stage.h)."""
+        ffi, lib = chelper.get_ffi()
+        return ffi.new(
+            "struct path_stage *",
+            {"kind": lib.PATH_SKEW, "skew_xy": self.xy, "skew_xz": self.xz, "skew_yz": self.yz},
+        )
 
     def reached(self, commanded: Sequence[float]) -> list[float]:
         """The point the machine goes to."""
@@ -92,6 +103,14 @@ class SkewCorrection:
     def get_position(self) -> list[float]:
         return self.skew.reached(self.next_transform.get_position())
 
+    def row_stage(self) -> Any:
+        """This transform for a row of moves."""
+        return self.skew.stage()
+
+    def take_row(self, stage: Any) -> None:
+        """Such a row has been run: nothing is remembered of it."""
+
+    @done_in_c
     def move(self, newpos: Sequence[float], speed: float) -> None:
         self.next_transform.move(self.skew.commanded(newpos), speed)
 

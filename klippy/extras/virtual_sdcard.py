@@ -2,7 +2,7 @@
 
 The file is read in chunks by a greenlet of its own, which runs whole lines while it holds the G-code lock and lets go
 whenever a command from elsewhere waits for it. The position counts bytes of the file; it always points at the first
-line that was not carried out completely.
+line that was not carried out completely. Moves come in rows (gcode.run_next), of which the last waits for its turn.
 """
 
 from __future__ import annotations
@@ -300,47 +300,46 @@ class VirtualSD:
     def _feed(self, generation: int) -> bool:
         """Run lines until paused (False) or the end of the file (True)."""
         mutex = self.gcode.get_mutex()
-        lines: list[bytes] = []
-        rest = b""
-        reading = -1  # file position behind `lines` and `rest`; -1: seek first
+        text, end = b"", 0  # what was read and not run yet, and the end of its last whole line
+        is_placed = False  # False: go to the file position first
         while True:
             with mutex:
                 # Whoever pauses or cancels holds the lock: look only now
                 if self._must_pause or self.current_file is None or generation != self._generation:
                     return False
-                if reading < 0:
+                if not is_placed:
                     self.current_file.seek(self.file_position)
-                    lines, rest, reading = [], b"", self.file_position
-                if not lines:
+                    text, end, is_placed = b"", 0, True
+                if not end:
                     chunk = self.current_file.read(_CHUNK)
-                    if not chunk and not rest:
+                    if not chunk and not text:
                         return True
-                    reading += len(chunk)
-                    *lines, rest = (rest + chunk).split(b"\n") if chunk else [rest, b""]
-                    lines.reverse()
-                if not self._run_lines(lines, mutex):
-                    reading = -1
+                    text += chunk or b"\n"
+                    end = text.rfind(b"\n") + 1
+                done, is_placed = self._run_text(text, end, mutex)
+                text, end = text[done:], end - done
             self.reactor.pause(self.reactor.NOW)
 
-    def _run_lines(self, lines: list[bytes], mutex: Any) -> bool:
-        """Run lines from the end of the (reversed) list; False if the position was moved."""
-        run_line = self.gcode.run_line
-        limit = self.file_size
-        while lines:
-            line = lines.pop()
-            expected = min(self.file_position + len(line) + 1, limit)
-            self._next_position = expected
+    def _run_text(self, text: bytes, end: int, mutex: Any) -> tuple[int, bool]:
+        """Run lines of text[:end] until somebody else wants a turn: how far, and whether the position is that place."""
+        base, limit, run_next = self.file_position, self.file_size, self.gcode.run_next
+        at = 0
+
+        def note(start: int, stop: int) -> None:
+            self.file_position, self._next_position = base + start, min(base + stop, limit)
+
+        while at < end:
             self._in_line = True
             try:
-                run_line(line.decode("utf-8", "replace"))
+                at = run_next(text, at, end, note=note)
             finally:
                 self._in_line = False
             self.file_position = self._next_position
-            if self._next_position != expected:
-                return False
+            if self.file_position != min(base + at, limit):
+                return at, False
             if self._must_pause or mutex.contended():
-                return True
-        return True
+                break
+        return at, True
 
 
 def load_config(config: ConfigWrapper) -> VirtualSD:

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import chelper
 import stepper
 from lookahead import Coord, Move, done_in_c
 from motionlimits import ACCEL, SPEED
@@ -115,6 +116,11 @@ class BoxKinematics:
             )
         homing_state.home_rails([rail], forcepos, homepos)
 
+    def box(self) -> tuple[Any, ...]:
+        """struct axis_box."""
+        low, high = zip(*self.limits, strict=True)
+        return low, high, self.z_limits.velocity, self.z_limits.accel
+
     def _refuse(self, move: Move) -> None:
         for axis in range(3):
             low, high = self.limits[axis]
@@ -126,15 +132,8 @@ class BoxKinematics:
     @done_in_c
     def check_move(self, move: Move) -> None:
         """Raise if the move leaves the axes' range; slow it down if z limits it."""
-        x, y, z, _ = move.end_pos
-        (x_min, x_max), (y_min, y_max), (z_min, z_max) = self.limits
-        if not (x_min <= x <= x_max and y_min <= y <= y_max):
+        if not chelper.get_ffi()[1].move_check_box(move.record, [self.box()]):
             self._refuse(move)
-        if not move.axes_d[2]:
-            return
-        if not z_min <= z <= z_max:
-            self._refuse(move)
-        self.z_limits.slow_down(move)
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
         homed = [name for name, (low, high) in zip(AXIS_NAMES, self.limits, strict=True) if low <= high]

@@ -22,8 +22,7 @@ DEFAULT_MAX_EXTRUDE_ONLY_MM = 50.0
 DEFAULT_CORNER_VELOCITY = 1.0
 DEFAULT_SMOOTH_TIME_S = 0.040
 MAX_SMOOTH_TIME_S = 0.200
-# Two moves whose filament per mm differ by less than this need no extruder limit at their junction.
-SAME_RATIO = 1e-9
+
 # Default of max_extrude_only_*: what the head's limits mean for filament at the largest allowed cross section.
 
 
@@ -158,8 +157,8 @@ class PrinterExtruder:
         self.heater = self._setup_heater(config, extruder_num)
         self._read_limits(config)
         self.trapq = stepstream.lookup_streams(self.printer).new_trapq()
-        _ffi, lib = chelper.get_ffi()
-        self._trapq_append = lib.trapq_append
+        _ffi, self._lib = chelper.get_ffi()
+        self._trapq_append = self._lib.trapq_append
         self.extruder_stepper: ExtruderStepper | None = None
         if any(
             config.get(option, None) is not None for option in ("step_pin", "dir_pin", "rotation_distance")
@@ -239,40 +238,35 @@ class PrinterExtruder:
     @done_in_c
     def check_move(self, move: Move) -> None:
         """Raise if the move extrudes cold, too much or too far; slow down moves of the extruder alone."""
-        if not self.heater.can_extrude:
+        problem = self._lib.move_check_filament(move.record, [self.filament_limits()])
+        if problem == self._lib.FILAMENT_COLD:
             raise self.printer.command_error(
                 "Extrude below minimum temp\nSee the 'min_extrude_temp' config option for details"
             )
-        extrude_d = move.axes_d[3]
-        ratio = move.axes_r[3]
-        x_d, y_d = move.axes_d[0], move.axes_d[1]
-        if (not x_d and not y_d) or ratio < 0.0:
-            self._check_extrude_only(move, extrude_d, ratio)
-        elif ratio > self.max_extrude_ratio and extrude_d > self.nozzle_diameter * self.max_extrude_ratio:
-            area = ratio * self.filament_area
+        if problem == self._lib.FILAMENT_TOO_MUCH:
+            area = move.axes_r[3] * self.filament_area
             raise self.printer.command_error(
                 f"Move exceeds maximum extrusion ({area:.3f}mm^2 vs "
                 f"{self.max_extrude_ratio * self.filament_area:.3f}mm^2)\n"
                 "See the 'max_extrude_cross_section' config option for details"
             )
-
-    def _check_extrude_only(self, move: Move, extrude_d: float, ratio: float) -> None:
-        if abs(extrude_d) > self.max_e_dist:
+        if problem == self._lib.FILAMENT_TOO_FAR:
             raise self.printer.command_error(
-                f"Extrude only move too long ({extrude_d:.3f}mm vs {self.max_e_dist:.3f}mm)\n"
+                f"Extrude only move too long ({move.axes_d[3]:.3f}mm vs {self.max_e_dist:.3f}mm)\n"
                 "See the 'max_extrude_only_distance' config option for details"
             )
-        per_ratio = 1.0 / abs(ratio)
-        move.limit_speed(self.max_e_velocity * per_ratio, self.max_e_accel * per_ratio)
+
+    def filament_limits(self) -> tuple[float, ...]:
+        """struct filament_limits."""
+        return (
+            self.heater.can_extrude, self.nozzle_diameter, self.max_extrude_ratio, self.max_e_velocity,
+            self.max_e_accel, self.max_e_dist, self.instant_corner_v,
+        )  # fmt: skip
 
     @done_in_c
     def calc_junction(self, prev_move: Move, move: Move) -> float:
         """Highest squared speed at the junction: the filament's speed may jump by instant_corner_v at most."""
-        change = move.axes_r[3] - prev_move.axes_r[3]
-        if -SAME_RATIO < change < SAME_RATIO:
-            return move.max_cruise_v2
-        speed = self.instant_corner_v / change
-        return speed * speed
+        return self._lib.move_filament_v2(prev_move.record, move.record, self.instant_corner_v)
 
     @done_in_c
     def process_move(self, print_time: float, move: Move) -> None:
@@ -333,6 +327,10 @@ class DummyExtruder:
 
     def update_move_time(self, flush_time: float, clear_history_time: float) -> None:
         """Nothing is kept."""
+
+    def filament_limits(self) -> tuple[float, ...]:
+        """struct filament_limits: nothing may be extruded, and nothing is slowed down for it."""
+        return (0.0,) * 6 + (math.inf,)
 
     @done_in_c
     def check_move(self, move: Move) -> None:

@@ -114,7 +114,7 @@ class PathConfig(configfile.PrinterConfig):
 def complete(data: ConfigData) -> None:
     """What this host needs and a config may lack."""
     origin, sections = Origin("default", 0), data.sections
-    for name in {"mcu", *(name for name in sections if name.startswith("mcu "))}:
+    for name in sorted({"mcu", *(name for name in sections if name.startswith("mcu "))}):
         sections.pop(name, None)  # by whatever line it is reached
         data.set(name, "serial", os.devnull, origin)
     sections.pop("temperature_plan", None)
@@ -123,7 +123,7 @@ def complete(data: ConfigData) -> None:
     defaults = dict(DEFAULTS)
     if {"gcode_macro m106", "gcode_macro m107"} & {name.lower() for name in sections}:
         del defaults["fan"]
-    for name in {"extruder", *(name for name in sections if _TOOL.fullmatch(name))}:
+    for name in sorted({"extruder", *(name for name in sections if _TOOL.fullmatch(name))}):
         defaults[name] = _extruder(name, set(sections[name].options) if name in sections else set())
     for name, options in defaults.items():
         section = sections.setdefault(name, SectionText(name, origin))

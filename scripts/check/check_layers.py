@@ -32,7 +32,7 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
             " gcode_command gcode gcode_io pins msgproto",
         ),
         ("link", "link serialhdl clocksync mcu"),
-        ("motion", "motionlimits stepper stepstream kinematics lookahead g1path toolhead"),
+        ("motion", "motionlimits stepper stepstream kinematics lookahead toolhead"),
         ("extras", "extras"),
         ("app", "webhooks printer klippy parsedump"),
         ("simulation", "simulation"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,9 @@ import plan_temperature
 from lookahead import Move
 from simulation.path_host import PathHost, PathPrinter
 from simulation.plan_offline import OfflinePlan, OfflineRun
+from thermal.plan.path_pieces import PathPieces
+
+FILAMENT_MM2 = math.pi / 4 * 1.75**2
 
 # A config with what a look-ahead needs and nothing else.
 CONFIG = """
@@ -48,18 +52,22 @@ G1 X20 Y0 E2.0
 
 
 class Collected:
-    """The reader that keeps all moves."""
+    """The reader that keeps all moves, and notes them for a plan."""
 
     def __init__(self) -> None:
-        self.printer: Any = None
         self.moves: list[Move] = []
+        self.path = PathPieces(FILAMENT_MM2, longest_mm=10.0)
 
     def on_ready(self, printer: PathPrinter) -> None:
-        self.printer = printer
-        printer.lookup_object("toolhead").register_move_listener(self._on_moves)
+        toolhead = printer.lookup_object("toolhead")
+        toolhead.register_move_listener(self._on_moves)
+        toolhead.register_move_listener(self._on_records, as_records=True)
 
     def _on_moves(self, moves: Sequence[Move]) -> None:
         self.moves += moves
+
+    def _on_records(self, row: Any, count: int, print_time: float) -> None:
+        self.path.note_planned(row, count, print_time, 0.0, 0.0)
 
     def before_line(self, number: int) -> None:
         """All lines are alike."""
@@ -76,11 +84,15 @@ def written(folder: Path, gcode: str, config: str) -> tuple[Path, Path]:
     return paths
 
 
-def host_moves(folder: Path, gcode: str, config: str = CONFIG) -> list[Move]:
+def collected(folder: Path, gcode: str, config: str = CONFIG) -> Collected:
     """Raises what the host raises."""
     reader, (config_file, gcode_file) = Collected(), written(folder, gcode, config)
     PathHost(config_file, gcode_file).run(reader)
-    return reader.moves
+    return reader
+
+
+def host_moves(folder: Path, gcode: str, config: str = CONFIG) -> list[Move]:
+    return collected(folder, gcode, config).moves
 
 
 def offline_plan(

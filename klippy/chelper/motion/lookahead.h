@@ -14,17 +14,9 @@
 #include <stddef.h>
 #include <stdint.h>
 
-struct trapq;
+#include "move.h"
 
-/* Doubles only: Python packs and unpacks the part up to smooth_delta_v2 in one go. */
-struct lookahead_move {
-    double start_pos[4], end_pos[4], axes_d[4], axes_r[4];
-    double move_d, min_move_t, accel, junction_deviation, is_kinematic_move;
-    double max_cruise_v2, delta_v2, smooth_delta_v2;
-    double max_start_v2, max_smoothed_v2;               /* set when the move is queued */
-    double start_v, cruise_v, end_v;                    /* set when it is planned */
-    double accel_t, cruise_t, decel_t;
-};
+struct trapq;
 
 struct lookahead {
     struct lookahead_move *ring;

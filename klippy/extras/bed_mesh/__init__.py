@@ -3,7 +3,8 @@
     G-code ─► gcode_move ─► BedMesh.move: z + correction(x, y, z), long lines in pieces ─► toolhead
 
 `bed_mesh_points` says where to probe, `bed_mesh_config` reads, `meshmath` has the surface and its use.
-Without a mesh the transform does nothing, and says so (`passes_to`), so that moves may take the short way.
+Without a mesh the transform does nothing, and says so (`passes_to`); with one, rows of moves go by it in the C helper
+(`row_stage`, path_stage.h).
 """
 
 from __future__ import annotations
@@ -14,8 +15,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
+import chelper
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
+from lookahead import done_in_c
 
 from ..probing import surface_fit
 from ..probing.points import ProbePointsHelper
@@ -52,6 +55,8 @@ class BedMesh:
         self.shift = (0.0, 0.0, 0.0)  # x, y and fade of BED_MESH_OFFSET
         self.next_transform: Any = None
         self._last = [0.0, 0.0, 0.0, 0.0]
+        ffi, lib = chelper.get_ffi()
+        self._stage = ffi.new("struct path_stage *", {"kind": lib.PATH_BED})
         self._status: dict[str, Any] = {}
         # of the run under way
         self._layout = Layout(shape, ())
@@ -87,10 +92,16 @@ class BedMesh:
         """Who gets every move unchanged; None while there is a mesh."""
         return self.next_transform if self.surface is None else None
 
-    def _correction(self, x: float, y: float, z: float) -> float:
+    def row_stage(self) -> Any:
+        """This transform for a row of moves that starts where the last one ended."""
         assert self.surface is not None
-        surface_z = self.surface.z(x + self.shift[0], y + self.shift[1])
-        return self.fade.correction(z + self.shift[2], surface_z)
+        self._stage.bed = self.surface.record
+        self._stage.last = self._last[:4]
+        return self._stage
+
+    def take_row(self, stage: Any) -> None:
+        """Such a row has been run."""
+        self._last[:4] = stage.last
 
     def get_position(self) -> list[float]:
         """Where the toolhead is, correction taken off."""
@@ -101,14 +112,12 @@ class BedMesh:
         self._last = position
         return list(position)
 
+    @done_in_c
     def move(self, newpos: Sequence[float], speed: float) -> None:
         if self.surface is None:
             self.next_transform.move(newpos, speed)
             return
-        options = self.options
-        for corner in surface_fit.split_line(
-            self._last, newpos, options.check_distance, options.split_delta_z, self._correction
-        ):
+        for corner in surface_fit.split_line(self.surface, self._last, newpos):
             self.next_transform.move(corner, speed)
         self._last = list(newpos)
 
@@ -145,9 +154,16 @@ class BedMesh:
             except MeshError as e:
                 raise self.printer.command_error(f"bed_mesh: {e}") from None
         self.current, self.surface, self.fade = mesh, surface, fade
+        self._set_out()
         self.profile_name = name
         self._note_status()
         self.printer.lookup_object("gcode_move").reset_last_position()
+
+    def _set_out(self) -> None:
+        """Tell the surface how it is followed."""
+        if self.surface is not None:
+            options = self.options
+            self.surface.follow(self.fade, self.shift, options.check_distance, options.split_delta_z)
 
     def set_mesh(self, mesh: Profile | None) -> None:
         """For other modules."""
@@ -302,6 +318,7 @@ class BedMesh:
             gcmd.get_float("Y", self.shift[1]),
             gcmd.get_float("ZFADE", self.shift[2]),
         )
+        self._set_out()
         self.printer.lookup_object("gcode_move").reset_last_position()
 
     def cmd_BED_MESH_OUTPUT(self, gcmd: GCodeCommand) -> None:

@@ -10,6 +10,8 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+import chelper
+
 Matrix = list[list[float]]
 # Polynomials through more points than this swing between them (Runge); Klipper's limit.
 LAGRANGE_MOST = 6
@@ -152,30 +154,37 @@ def refine(probed: Sequence[Sequence[float]], across: Matrix, along: Matrix) -> 
 
 
 class Surface:
-    """Heights on a grid over a rectangle, bilinear between; beyond its edge as at the edge."""
+    """Heights on a grid over a rectangle, bilinear between; beyond its edge as at the edge. `record` is the surface as
+    the C helper has it (path_stage.h)."""
 
     def __init__(self, low: Sequence[float], high: Sequence[float], heights: Matrix) -> None:
         self.low, self.high = tuple(low), tuple(high)
         self.heights = heights
         self._columns, self._rows = len(heights[0]), len(heights)
-        self._per_mm = (
+        ffi, self._lib = chelper.get_ffi()
+        self._flat = ffi.new("double[]", [z for row in heights for z in row])  # the record only points to it
+        self.record = ffi.new("struct bed_surface *")
+        self.record.heights = self._flat
+        self.record.columns, self.record.rows = self._columns, self._rows
+        self.record.low = self.low
+        self.record.per_mm = (
             (self._columns - 1) / (high[0] - low[0]),
             (self._rows - 1) / (high[1] - low[1]),
         )
+
+    def follow(self, fade: Fade, shift: Sequence[float], check_distance: float, most_change: float) -> None:
+        """How split_line goes along this surface: looked up at x, y and (for the fade) z plus `shift`."""
+        record = self.record
+        record.fade_start, record.fade_end, record.fade_target = fade.start, fade.end, fade.target
+        record.shift = tuple(shift)
+        record.check_distance, record.most_change = check_distance, most_change
 
     def holds(self, x: float, y: float) -> bool:
         """Is the point within the rectangle?"""
         return self.low[0] <= x <= self.high[0] and self.low[1] <= y <= self.high[1]
 
     def z(self, x: float, y: float) -> float:
-        u = min(max((x - self.low[0]) * self._per_mm[0], 0.0), self._columns - 1.0)
-        v = min(max((y - self.low[1]) * self._per_mm[1], 0.0), self._rows - 1.0)
-        column, row = min(int(u), self._columns - 2), min(int(v), self._rows - 2)
-        u, v = u - column, v - row
-        front, back = self.heights[row], self.heights[row + 1]
-        near = front[column] + u * (front[column + 1] - front[column])
-        far = back[column] + u * (back[column + 1] - back[column])
-        return near + v * (far - near)
+        return self._lib.bed_height(self.record, x, y)
 
     def raised(self, by: float) -> Surface:
         """The same surface, higher by `by`."""
@@ -200,16 +209,6 @@ class Fade:
     end: float = math.inf
     target: float = 0.0
 
-    def factor(self, z: float) -> float:
-        """Share of the correction that is left at height z."""
-        if z <= self.start:
-            return 1.0
-        return max(0.0, (self.end - z) / (self.end - self.start))
-
-    def correction(self, z: float, surface_z: float) -> float:
-        """What is added to z over a place whose height is surface_z."""
-        return self.target + self.factor(z) * (surface_z - self.target)
-
     def allows(self, lowest: float, highest: float) -> bool:
         """Does z + correction rise with z everywhere on a surface of that range?"""
         return max(self.target - lowest, highest - self.target) < self.end - self.start
@@ -227,29 +226,17 @@ class Fade:
         return (corrected - self.target - (self.end - shift) * rise) / (1.0 - rise)
 
 
-def split_line(
-    start: Sequence[float],
-    end: Sequence[float],
-    check_distance: float,
-    most_change: float,
-    correction: Callable[[float, float, float], float],
-) -> list[list[float]]:
-    """Corrected corners of the path from start (not given again) to end; a place is x, y, z and what else moves.
+def split_line(surface: Surface, start: Sequence[float], end: Sequence[float]) -> list[list[float]]:
+    """Corrected corners of the path from start (not given again) to end; a place is x, y, z, e and what else moves.
 
     The correction is looked at every `check_distance` along the bed, and where it has changed by `most_change` since
-    the last corner there is a new one.
+    the last corner there is a new one (`Surface.follow`).
     """
-    ways = [e - s for s, e in zip(start, end, strict=True)]
-    length = math.hypot(ways[0], ways[1])
+    ffi, lib = chelper.get_ffi()
+    walk, place = ffi.new("struct bed_walk *"), ffi.new("double[4]")
+    lib.bed_walk_begin(walk, surface.record, start[:4], end[:4])
     corners: list[list[float]] = []
-    pieces = math.ceil(length / check_distance)
-    last = correction(start[0], start[1], start[2]) if pieces > 1 else 0.0
-    for number in range(1, pieces):
-        share = number * check_distance / length
-        place = [s + share * way for s, way in zip(start, ways, strict=True)]
-        change = correction(place[0], place[1], place[2])
-        if abs(change - last) >= most_change:
-            last = change
-            corners.append([place[0], place[1], place[2] + change, *place[3:]])
-    corners.append([end[0], end[1], end[2] + correction(end[0], end[1], end[2]), *end[3:]])
+    while lib.bed_walk_next(walk, place):
+        further = [s + walk.share * (e - s) for s, e in zip(start[4:], end[4:], strict=True)]
+        corners.append([*place, *further])
     return corners

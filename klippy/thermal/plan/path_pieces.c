@@ -92,15 +92,6 @@ static void append(struct tempplan_path *path, const struct path_move *m)
     path->end_s = m->start_s + duration_s(m);
 }
 
-int tempplan_path_note(struct tempplan_path *path, const struct path_move *moves, int count)
-{
-    if (reserve(path, count))
-        return -1;
-    for (int i = 0; i < count; i++)
-        append(path, &moves[i]);
-    return 0;
-}
-
 static int is_due(const struct tempplan_path *path, double planned_s)
 {
     double news_s = path->end_s - planned_s;

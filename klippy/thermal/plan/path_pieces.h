@@ -14,7 +14,6 @@ struct lookahead;
 struct model_line;
 struct tempplan_path;
 
-/* Doubles only: Python packs rows of them in one go. */
 struct path_move {
     double start_s, accel_s, cruise_s, decel_s, start_v, cruise_v, end_v, distance_mm;
     double start_pos[3], end_pos[3];
@@ -41,10 +40,8 @@ struct path_turn {
 /* NULL: no memory. Pieces are no longer than longest_mm. */
 struct tempplan_path *tempplan_path_alloc(double filament_mm2, double longest_mm);
 void tempplan_path_free(struct tempplan_path *path);
-/* Moves whose times are fixed, in order; 0, or -1: no memory. */
-int tempplan_path_note(struct tempplan_path *path, const struct path_move *moves, int count);
-/* The same for the first moves of the look-ahead's row, which are planned; the first begins at print_time. Plans are
- * made up to planned_s: 1 if so much more waits now that it is worth another, or if these begin a new stretch. */
+/* The first moves of the look-ahead's row, which are planned, in order; the first begins at print_time. Plans are made up
+ * to planned_s: 1 if so much more waits now that it is worth another, or if these begin a new stretch; -1: no memory. */
 int tempplan_path_note_planned(struct tempplan_path *path, const struct lookahead *la, int count, double print_time,
                                double fan, double planned_s);
 /* Pieces of the moves that wait, as far as `wish` is true for them: up to until_s, and, if it goes by place, up to the

@@ -1,13 +1,13 @@
 """Planned moves to pieces of path for the temperature plan, in the C helper (thermal/plan/path_pieces.h).
 
-look-ahead ─► note (a copy, nothing else) ... the plan's timer ─► feed: what is asked for by name, a stretch of path
-                                                                  at a time ─► split pieces ─► tempplan
+look-ahead ─► note_planned (a copy, nothing else) ... the plan's timer ─► feed: what is asked for by name,
+                                                             a stretch of path at a time ─► split pieces ─► tempplan
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import chelper
@@ -57,18 +57,6 @@ class PathPieces:
         if due < 0:
             raise MemoryError(NO_MEMORY)
         return due > 0
-
-    def note(self, moves: Sequence[Any], fan: float = 0.0) -> None:
-        """Move objects (lookahead.Move) that have their print_time. Moves of the extruder alone lay nothing."""
-        rows = self._ffi.new("struct path_move[]", len(moves))
-        for row, move in zip(rows, moves, strict=True):
-            row.start_s, row.distance_mm, row.fan = move.print_time, move.move_d, fan
-            row.accel_s, row.cruise_s, row.decel_s = move.accel_t, move.cruise_t, move.decel_t
-            row.start_v, row.cruise_v, row.end_v = move.start_v, move.cruise_v, move.end_v
-            row.start_pos, row.end_pos = move.start_pos[:3], move.end_pos[:3]
-            dx, dy, _, de = move.axes_d
-            row.filament_mm = de if move.is_kinematic_move and de > 0.0 and (dx or dy) else 0.0
-        self.check(self._lib.tempplan_path_note(self.handle, rows, len(moves)))
 
     def forget(self, until_s: float = -math.inf) -> None:
         """What was asked for last holds up to then only."""

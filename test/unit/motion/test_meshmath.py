@@ -136,58 +136,72 @@ def test_a_surface_is_bilinear_and_ends_at_its_edge() -> None:
 # ---- fade and path -------------------------------------------------------------------------------------------
 
 
+def corrected(fade: Fade, z: float, surface_z: float, shift: float = 0.0) -> float:
+    """z of a path at height z over a level bed."""
+    surface = Surface((0, 0), (9, 9), [[surface_z] * 2] * 2)
+    surface.follow(fade, (0.0, 0.0, shift), 5.0, 0.025)
+    return split_line(surface, [3, 3, z, 0], [3, 3, z, 0])[0][2]
+
+
 def test_fading_is_undone_exactly_at_every_height() -> None:
     rng = random.Random(3)
     fade = Fade(1.0, 6.0, 0.2)
     for _ in range(500):
         z, surface_z, shift = rng.uniform(-1, 9), rng.uniform(-1, 1), rng.uniform(-0.5, 0.5)
-        corrected = z + fade.correction(z + shift, surface_z)
-        assert fade.undo(corrected, surface_z, shift) == pytest.approx(z, abs=1e-9)
+        assert fade.undo(corrected(fade, z, surface_z, shift), surface_z, shift) == pytest.approx(z, abs=1e-9)
 
 
 def test_fading_keeps_all_below_and_only_the_target_above() -> None:
     fade = Fade(1.0, 6.0, 0.2)
-    assert fade.correction(1.0, 0.7) == pytest.approx(0.7)
-    assert fade.correction(3.5, 0.7) == pytest.approx(0.45)
-    assert fade.correction(6.0, 0.7) == fade.correction(50, 0.7) == pytest.approx(0.2)
-    assert Fade().correction(500, 0.7) == pytest.approx(0.7) and Fade().undo(500.7, 0.7) == pytest.approx(500)
+    assert corrected(fade, 1.0, 0.7) == pytest.approx(1.7)
+    assert corrected(fade, 3.5, 0.7) == pytest.approx(3.95)
+    assert corrected(fade, 6.0, 0.7) == pytest.approx(6.2)
+    assert corrected(fade, 50, 0.7) == pytest.approx(50.2)
+    assert corrected(Fade(), 500, 0.7) == pytest.approx(500.7) and Fade().undo(500.7, 0.7) == pytest.approx(
+        500
+    )
     assert fade.allows(-4.7, 5.1) and not fade.allows(-4.7, 5.3) and not fade.allows(-4.9, 0.0)
 
 
+def bed(height, fade: Fade | None = None, check: float = 5.0, most: float = 0.025) -> Surface:
+    """A bed of 200 x 100 mm with places at every mm."""
+    surface = Surface((0, 0), (200, 100), grid(201, 101, height))
+    surface.follow(fade or Fade(), (0.0, 0.0, 0.0), check, most)
+    return surface
+
+
 def test_a_level_path_over_a_level_bed_is_one_piece() -> None:
-    corners = split_line([0, 0, 1, 0], [200, 50, 1, 9], 5, 0.025, lambda x, y, z: 0.3)
+    corners = split_line(bed(lambda x, y: 0.3), [0, 0, 1, 0], [200, 50, 1, 9])
     assert corners == [[200, 50, 1.3, 9]]
 
 
 def test_a_path_is_cut_where_the_correction_has_changed() -> None:
-    def slope(x: float, y: float, z: float) -> float:
-        return 0.01 * x
-
-    corners = split_line([0, 0, 1, 0], [100, 0, 1, 10], 5, 0.19, slope)
+    corners = split_line(bed(lambda x, y: 0.01 * x, most=0.19), [0, 0, 1, 0, 5], [100, 0, 1, 10, 0])
     assert [c[0] for c in corners] == pytest.approx([20, 40, 60, 80, 100])
-    for x, _, z, e in corners:
+    for x, _, z, e, further in corners:
         assert z == pytest.approx(1 + 0.01 * x) and e == pytest.approx(0.1 * x)
+        assert further == pytest.approx(5 - 0.05 * x)
 
 
 def test_no_place_of_a_path_is_off_by_more_than_asked() -> None:
     """Between corners the path is straight; the surface bends by at most most_change within a piece, and once more over
     check_distance, which is not looked into."""
 
-    def hill(x: float, y: float, z: float) -> float:
+    def hill(x: float, y: float) -> float:
         return 0.5 * math.exp(-((x - 60) ** 2 + (y - 40) ** 2) / 900)
 
-    start, end, most = [0.0, 0.0, 2.0], [120.0, 90.0, 2.0], 0.025
-    path = [[0.0, 0.0, 2.0 + hill(0, 0, 2)], *split_line(start, end, 3.0, most, hill)]
+    start, end, most = [0.0, 0.0, 2.0, 0.0], [120.0, 90.0, 2.0, 0.0], 0.025
+    surface = bed(hill, check=3.0, most=most)
+    path = [[0.0, 0.0, 2.0 + hill(0, 0), 0.0], *split_line(surface, start, end)]
     steepest = 0.5 * math.sqrt(2 / 900) * math.exp(-0.5)
     for share in (k / 1000 for k in range(1001)):
         x, y = 120 * share, 90 * share
         low = max(k for k in range(len(path) - 1) if path[k][0] <= x + EXACT)
         a, b = path[low], path[low + 1]
         z = a[2] + (b[2] - a[2]) * (x - a[0]) / (b[0] - a[0])
-        assert abs(z - 2 - hill(x, y, 2)) <= most + 3.0 * steepest
+        assert abs(z - 2 - hill(x, y)) <= most + 3.0 * steepest
 
 
 def test_a_move_straight_up_is_corrected_once() -> None:
-    fade = Fade(1.0, 5.0, 0.0)
-    corners = split_line([3, 3, 1, 0], [3, 3, 3, 0], 5, 0.025, lambda x, y, z: fade.correction(z, 0.4))
-    assert corners == [[3, 3, pytest.approx(3.2), 0]]
+    surface = bed(lambda x, y: 0.4, Fade(1.0, 5.0, 0.0))
+    assert split_line(surface, [3, 3, 1, 0], [3, 3, 3, 0]) == [[3, 3, pytest.approx(3.2), 0]]

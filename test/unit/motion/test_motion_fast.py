@@ -1,4 +1,4 @@
-"""The short way of G1 lines gives what the long way gives: the same bytes for the MCU, the same state and errors."""
+"""G1 lines in rows give what they give line by line: the same bytes for the MCU, the same state and errors."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-import g1path
+from extras.gcode_move import MoveRows
 from motion_rig import CLOCK_HZ, CONFIG, EXTRUDER, dictionary
 from printer import Printer
 from reactor import Reactor
@@ -31,36 +31,33 @@ class Outcome:
     warnings: list[str]
     gcode_state: dict[str, Any]
     position: list[float]
-    short_lines: int  # that went the short way
+    row_lines: int  # that went in rows
 
 
 @pytest.fixture
 def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture):
     numbers = itertools.count()
     count = 0
-    whole = g1path.G1Path.run
+    in_rows = True
+    whole = MoveRows.run
 
     def counting(self: Any, text: bytes, start: int, end: int) -> int:
         nonlocal count
-        stop = whole(self, text, start, end)
+        stop = whole(self, text, start, end) if in_rows else start
         count += text.count(b"\n", start, stop)
         return stop
 
-    monkeypatch.setattr(g1path.G1Path, "run", counting)
+    monkeypatch.setattr(MoveRows, "run", counting)
 
     def go(gcode: str, short: bool, config: str = MACHINE, prepare: Any = None) -> Outcome:
-        nonlocal count
+        nonlocal count, in_rows
         folder = tmp_path / str(next(numbers))
         folder.mkdir()
         (folder / "printer.cfg").write_text(config)
         (folder / "in.gcode").write_text(gcode)
         (folder / "dict").write_bytes(dictionary(CLOCK_HZ))
-        if short:
-            monkeypatch.delenv(g1path.DISABLE_VARIABLE, raising=False)
-        else:
-            monkeypatch.setenv(g1path.DISABLE_VARIABLE, "1")
         caplog.clear()
-        count = 0
+        count, in_rows = 0, short
         reactor = Reactor()
         start_args = {
             "config_file": str(folder / "printer.cfg"), "config_overrides": [], "apiserver": None,
@@ -86,7 +83,7 @@ def run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptu
 def both(run: Any, gcode: str, **options: Any) -> Outcome:
     """Run both ways; returns the short one."""
     long, short = run(gcode, short=False, **options), run(gcode, short=True, **options)
-    assert long.short_lines == 0
+    assert long.row_lines == 0
     assert short.warnings == long.warnings
     assert short.result == long.result
     assert short.out == long.out
@@ -144,7 +141,7 @@ def fill(form: str, dice: random.Random, x: float, y: float) -> str:
 def test_random_files_come_out_the_same_both_ways(run, number: int) -> None:
     short = both(run, random_file(number, 400))
     assert short.result == ("error_exit" if number % 2 else "exit"), short.warnings
-    assert short.short_lines > 150
+    assert short.row_lines > 150
     assert len(short.out) > 2000
 
 
@@ -165,7 +162,7 @@ def test_sliced_files_come_out_the_same_both_ways(run, name: str) -> None:
         "_endstop: 200\nposition_max: 200", "_endstop: 200\nposition_min: -10\nposition_max: 200"
     )
     short = both(run, "G28\n" + start + "\n".join(body), config=config)
-    assert short.short_lines > 2000
+    assert short.row_lines > 2000
 
 
 def test_unhomed_machine_refuses_both_ways(run) -> None:
@@ -176,7 +173,7 @@ def test_unhomed_machine_refuses_both_ways(run) -> None:
 def test_no_extruder_refuses_to_extrude_both_ways(run) -> None:
     short = both(run, "G28\nG1 X10 F6000\nG1 X20\nG1 X30 E1\n", config=CONFIG)
     assert any("Extrude when no extruder present" in w for w in short.warnings)
-    assert short.short_lines >= 2
+    assert short.row_lines >= 2
 
 
 def test_last_line_without_an_end_is_run(run) -> None:
@@ -208,7 +205,7 @@ def test_listener_gets_every_move_of_the_short_way(run) -> None:
         )
 
     short = both(run, random_file(100, 200), prepare=listen)
-    assert short.short_lines > 80
+    assert short.row_lines > 80
     assert len(seen[0]) > 100
     assert seen[0] == seen[1]
 
@@ -233,7 +230,7 @@ def test_transform_sees_every_line(run) -> None:
         move.set_move_transform(Shifted(printer.lookup_object("toolhead")), force=True)
 
     short = both(run, "G28\nG1 X10 F6000\nG1 X20\n", prepare=put_between)
-    assert short.short_lines == 0
+    assert short.row_lines == 0
     assert short.position[0] == 21.0
 
 
@@ -251,9 +248,9 @@ def test_other_handlers_and_patched_checks_are_called(run) -> None:
         own = kin.check_move
         kin.check_move = lambda move: (ends.append(move.end_pos), own(move))
 
-    assert both(run, "G28\nG1 X10 F6000\nG1 X20\n", prepare=other_handler).short_lines == 0
+    assert both(run, "G28\nG1 X10 F6000\nG1 X20\n", prepare=other_handler).row_lines == 0
     assert lines == ["G1 X10 F6000", "G1 X20"] * 2
-    assert both(run, "G28\nG1 X10 F6000\nG1 X20\n", prepare=other_check).short_lines == 0
+    assert both(run, "G28\nG1 X10 F6000\nG1 X20\n", prepare=other_check).row_lines == 0
     assert [x for x, *_ in ends][-2:] == [10.0, 20.0]
 
 
@@ -271,3 +268,16 @@ def test_callbacks_get_the_end_of_their_move_both_ways(run) -> None:
     half = len(times) // 2
     assert half == 20
     assert times[:half] == times[half:] == sorted(times[:half])
+
+
+def test_the_junction_behind_the_last_filament_is_the_same_when_the_extruder_has_cooled(run) -> None:
+    def register(printer: Any) -> None:
+        heater = printer.lookup_object("extruder").heater
+        printer.lookup_object("gcode").register_command(
+            "COOL", lambda gcmd: setattr(heater, "can_extrude", False)
+        )
+
+    cooled = HOMED + "G1 X30 E1\nCOOL\nG1 X40\nG1 X50\n"
+    assert (
+        both(run, cooled, prepare=register).out != run(cooled.replace(" E1", ""), True, prepare=register).out
+    )

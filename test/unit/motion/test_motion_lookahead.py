@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, seed, settings
 from hypothesis import strategies as st
 
-import lookahead
 from lookahead import LookAheadQueue, Move
 
 EPS = 1e-6  # mm/s: rounding of square roots
@@ -174,5 +173,5 @@ def test_limit_speed_only_lowers() -> None:
 def test_unlimited_acceleration_is_never_used_for_the_head() -> None:
     move = Move(machine(), (0.0,) * 4, (0.0, 0.0, 0.0, 2.0), 50.0)
     assert not move.is_kinematic_move
-    assert move.accel == lookahead.UNLIMITED_ACCEL  # until the extruder has had its say
+    assert move.accel > 1e7  # until the extruder has had its say
     assert move.axes_r[3] == 1.0

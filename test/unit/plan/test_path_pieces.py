@@ -9,12 +9,10 @@ from pathlib import Path
 import pytest
 
 import chelper
-from lookahead import LookAheadQueue
-from path_rig import LINES, host_moves
+from path_rig import FILAMENT_MM2, LINES, collected
 from thermal.plan.path_pieces import Asked, PathPieces
 from thermal.plan.planner import Piece
 
-AREA = math.pi / 4 * 1.75**2
 PLAIN = Asked(base_c=240.0)
 
 
@@ -37,24 +35,19 @@ def taken(path: PathPieces, ask=lambda time_s, layer, z_mm: PLAIN) -> list[Piece
     return pieces
 
 
-def pieces_of(moves, ask=lambda time_s, layer, z_mm: PLAIN) -> list[Piece]:  # type: ignore[no-untyped-def]
-    path = PathPieces(AREA, longest_mm=10.0)
-    path.note(moves)
-    return taken(path, ask)
-
-
 def test_pieces_hold_all_the_filament_and_all_the_time(tmp_path: Path) -> None:
-    moves = host_moves(tmp_path, LINES)
-    pieces = pieces_of(moves)
+    pieces = taken(collected(tmp_path, LINES).path)
     laid = [p for p in pieces if p.flow_mm3_s > 0.0]
-    assert sum(p.flow_mm3_s * (p.end_s - p.start_s) for p in laid) == pytest.approx(8.0 * AREA)
+    assert sum(p.flow_mm3_s * (p.end_s - p.start_s) for p in laid) == pytest.approx(8.0 * FILAMENT_MM2)
     assert max(math.dist(p.start_mm, p.end_mm) for p in laid) <= 10.0 + 1e-9
     for a, b in itertools.pairwise(pieces):
         assert b.start_s - a.end_s == pytest.approx(0.0, abs=1e-9) or b.start_s - a.end_s == pytest.approx(
             0.5
         )
     slow, fast = min(p.flow_mm3_s for p in laid), max(p.flow_mm3_s for p in laid)
-    assert fast == pytest.approx(2.0 * AREA / 40.0 * 50.0) and slow < fast  # cruise, and where it speeds up
+    assert (
+        fast == pytest.approx(2.0 * FILAMENT_MM2 / 40.0 * 50.0) and slow < fast
+    )  # cruise, and where it speeds up
     assert all(p.height_mm == pytest.approx(0.3) for p in laid)
 
 
@@ -62,14 +55,14 @@ def test_layers_are_seen_where_material_is_laid(tmp_path: Path) -> None:
     """What is asked for by place is asked for again at each: `seen` are the layers and heights it was told."""
     heights = (0.3, 0.3, 0.5, 0.7, 0.9, 0.2, 0.4)
     text = "".join(f"G1 Z{z}\nG1 X{10 * (1 + i % 2)} E1 F600\n" for i, z in enumerate(heights))
-    moves = host_moves(tmp_path, f"M83\n{text}")
+    path = collected(tmp_path, f"M83\n{text}").path
     seen = []
 
     def ask(time_s: float, layer: int, z_mm: float) -> Asked:
         seen.append((layer, z_mm))
         return Asked(wish_c=200.0 + layer, by_place=True)
 
-    pieces = pieces_of(moves, ask)
+    pieces = taken(path, ask)
     laid = [p for p in pieces if p.flow_mm3_s > 0.0]
     at = {p.end_mm[2]: p for p in laid}
     assert [at[z].height_mm for z in heights] == pytest.approx([0.3, 0.3, 0.2, 0.2, 0.2, 0.2, 0.2])
@@ -83,47 +76,29 @@ def test_layers_are_seen_where_material_is_laid(tmp_path: Path) -> None:
         202.0,
     ]  # 0.2: another object
     assert [z for _, z in seen[1:]] == pytest.approx([0.3, 0.5, 0.7, 0.9, 0.2, 0.4])
-    told = pieces_of(moves, lambda t, layer, z: Asked(height_mm=0.15))
+    again = collected(tmp_path, f"M83\n{text}").path
+    told = taken(again, lambda t, layer, z: Asked(height_mm=0.15))
     assert {p.height_mm for p in told if p.flow_mm3_s > 0.0} == {0.15}  # the slicer knows better
 
 
 def test_another_wish_begins_with_the_first_move_that_starts_behind_its_mark(tmp_path: Path) -> None:
     text = "M83\n" + "".join(f"G1 X{10 * (i + 1)} E1 F600\n" for i in range(6))
-    moves = host_moves(tmp_path, text)
-    starts = [m.print_time for m in moves]
+    reader = collected(tmp_path, text)
+    starts = [m.print_time for m in reader.moves]
 
     def ask(time_s: float, layer: int, z_mm: float) -> Asked:
         before = time_s < starts[3]
         return Asked(wish_c=210.0 if before else 230.0, until_s=starts[3] if before else math.inf)
 
-    pieces = pieces_of(moves, ask)
+    pieces = taken(reader.path, ask)
     assert [p.wish_c for p in pieces] == [210.0 if p.start_s < starts[3] - 1e-9 else 230.0 for p in pieces]
     assert {p.wish_c for p in pieces} == {210.0, 230.0}
 
 
-def test_moves_noted_from_the_look_aheads_row_are_those_of_its_objects(tmp_path: Path) -> None:
-    moves = host_moves(tmp_path, LINES)
-    queue = LookAheadQueue()
-    for move in moves:
-        queue.add_move(move, move.toolhead.extruder)
-    count = queue.plan()
-    from_row, from_objects = PathPieces(AREA), PathPieces(AREA)
-    assert from_row.note_planned(queue.row, count, 1.0, 0.5, 0.0)  # a new stretch begins
-    planned, time_s = queue.take(count), 1.0
-    for move in planned:
-        move.print_time = time_s
-        time_s += move.accel_t + move.cruise_t + move.decel_t
-    from_objects.note(planned, 0.5)
-    rows = [list(map(repr, taken(path))) for path in (from_row, from_objects)]  # NaN is not itself
-    assert rows[0] == rows[1] and len(rows[0]) > count // 2
-    assert from_row.facts().end_s == pytest.approx(time_s)
-
-
 def test_what_has_been_laid_unplanned_is_forgotten(tmp_path: Path) -> None:
-    moves = host_moves(tmp_path, "M83\n" + "".join(f"G1 X{10 * (i + 1)} E1 F600\n" for i in range(6)))
-    path = PathPieces(AREA)
-    path.note(moves)
-    path.drop(moves[2].print_time + 1e-9)
-    assert path.facts().waiting == 4 and path.facts().next_s == moves[2].print_time
+    reader = collected(tmp_path, "M83\n" + "".join(f"G1 X{10 * (i + 1)} E1 F600\n" for i in range(6)))
+    path, third_s = reader.path, reader.moves[2].print_time
+    path.drop(third_s + 1e-9)
+    assert path.facts().waiting == 4 and path.facts().next_s == third_s
     path.drop()
     assert not path.facts().waiting and math.isnan(path.facts().next_s)

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -59,6 +60,23 @@ def test_all_that_is_imported_is_on_the_list(files: list[Path], known: str) -> N
     }
     assert not lacking
     assert len(files) > 100
+
+
+@pytest.mark.parametrize(
+    ("files", "extras"),
+    [
+        ([p for p in HOST if p.name != "fit_thermistor.py"], []),
+        ([*(ROOT / "klippy" / "simulation").rglob("*.py"), ROOT / "scripts" / "simulate.py"], ["simulation"]),
+        ([ROOT / "scripts" / "console.py"], ["console"]),
+    ],
+    ids=["host", "simulation", "console"],
+)
+def test_what_pip_installs_brings_what_its_programs_import(files: list[Path], extras: list[str]) -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    asked = project["dependencies"] + [
+        name for extra in extras for name in project["optional-dependencies"][extra]
+    ]
+    assert {name for path in files for name in needed(path)} <= {name.lower() for name in asked}
 
 
 def test_a_program_names_the_package_it_lacks(tmp_path: Path) -> None:
