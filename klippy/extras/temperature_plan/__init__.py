@@ -208,7 +208,7 @@ class TemperaturePlanner:
     # Moves, as soon as their times are known
 
     def _on_moves(self, row: Any, count: int, print_time: float) -> None:
-        if not self.enabled or self.heater.lent:
+        if not self.enabled or self.heater.in_calibration:
             return
         serving = self._toolhead.get_extruder()
         if serving is not self._extruder:
