@@ -218,7 +218,7 @@ class Sweep(Run):
     # Phases over time: (phase, duration)
 
     def _stretch(self, phase: int, duration_s: float) -> Iterator[tuple[int, float]]:
-        """One phase for long, told again often enough for the bridge's watchdog."""
+        """One phase for long, sent again often enough for the bridge's watchdog."""
         while duration_s > 0.0:
             part_s = min(duration_s, self.parameters.refresh_s)
             yield phase, part_s
