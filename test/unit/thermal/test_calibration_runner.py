@@ -139,7 +139,8 @@ def test_a_fit_says_what_it_finds_or_why_it_finds_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, script: str, said: str
 ) -> None:
     fake_python(tmp_path, monkeypatch, script)
-    assert calibrate(tmp_path, lambda session, runner, run: setattr(run, "stage", DONE)) == ["over: done", said]
+    lines = calibrate(tmp_path, lambda session, runner, run: setattr(run, "stage", DONE))
+    assert lines == ["over: done", said]
 
 
 def test_abort_ends_a_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
