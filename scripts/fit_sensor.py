@@ -21,7 +21,7 @@ from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
 
-from thermal.identification import fit_data, fit_sensing, fit_sweep
+from thermal.identification import fit_data, fit_sensing, fit_sweep, sweep
 
 RANGES_C = ((50.0, 350.0), (25.0, 500.0))
 WORKING_POWER = 0.20  # accuracy is stated at or below this power fraction: steady printing needs 0.7-9 %
@@ -29,7 +29,7 @@ WORKING_POWER = 0.20  # accuracy is stated at or below this power fraction: stea
 
 def load_points(path: Path, recipe: str) -> tuple[fit_sensing.Points, list[fit_data.ReducedRun]]:
     data = fit_data.read_calibration(path)
-    if set(fit_data.SWEEP_COLUMNS) <= fit_data.read_columns(path).keys():  # a run of INDUCTION_CALIBRATE
+    if set(sweep.COLUMNS) <= fit_data.read_columns(path).keys():  # a run of INDUCTION_CALIBRATE
         recording = fit_sweep.read_recording(path)
         _, beta, centre, half = fit_sweep.estimate_lag(recording, 1.0)
         return fit_sweep.points_of(recording, beta, centre, half), []

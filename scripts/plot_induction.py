@@ -22,7 +22,7 @@ from matplotlib.figure import Figure
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
 
-from thermal.identification import fit_data, fit_sensing, fit_sweep
+from thermal.identification import fit_sensing, fit_sweep, sweep
 from thermal.identification.fit_sensing import FitError
 from thermal.models.drive_law import DriveLaw
 
@@ -91,7 +91,7 @@ def main(argv: list[str] | None = None) -> int:
         with options.file.open(encoding="utf-8") as stream:
             first = next((line for line in stream if not line.startswith("#")), "")
         header = set(first.strip().split(","))
-        if set(fit_data.SWEEP_COLUMNS) <= header:
+        if set(sweep.COLUMNS) <= header:
             draw_sweep(options.file, figure)
         elif header >= DUMP_COLUMNS:
             draw_dump(_numeric(options.file), figure)

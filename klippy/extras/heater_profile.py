@@ -102,7 +102,7 @@ class HeaterProfiles:
         gcmd.respond_info("\n".join(lines) or "There are no heater profiles")
 
     def _save(self, gcmd: GCodeCommand, heater: Any, name: str) -> None:
-        heater_tuning.refuse_lent(heater)
+        heater_tuning.refuse_in_calibration(heater)
         tuning = dict(heater_tuning.options_of(heater))
         configfile = self.printer.lookup_object("configfile")
         section = f"{SECTION} {heater.name} {name}"

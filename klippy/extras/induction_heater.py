@@ -10,11 +10,14 @@ from __future__ import annotations
 
 import logging
 import math
+from dataclasses import replace
 from typing import Any, Protocol
 
 from configfile import ConfigWrapper
 from roles import Printer
 from thermal.control import loop
+from thermal.identification.run import OutputRun, as_control
+from thermal.identification.sweep import Sweep
 from thermal.records import PhaseCommand, TempEstimate
 from thermal.sensing import features, laws
 from thermal.sensing.blocks import Blocks
@@ -33,16 +36,6 @@ QUIET_S = 0.5  # how often it is looked whether melt or fan take heat
 MEAN_POWER_S = 1.0  # a calibration visits all powers, some ms each: what is shown is the mean
 
 
-class Driver(Protocol):
-    """What can take the loop's place at the bridge for a while: a calibration run."""
-
-    @property
-    def over(self) -> bool: ...
-    def on_blocks(self, blocks: Blocks, now_s: float) -> list[PhaseCommand]: ...
-    def on_timer(self, now_s: float) -> list[PhaseCommand]: ...
-    def abort(self, reason: str) -> None: ...
-
-
 class Planner(Protocol):
     """What moves the target along the path while one is under way: [temperature_plan]."""
 
@@ -52,12 +45,12 @@ class Planner(Protocol):
     def renew(self) -> None: ...
 
 
-class CalibrationView:
-    """What status shows while a calibration commands the bridge: temperature by the law in force, or by the reference,
+class SweepView:
+    """What status shows while a sweep commands the bridge: temperature by the law in force, or by the reference,
     and the power given, a mean over the last second."""
 
-    def __init__(self, parameters: loop.LoopParameters, now_s: float) -> None:
-        p = parameters
+    def __init__(self, run: Sweep, p: loop.LoopParameters, now_s: float) -> None:
+        self.run = run
         self._chain = Chain()  # the loop's own must not remember what the calibration does
         self._chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.track)
         self.command = PhaseCommand(now_s, 0, 0.0)
@@ -104,10 +97,10 @@ class InductionHeater:
         self.config: Any = None  # of the section, for tunings given by option (tuning.py)
         self._reactor = printer.get_reactor()
         self._timer: Any = None
-        self._driver: Driver | None = None
-        self._view: CalibrationView | None = None  # goes with it
+        self._run: Sweep | OutputRun | None = None  # in calibration
+        self._view: SweepView | None = None  # the run commands the bridge
+        self._control = parameters.control  # without a run
         self.planner: Planner | None = None
-        self.lent = False  # to a calibration: what it extrudes is no path to plan
         self._quiet_s = -math.inf
         self._warned = ""
         self._ahead: induction_flow.FlowAhead | None = None
@@ -161,8 +154,8 @@ class InductionHeater:
         """The MCU turns the bridge off in its own shutdown; here nothing more is sent."""
         self._running = False
         self.loop.state.target_c = 0.0
-        if self._driver is not None:
-            self._driver.abort("the printer stopped")
+        if self._run is not None:
+            self._run.abort("the printer stopped")
         if self._timer is not None:
             self._reactor.unregister_timer(self._timer)
             self._timer = None
@@ -186,8 +179,8 @@ class InductionHeater:
             return
         eventtime = self._reactor.monotonic()
         now_s = self.unit.print_time_now(eventtime)
-        if self._driver is not None:
-            self._drive(self._driver, blocks, now_s)
+        if self._view is not None:
+            self._sweep(self._view, blocks, now_s)
             return
         self._look_ahead(now_s)
         self._send(self.loop.on_blocks(blocks, now_s), now_s)
@@ -197,16 +190,14 @@ class InductionHeater:
         ):  # while blocks come there is nothing to watch
             self._reactor.update_timer(self._timer, eventtime + self.loop.watch_s(now_s))
 
-    def _drive(self, driver: Driver, blocks: Blocks, now_s: float) -> None:
-        """A calibration decides; what it does is shown."""
+    def _sweep(self, view: SweepView, blocks: Blocks, now_s: float) -> None:
+        """The run decides; what it does is shown."""
         self.loop.tell(blocks, now_s, measured=False)
-        self._send(driver.on_blocks(blocks, now_s), now_s)
-        if self._view is None:
-            return
-        news = self._view.take(blocks)
+        self._send(view.run.on_blocks(blocks, now_s), now_s)
+        news = view.take(blocks)
         if news is not None:
             self.loop.state.estimate = news
-        if self._view.reference_c is None:
+        if view.reference_c is None:
             self._smooth()
 
     def show_reference(self, temp_c: float) -> None:
@@ -223,8 +214,8 @@ class InductionHeater:
         """Watch, and a command if the newest one ages; control itself runs on the arrival of blocks."""
         now_s = self.unit.print_time_now(eventtime)
         period_s = self.loop.watch_s(now_s)
-        if self._driver is not None:
-            self._send(self._driver.on_timer(now_s), now_s)
+        if self._view is not None:
+            self._send(self._view.run.on_timer(now_s), now_s)
             return eventtime + min(period_s, 0.020)
         if eventtime - self._quiet_s >= QUIET_S:
             self._quiet_s = eventtime
@@ -247,7 +238,7 @@ class InductionHeater:
             self.printer.invoke_shutdown(text)
 
     def _tell_calm(self, now_s: float) -> None:
-        watched = self._driver is not None or bool(self.loop.listeners)  # a calibration, a dump
+        watched = self._view is not None or bool(self.loop.listeners)  # a sweep, a dump
         self.unit.set_calm(None if watched else self.loop.calm(now_s))
 
     def listen(self, listener: loop.BlockListener) -> None:
@@ -291,23 +282,55 @@ class InductionHeater:
             )
         return self.loop.state.warning
 
-    # A calibration borrows the bridge
+    # In calibration
 
-    def borrow(self, driver: Driver) -> None:
-        """Let `driver` command the bridge; raises command_error if the heater is in use."""
+    def acquire(self, run: Sweep | OutputRun) -> None:
+        """Let a sweep command the bridge, or another run be the control law; raises command_error if the heater is in
+        use."""
         if not self._running:
             raise self.printer.command_error(f"Induction heater '{self.section_name}' is not running")
-        if self._driver is not None:
-            raise self.printer.command_error("A calibration is running already; ABORT ends it")
-        if self.loop.state.target_c:
+        if self.loop.state.target_c or self.in_calibration:
             raise self.printer.command_error(f"Turn heater '{self.name}' off before calibrating it")
-        self._driver = driver
-        self._view = CalibrationView(self.parameters, self._now_s())
+        if isinstance(run, OutputRun):
+            self._refuse_uncalibrated()
+            self._control = self.parameters.control
+            self.use(replace(self.parameters, control=as_control(run, self.output_max)))
+            self._set_target(run.target_c)
+        else:
+            self._view = SweepView(run, self.parameters, self._now_s())
+        self._run = run
 
-    def give_back(self) -> None:
-        """The loop is at the bridge again, heater off."""
-        self._driver = self._view = None
-        self.loop.resume(self._now_s())
+    def follow_run(self) -> None:
+        """The loop's target is the run's."""
+        if isinstance(self._run, OutputRun) and self._run.target_c != self.loop.state.target_c:
+            self._set_target(self._run.target_c)
+
+    def release(self) -> None:
+        """The loop commands the bridge again, by its own law, heater off."""
+        if self._view is not None:
+            self._send(self._view.run.on_timer(self._now_s()), self._now_s())
+            self._view = None
+            self.loop.resume(self._now_s())
+        else:
+            self._set_target(0.0)
+            self.use(replace(self.parameters, control=self._control))
+        self._run = None
+
+    @property
+    def in_calibration(self) -> bool:
+        return self._run is not None
+
+    @property
+    def output_max(self) -> float:
+        """W."""
+        return self.parameters.control.power_max_w
+
+    def reading(self, eventtime: float) -> tuple[float, float]:
+        """(age in s, degC) of the newest estimate."""
+        news = self.loop.state.estimate
+        if not news.valid:
+            return math.inf, math.nan
+        return self.unit.print_time_now(eventtime) - news.time_s, news.temp_c
 
     def now_s(self) -> float:
         """Print time of the induction unit's MCU."""
@@ -337,23 +360,30 @@ class InductionHeater:
 
     def set_temp(self, degrees: float) -> None:
         """New target in degC, 0 = off. Raises the printer's command_error if out of range."""
-        if self._driver is not None:
+        if self._run is not None:
             if degrees:
                 raise self.printer.command_error(f"Heater '{self.name}' is being calibrated; ABORT ends that")
-            self._driver.abort("the heater was turned off")
-        if degrees and not self.parameters.supervise.calibrated:
-            raise self.printer.command_error(
-                f"Heater '{self.name}' is not calibrated: run INDUCTION_CALIBRATE HEATER={self.section_name} first"
-            )
+            self._run.abort("the heater was turned off")
+        if degrees:
+            self._refuse_uncalibrated()
         if degrees and not self.min_temp <= degrees <= self.target_max_c:
             raise self.printer.command_error(self._range_error(degrees))
         if degrees and self.planner is not None and self.planner.take_target(degrees):
             return  # path is under way: the plan moves with it
+        self._set_target(degrees)
+
+    def _set_target(self, degrees: float) -> None:
         if self._running:
             now_s = self._now_s()
             self._send(self.loop.set_target(degrees, now_s), now_s)
         else:
             self.loop.state.target_c = degrees
+
+    def _refuse_uncalibrated(self) -> None:
+        if not self.parameters.supervise.calibrated:
+            raise self.printer.command_error(
+                f"Heater '{self.name}' is not calibrated: run INDUCTION_CALIBRATE HEATER={self.section_name} first"
+            )
 
     @property
     def target_max_c(self) -> float:
@@ -388,7 +418,7 @@ class InductionHeater:
 
     @property
     def can_extrude(self) -> bool:
-        return self.batch or (self._driver is None and self._smoothed_c >= self.min_extrude_c)
+        return self.batch or (self._view is None and self._smoothed_c >= self.min_extrude_c)
 
     def get_max_power(self) -> float:
         return 1.0
@@ -443,7 +473,7 @@ class InductionHeater:
             "law": laws.coefficients_of(self.parameters.estimator.law)[0],
             "law_residual": self.parameters.estimator.law.residual_units,
             "calibrated": self.parameters.supervise.calibrated,
-            "calibrating": self._running and (self._driver is not None or self.lent),
+            "calibrating": self._running and self.in_calibration,
             "latency": round(state.latency_s, 4),
             "noise_lsb": _rounded(self.loop.chain.noise_lsb()),
             "drift": _rounded(state.plausible.drift_c),
@@ -529,7 +559,7 @@ def load_config_prefix(config: ConfigWrapper) -> InductionSection:
     section = InductionSection(config, heater)
     section.register()
     folder = config.get("calibration_folder", output_file.default_folder(printer))
-    induction_calibrate.InductionCalibrate(printer, heater, config.get_name(), folder).register()
+    induction_calibrate.InductionCalibrate(printer, heater, folder).register()
     induction_dump.InductionDump(printer, heater, folder).register()
     supply = induction_supply.read(config)
     if supply is not None:

@@ -8,15 +8,9 @@ segment it was not shown changes nothing.
 
 from __future__ import annotations
 
-import csv
-import json
-import logging
-import subprocess
-import sys
 import tempfile
 import time
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 from configfile import ConfigWrapper
@@ -27,7 +21,6 @@ from thermal.identification import step_test
 from .heater import run as heater_run
 from .heater import tuning as heater_tuning
 
-HOST_FOLDER = Path(__file__).resolve().parents[1]
 WARM_C = 45.0  # a heater hotter than this has not cooled down yet
 LEAST_RISE_C = 30.0
 MARGIN_C = 10.0  # of the default target below max_temp
@@ -51,7 +44,6 @@ class ModelCalibrate:
     def __init__(self, printer: Printer) -> None:
         self.printer = printer
         self._reactor = printer.get_reactor()
-        self._fitting = False
         self._fan = self._flow = self._users_fan = 0.0
         self._fed_stage = ""
         self._fed_until_s = self._feed_end_s = 0.0
@@ -62,12 +54,10 @@ class ModelCalibrate:
         )
 
     def cmd_MODEL_CALIBRATE(self, gcmd: GCodeCommand) -> None:
-        if self._fitting:
-            raise gcmd.error("The last calibration is still being fitted")
         heater_run.need_fit(gcmd)
         heater = heater_tuning.heater_of(self.printer, gcmd, sole_nozzle=True)
-        session = heater_run.Session(self.printer, heater, "MODEL_CALIBRATE")
-        now_c = session.check_sensor(gcmd)
+        runner = heater_run.Runner(self.printer, heater, "MODEL_CALIBRATE")
+        now_c = runner.check_sensor(gcmd)
         if now_c > WARM_C:
             raise gcmd.error(
                 f"MODEL_CALIBRATE: heater '{heater.name}' is at {now_c:.0f} C. The run begins cold, at the"
@@ -75,33 +65,28 @@ class ModelCalibrate:
             )
         ambient_c = gcmd.get_float("AMBIENT", now_c, minval=-20.0, maxval=60.0)
         flow_mm3_s = gcmd.get_float("FLOW", 0.0, minval=0.0, maxval=50.0)
-        usual_c = MELT_C if session.induction and flow_mm3_s else 200.0
+        usual_c = MELT_C if runner.induction and flow_mm3_s else 200.0
         usual_c = min(USUAL_C.get(heater.name, usual_c), heater.max_temp - MARGIN_C)
         target_c = gcmd.get_float(
             "TARGET", usual_c, minval=round(now_c + LEAST_RISE_C, 1), maxval=heater.max_temp
         )
-        power_w = self._power(gcmd, session)
-        plan = self._plan(gcmd, session, target_c, flow_mm3_s)
-        told = self._check_flow(gcmd, session, plan)
-        run = step_test.Drill(plan, now_c)
+        power_w = self._power(gcmd, runner)
+        plan = self._plan(gcmd, runner, target_c, flow_mm3_s)
+        feeding = self._check_flow(gcmd, runner, plan)
+        run = step_test.StepTest(plan, now_c)
         wait = gcmd.get_int("WAIT", 0)
         self._fan, self._flow, self._fed_stage = 0.0, 0.0, ""
-        session.start(
-            run, lambda: self._finish(session, run, power_w, ambient_c), lambda: self._surround(run)
-        )
-        session.say(f"MODEL_CALIBRATE: heater '{heater.name}' up to {target_c:.0f} C{told}; ABORT ends it")
-        self._begin_fan(session, plan.fan_s > 0.0)
+        runner.start(run, lambda: self._finish(runner, run, power_w, ambient_c), partial(self._surround, run))
+        runner.say(f"MODEL_CALIBRATE: heater '{heater.name}' up to {target_c:.0f} C{feeding}; ABORT ends it")
+        self._begin_fan(runner, plan.fan_s > 0.0)
         if wait:
-            session.wait()
-            eventtime = self._reactor.monotonic()
-            while self._fitting and not self.printer.is_shutdown():
-                eventtime = self._reactor.pause(eventtime + heater_run.POLL_S)
+            runner.wait()
 
-    def _power(self, gcmd: GCodeCommand, session: heater_run.Session) -> float:
+    def _power(self, gcmd: GCodeCommand, runner: heater_run.Runner) -> float:
         """W at full output."""
-        if session.induction:
-            return session.seat.most
-        written = heater_tuning.options_of(session.heater).get("heater_power_w")
+        if runner.induction:
+            return float(runner.heater.output_max)
+        written = heater_tuning.options_of(runner.heater).get("heater_power_w")
         default = float(written) if written is not None else 0.0
         power_w = gcmd.get_float("POWER", default, minval=0.0)
         if power_w < LEAST_POWER_W:
@@ -112,14 +97,14 @@ class ModelCalibrate:
         return float(power_w)
 
     def _plan(
-        self, gcmd: GCodeCommand, session: heater_run.Session, target_c: float, flow: float
-    ) -> step_test.DrillPlan:
+        self, gcmd: GCodeCommand, runner: heater_run.Runner, target_c: float, flow: float
+    ) -> step_test.StepTestPlan:
         fan = self.printer.lookup_object("fan", None) is not None and gcmd.get_int("FAN", 0)
-        if session.induction:
-            cool_c = max(target_c - COOLER_C, heater_tuning.min_extrude_c(session.heater) + EXTRUDE_MARGIN_C)
-            return step_test.DrillPlan(
+        if runner.induction:
+            cool_c = max(target_c - COOLER_C, heater_tuning.min_extrude_c(runner.heater) + EXTRUDE_MARGIN_C)
+            return step_test.StepTestPlan(
                 target_c=target_c,
-                high=min(session.seat.most, NOZZLE_POWER_W),
+                high=min(runner.heater.output_max, NOZZLE_POWER_W),
                 band_c=1.0,
                 even_c=EVEN_C,
                 delay_s=0.0,
@@ -131,29 +116,29 @@ class ModelCalibrate:
                 lost_c=60.0,
                 further=step_test.melt_steps(target_c, cool_c, flow) if flow else (),
             )
-        return step_test.DrillPlan(
+        return step_test.StepTestPlan(
             target_c=target_c,
-            high=session.seat.most,
+            high=runner.heater.output_max,
             band_c=0.5,
-            delay_s=session.heater.get_pwm_delay(),
+            delay_s=runner.heater.get_pwm_delay(),
             hold_s=60.0,
             cool_s=60.0,
             coast_s=30.0,
             fan_s=45.0 if fan else 0.0,
             flow_s=30.0 if flow else 0.0,
             flow_mm3_s=flow,
-            lost_c=session.heater.max_temp - target_c + 20.0,
+            lost_c=runner.heater.max_temp - target_c + 20.0,
         )
 
-    def _check_flow(self, gcmd: GCodeCommand, session: heater_run.Session, plan: step_test.DrillPlan) -> str:
-        """What would spoil the steps with filament, before anything is heated; the text that tells of them."""
+    def _check_flow(self, gcmd: GCodeCommand, runner: heater_run.Runner, plan: step_test.StepTestPlan) -> str:
+        """What would spoil the steps with filament, before anything is heated; the text that names them."""
         steps = [(step.target_c, step.flow_mm3_s, step.lasts_s) for step in plan.further]
         if plan.flow_s:
             steps.append((plan.target_c, plan.flow_mm3_s, plan.flow_s))
         fastest = max((flow for _, flow, _ in steps), default=0.0)
         if not fastest:
             return ""
-        extruder, heater = self.printer.lookup_object("toolhead").get_extruder(), session.heater
+        extruder, heater = self.printer.lookup_object("toolhead").get_extruder(), runner.heater
         needed_c = heater_tuning.min_extrude_c(heater)
         if extruder.get_name() != heater.name:
             raise gcmd.error(f"MODEL_CALIBRATE: FLOW needs the extruder of heater '{heater.name}' in use")
@@ -180,7 +165,7 @@ class ModelCalibrate:
         length_mm = sum(flow * lasts_s for _, flow, lasts_s in steps) / extruder.filament_area
         return f", with {length_mm:.0f} mm of filament fed on the way, {fastest:g} mm3/s at most"
 
-    def _begin_fan(self, session: heater_run.Session, measured: bool) -> None:
+    def _begin_fan(self, runner: heater_run.Runner, measured: bool) -> None:
         """A run with a fan step begins with the fan off; what the user has set comes back after it."""
         part = self.printer.lookup_object("fan", None)
         self._users_fan = 0.0
@@ -190,16 +175,15 @@ class ModelCalibrate:
             self._users_fan = part.fan.last_fan_value / part.fan.settings.max_power
             part.fan.set_speed(0.0)
         else:
-            session.say(
+            runner.say(
                 "The part fan is on, and what it takes will count as the heater's own loss; FAN=1 tells them apart"
             )
 
-    def _surround(self, run: step_test.Drill) -> None:
+    def _surround(self, run: step_test.StepTest, now_s: float) -> None:
         """Fan and extruder as the run wants them."""
         if run.fan != self._fan:
             self._fan = run.fan
             self.printer.lookup_object("fan").fan.set_speed(run.fan)
-        now_s = self._reactor.monotonic()
         if run.stage != self._fed_stage:
             self._fed_stage, self._flow = run.stage, run.flow_mm3_s
             self._fed_until_s, self._feed_end_s = now_s, now_s + run.lasts_s()
@@ -219,65 +203,38 @@ class ModelCalibrate:
         return float(length_mm / speed_mm_s)
 
     def _finish(
-        self, session: heater_run.Session, run: step_test.Drill, power_w: float, ambient_c: float
+        self, runner: heater_run.Runner, run: step_test.StepTest, power_w: float, ambient_c: float
     ) -> None:
         if (self._fan or self._users_fan) and not self.printer.is_shutdown():
             self.printer.lookup_object("fan").fan.set_speed(self._users_fan)
         if run.stage != "done":
-            session.say(f"MODEL_CALIBRATE ended: {run.fault}. Nothing was changed.")
+            runner.say(f"MODEL_CALIBRATE ended: {run.fault}. Nothing was changed.")
             return
-        path = self._keep(session, run)
+        folder, begin = tempfile.gettempdir(), f"model-{runner.heater.name}-{time.strftime('%Y%m%d-%H%M%S')}-"
+        options = {"newline": "", "encoding": "utf-8", "prefix": begin, "suffix": ".csv", "delete": False}
+        path = runner.write_trace(
+            run, folder, partial(tempfile.NamedTemporaryFile, "w", **options), ". Nothing was changed."
+        )
         if path is None:
             return
-        session.say("The run is over. Fitting ...")
-        command = [sys.executable, "-m", "thermal.identification.fit_load", str(path)]
-        command += ["--power", f"{power_w:g}", "--ambient", f"{ambient_c:.2f}"]
-        command += ["--nozzle"] if session.induction else []
-        self._fitting = True
-        work = partial(subprocess.run, command, cwd=HOST_FOLDER, capture_output=True, text=True, check=False)
-        done = self._reactor.run_beside(work)
-        self._reactor.register_callback(lambda eventtime: self._on_fit(session, done.wait()))
+        runner.say("The run is over. Fitting ...")
+        arguments = [str(path), "--power", f"{power_w:g}", "--ambient", f"{ambient_c:.2f}"]
+        arguments += ["--nozzle"] if runner.induction else []
+        refused = "MODEL_CALIBRATE: the run cannot be used"
+        runner.fit("fit_load", arguments, partial(self._take, runner), refused)
 
-    def _keep(self, session: heater_run.Session, run: step_test.Drill) -> Path | None:
-        """Write the trace where the fit (and people) find it."""
-        name, path = f"model-{session.heater.name}-{time.strftime('%Y%m%d-%H%M%S')}-", tempfile.gettempdir()
-        try:
-            with tempfile.NamedTemporaryFile(
-                "w", newline="", encoding="utf-8", prefix=name, suffix=".csv", delete=False
-            ) as stream:
-                path = stream.name
-                writer = csv.writer(stream)
-                writer.writerow(step_test.Row._fields)
-                writer.writerows(run.rows)
-        except OSError as e:
-            logging.warning("MODEL_CALIBRATE: %s: %s", path, e)
-            session.say(f"The trace cannot be written to {path}: {e.strerror}. Nothing was changed.")
-            return None
-        return Path(path)
-
-    def _on_fit(
-        self, session: heater_run.Session, done: subprocess.CompletedProcess[str] | Exception
-    ) -> None:
-        self._fitting = False
-        if isinstance(done, Exception):
-            session.say(f"MODEL_CALIBRATE: the run cannot be evaluated: {done}. Nothing was changed.")
-            return
-        if done.returncode:
-            errors = done.stderr.strip()
-            why = errors.splitlines()[-1] if errors else f"status {done.returncode}"
-            session.say(f"MODEL_CALIBRATE: the run cannot be used: {why}. Nothing was changed.")
-            return
-        result = json.loads(done.stdout)
+    def _take(self, runner: heater_run.Runner, result: dict[str, Any]) -> None:
+        """Use a fit's result from now on, and offer it to SAVE_CONFIG."""
         texts = {name: heater_tuning.NUMBER.format(value) for name, value in result["options"].items()}
         tuning = heater_tuning.Tuning(control="model", **texts)
-        heater = session.heater
+        heater = runner.heater
         try:
             heater_tuning.use(self.printer, heater, tuning)
         except self.printer.command_error as e:
-            session.say(f"MODEL_CALIBRATE: {e}. Nothing was changed.")
+            runner.say(f"MODEL_CALIBRATE: {e}. Nothing was changed.")
             return
         heater_tuning.stage(self.printer, heater, tuning)
-        session.say(
+        runner.say(
             f"Model of heater '{heater.name}':\n"
             + "\n".join(result["report"])
             + self._overruled(heater)

@@ -9,9 +9,8 @@ many times better.
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
@@ -45,77 +44,74 @@ class PidCalibrate:
 
     def cmd_PID_CALIBRATE(self, gcmd: GCodeCommand) -> None:
         heater = heater_tuning.heater_of(self.printer, gcmd)
-        session = heater_run.Session(self.printer, heater, "PID_CALIBRATE")
-        most_c = heater.max_temp - (INDUCTION_SWING_C if session.induction else 0.0)
+        runner = heater_run.Runner(self.printer, heater, "PID_CALIBRATE")
+        most_c = heater.max_temp - (INDUCTION_SWING_C if runner.induction else 0.0)
         target_c = gcmd.get_float("TARGET", minval=heater.min_temp, maxval=most_c)
         keep_law = gcmd.get("KEEP_LAW", "").lower()
         if keep_law not in ("", "pid"):
             raise gcmd.error(
                 f"PID_CALIBRATE: KEEP_LAW={keep_law}: only 'pid' can come of it, or leave it out"
             )
-        other = "" if keep_law or not session.induction else _other_law(heater)
-        now_c = session.check_sensor(gcmd)
+        other = "" if keep_law or not runner.induction else _other_law(heater)
+        now_c = runner.check_sensor(gcmd)
         if target_c < now_c + LEAST_ABOVE_C:
             raise gcmd.error(
                 f"PID_CALIBRATE: heater '{heater.name}' is at {now_c:.1f} C; TARGET must be {LEAST_ABOVE_C:.0f} C above"
                 " that, or the way there says nothing"
             )
-        if session.induction:
-            plan = relay.RelayPlan(target_c, session.seat.most, INDUCTION_BAND_C, **INDUCTION_TIMES)  # type: ignore[arg-type]
+        if runner.induction:
+            plan = relay.RelayPlan(target_c, heater.output_max, INDUCTION_BAND_C, **INDUCTION_TIMES)  # type: ignore[arg-type]
         else:
             plan = relay.RelayPlan(
-                target_c, session.seat.most, BAND_C, lost_c=heater.max_temp - target_c + 20.0
+                target_c, heater.output_max, BAND_C, lost_c=heater.max_temp - target_c + 20.0
             )
         run = relay.RelayRun(plan)
         write = gcmd.get_int("WRITE_FILE", 0)
         wait = gcmd.get_int("WAIT", 1)
-        session.start(run, lambda: self._finish(session, run, bool(write), other))
-        session.say(f"PID_CALIBRATE: heater '{heater.name}' will swing around {target_c:.0f} C")
+        runner.start(run, lambda: _finish(runner, run, bool(write), other))
+        runner.say(f"PID_CALIBRATE: heater '{heater.name}' will swing around {target_c:.0f} C")
         if other:
-            session.say(_advice(heater, other))
+            runner.say(_advice(heater, other))
         if wait:
-            session.wait()
+            runner.wait()
 
-    def _finish(self, session: heater_run.Session, run: relay.RelayRun, write: bool, other: str) -> None:
-        """`other`: the law that stays in use, "" if it is the PID from now on."""
-        if write:
-            self._write(session, run)
-        try:
-            result = relay.evaluate(run)
-        except relay.CalibrationError as e:
-            session.say(f"PID_CALIBRATE ended: {e}. Nothing was changed.")
-            return
-        heater = session.heater
-        tuning = _tuning(result, session.induction)
-        if not session.induction:
-            heater.set_control(heater_tuning.check(self.printer, heater, tuning))
-        elif other:
-            del tuning["control"]  # the gains wait for it
-        else:
-            heater_tuning.use(self.printer, heater, tuning)
-        heater_tuning.stage(self.printer, heater, tuning)
-        unit = "W" if session.induction else "of duty"
-        gains = " ".join(f"{name}={value}" for name, value in tuning.items() if name != "control")
-        session.say(
-            f"PID parameters: {gains}\n"
-            f"  integrator {result.gain_per_s:.4g} +- {result.gain_sigma:.2g} C/s per {unit}, delay"
-            f" {result.delay_s:.3g} +- {result.delay_sigma_s:.2g} s; swing {result.swing_c:.1f} C"
-            f" in {result.period_s:.3g} s\n"
-            + (
-                f"SAVE_CONFIG keeps the gains, but they are not in use. {_advice(heater, other)}"
-                if other
-                else "The new gains are in use. SAVE_CONFIG keeps them and restarts the printer."
-            )
+
+def _finish(runner: heater_run.Runner, run: relay.RelayRun, write: bool, other: str) -> None:
+    """`other`: the law that stays in use, "" if it is the PID from now on."""
+    if write:
+        runner.write_trace(run, TRACE, _open_trace)
+    try:
+        result = relay.evaluate(run)
+    except relay.CalibrationError as e:
+        runner.say(f"PID_CALIBRATE ended: {e}. Nothing was changed.")
+        return
+    heater = runner.heater
+    tuning = _tuning(result, runner.induction)
+    if not runner.induction:
+        heater.set_control(heater_tuning.check(runner.printer, heater, tuning))
+    elif other:
+        del tuning["control"]  # the gains wait for it
+    else:
+        heater_tuning.use(runner.printer, heater, tuning)
+    heater_tuning.stage(runner.printer, heater, tuning)
+    unit = "W" if runner.induction else "of duty"
+    gains = " ".join(f"{name}={value}" for name, value in tuning.items() if name != "control")
+    runner.say(
+        f"PID parameters: {gains}\n"
+        f"  integrator {result.gain_per_s:.4g} +- {result.gain_sigma:.2g} C/s per {unit}, delay"
+        f" {result.delay_s:.3g} +- {result.delay_sigma_s:.2g} s; swing {result.swing_c:.1f} C"
+        f" in {result.period_s:.3g} s\n"
+        + (
+            f"SAVE_CONFIG keeps the gains, but they are not in use. {_advice(heater, other)}"
+            if other
+            else "The new gains are in use. SAVE_CONFIG keeps them and restarts the printer."
         )
+    )
 
-    def _write(self, session: heater_run.Session, run: relay.RelayRun) -> None:
-        try:
-            TRACE.unlink(missing_ok=True)  # a link or a pipe of that name is not opened
-            with TRACE.open("x", encoding="utf-8") as stream:
-                stream.writelines(f"{p.time_s:.4f} {p.temp_c:.3f} {p.output:.4f}\n" for p in run.points)
-        except OSError as e:
-            logging.warning("PID_CALIBRATE: %s: %s", TRACE, e)
-            session.say(f"The trace cannot be written to {TRACE}: {e.strerror}")
+
+def _open_trace() -> TextIO:
+    TRACE.unlink(missing_ok=True)  # a link or a pipe of that name is not opened
+    return TRACE.open("x", encoding="utf-8")
 
 
 def _other_law(heater: Any) -> str:

@@ -75,7 +75,7 @@ class Printer:
             reference=None, state=SimpleNamespace(target_c=NOZZLE_C), set_reference=self._set_reference
         )
         self.heater = SimpleNamespace(
-            batch=False, lent=False, min_temp=parameters.supervise.temp_low_c,
+            batch=False, in_calibration=False, min_temp=parameters.supervise.temp_low_c,
             max_temp=parameters.supervise.temp_high_c, min_extrude_c=170.0, parameters=parameters,
             loop=self.loop, now_s=lambda: self.time_s,
         )  # fmt: skip

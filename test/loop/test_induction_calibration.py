@@ -201,7 +201,7 @@ def test_a_fault_ends_the_run_with_the_bridge_off(fault: float, words: tuple[str
     run.rig.plant.set_param("fault", fault)
     run.run(until_s=40.0)
     run.rig.run(0.2)
-    assert run.sweep.stage == "aborted"
+    assert run.sweep.stage == "failed"
     assert any(word in run.sweep.fault for word in words), run.sweep.fault
     assert run.rig.phase == 0
 

@@ -219,6 +219,31 @@ def test_while_a_heater_is_calibrated_its_law_is_neither_replaced_nor_kept_as_a_
     assert "PID parameters: " in text and "heater_profile extruder run" not in text
 
 
+@pytest.mark.parametrize(
+    "command", ["PID_CALIBRATE HEATER=extruder TARGET=220", "INDUCTION_CALIBRATE REFERENCE=reference"]
+)
+def test_a_target_is_refused_while_the_nozzle_is_calibrated_and_turning_it_off_ends_that(
+    simulate: Simulate, tmp_path: Path, command: str
+) -> None:
+    more = "[delayed_gcode early]\ninitial_duration: 3\ngcode:\n  M104 S200\n"
+    lines = f"{command} WAIT=0\n" + "G4 P500\n" * 16 + "M104 S0\nG4 P1000\n"
+    status, text, power = play(simulate, tmp_path, lines, more)
+    assert status == 2, text[-600:]  # the refused one
+    assert "delayed_gcode early: Heater 'extruder' is being calibrated; ABORT ends that" in text
+    assert "ended: the heater was turned off. Nothing was changed." in text
+    assert max(power[-20:]) < 2.0
+
+
+def test_an_uncalibrated_nozzle_refuses_a_pid_run_and_keeps_its_law(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    more = LAW + "[induction_heater nozzle]\nestimator: uncalibrated\n"
+    more += "[delayed_gcode wrong]\ninitial_duration: 3\ngcode:\n  PID_CALIBRATE HEATER=extruder TARGET=220\n"
+    status, text, _ = play(simulate, tmp_path, "G4 P500\n" * 10 + "LAW\n", more)
+    assert status == 2 and "delayed_gcode wrong: Heater 'extruder' is not calibrated" in text
+    assert "works with model" in text
+
+
 @pytest.mark.parametrize("command", ["MODEL_CALIBRATE HEATER=extruder", "INDUCTION_CALIBRATE HEATER=nozzle"])
 def test_a_run_whose_fit_lacks_a_package_does_not_begin(
     command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -109,7 +109,7 @@ class OnOffHeater(Heater):
             self.unit.send(target_c, self.min_temp, self.max_temp)
         self._duty = self.unit.power
 
-    def borrow(self, driver: Any) -> None:
+    def acquire(self, run: Any) -> None:
         raise self.printer.command_error(
             f"Heater '{self.name}' is switched by its MCU (control: mcu_onoff): there is nothing to calibrate"
         )

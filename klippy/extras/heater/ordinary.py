@@ -4,18 +4,20 @@ Once per sensor report (0.3 s):
 
     sample ── report ── control law ── PWM set for sample + PWM_DELAY_S  (fixed delay, no jitter)
 
-A calibration run takes the law's place with `borrow` and gives it back. Safety without the host: the pin's
-max_duration turns it off MAX_HEAT_TIME_S after the last command.
+In calibration (`acquire` until `release`) an identification run decides in the law's place. Safety without the host:
+the pin's max_duration turns it off MAX_HEAT_TIME_S after the last command.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
 
 from configfile import ConfigWrapper
 from roles import Printer
+from thermal.identification.run import OutputRun
 
 from .laws import HeaterLaw, Surroundings
 
@@ -25,15 +27,6 @@ PWM_HOLD_S = 2.0  # small PWM changes are held back this long, well inside MAX_H
 PWM_HOLD_DELTA = 0.05  # "small"
 QUELL_STALE_S = 5.0  # a reading older than this no longer counts as the temperature
 AMBIENT_C = 25.0  # starting point of the smoothed value before the first reading
-
-
-class Driver(Protocol):
-    """What can take the law's place for a while: a calibration run."""
-
-    @property
-    def target_c(self) -> float: ...
-    def decide(self, time_s: float, temp_c: float, limit: float) -> float: ...
-    def abort(self, reason: str) -> None: ...
 
 
 class AnySensor(Protocol):
@@ -107,7 +100,7 @@ class Heater:
         self._duty = 0.0
         self._duty_due_s = 0.0  # print time from which an unchanged duty is repeated
         self._stopped = False
-        self._driver: Driver | None = None
+        self._run: OutputRun | None = None
         law.surroundings = self._surroundings
         self._filament_mm2 = 0.0
         sensor.setup_minmax(settings.min_temp_c, settings.max_temp_c)
@@ -128,8 +121,8 @@ class Heater:
     def _act(self, read_time_s: float, temp_c: float, target_c: float) -> None:
         """The law's decision to the pin, or that of a calibration."""
         duty = self.law.decide(read_time_s, temp_c, target_c)
-        if self._driver is not None:
-            duty = 0.0 if self._stopped else self._driver.decide(read_time_s, temp_c, self.settings.max_power)
+        if self._run is not None:
+            duty = 0.0 if self._stopped else self._run.decide(read_time_s, temp_c, self.settings.max_power)
             target_c = duty
         self._apply(read_time_s, duty, target_c)
 
@@ -162,43 +155,46 @@ class Heater:
 
     def _on_shutdown(self) -> None:
         self._stopped = True
-        if self._driver is not None:
-            self._driver.abort("the printer stopped")
+        if self._run is not None:
+            self._run.abort("the printer stopped")
 
-    # A calibration takes the law's place
+    # In calibration
 
-    def borrow(self, driver: Driver) -> None:
-        """Let `driver` decide the duty; raises command_error if the heater is in use."""
-        if self._driver is not None:
-            raise self.printer.command_error(f"Heater '{self.name}' is being calibrated already")
-        if self._target_c:
+    def acquire(self, run: OutputRun) -> None:
+        """Let `run` decide the duty; raises command_error if the heater is in use."""
+        if self._target_c or self.in_calibration:
             raise self.printer.command_error(f"Turn heater '{self.name}' off before calibrating it")
-        self._driver = driver
+        self._run = run
 
-    def give_back(self) -> None:
-        """The law is in its place again, heater off."""
-        self._driver = None
+    def release(self) -> None:
+        """The law decides again, heater off."""
+        self._run = None
         self._target_c = 0.0
         self._apply(self._read_s, 0.0, 0.0)
 
     @property
-    def lent(self) -> bool:
-        """To a calibration."""
-        return self._driver is not None
+    def in_calibration(self) -> bool:
+        return self._run is not None
 
     @property
-    def reading(self) -> tuple[float, float]:
-        """(print time, degC) of the newest reading, not smoothed."""
-        return self._read_s, self._temp_c
+    def output_max(self) -> float:
+        """Duty."""
+        return self.settings.max_power
+
+    def reading(self, eventtime: float) -> tuple[float, float]:
+        """(age in s, degC) of the newest reading, not smoothed."""
+        if not self._read_s:
+            return math.inf, math.nan
+        return self.pwm.get_mcu().estimated_print_time(eventtime) - self._read_s, self._temp_c
 
     # The outward interface
 
     def set_temp(self, degrees: float) -> None:
         """New target in degC, 0 = off. Raises the printer's command_error if out of range."""
-        if self._driver is not None:
+        if self._run is not None:
             if degrees:
                 raise self.printer.command_error(f"Heater '{self.name}' is being calibrated; ABORT ends that")
-            self._driver.abort("the heater was turned off")
+            self._run.abort("the heater was turned off")
         if degrees and not self.min_temp <= degrees <= self.max_temp:
             raise self.printer.command_error(range_error(degrees, self.min_temp, self.max_temp))
         self._target_c = degrees
@@ -219,7 +215,7 @@ class Heater:
     @property
     def _aim_c(self) -> float:
         """What verify_heater and people are to expect: a calibration's target while one runs."""
-        return self._target_c if self._driver is None else self._driver.target_c
+        return self._target_c if self._run is None else self._run.target_c
 
     def check_busy(self, eventtime: float) -> bool:
         """Still on the way to the target?"""

@@ -1,32 +1,38 @@
-"""A calibration at a heater's place of command: starts it, watches it, ends it with the heater off.
+"""The runner of a calibration: acquires the heater, ends the run in every case, writes its trace, has it fitted.
 
-A run (thermal/identification/relay.py, thermal/identification/step_test.py) is asked at every reading for the output.
-At an ordinary heater it takes the law's place (`borrow`); at an induction nozzle it *is* the law for a while, so the
-whole chain with its guards stays as it is. ABORT, TURN_OFF_HEATERS or a stop of the printer end it at any time.
+    start ── acquire ── poll until the run is over ── release ── done() ── fit() in a process of its own ── take(result)
+
+The run itself is pure (thermal/identification/run.py); the heater feeds it with readings or blocks. ABORT,
+TURN_OFF_HEATERS, M104 S0, a silent sensor or a stop of the printer end it, and the heater is off after it. ABORT ends
+a fit, too.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import json
+import logging
 import math
+import subprocess
+import sys
 from collections.abc import Callable
-from dataclasses import replace
-from typing import Any, Protocol
+from functools import partial
+from pathlib import Path
+from typing import Any
 
 from gcode import GCodeCommand
 from roles import Printer
-from thermal.control import control_api, loop
-from thermal.identification import step_test
+from thermal.identification.run import Run
 
+from ..outputs import output_file
 from . import tuning as heater_tuning
 
+HOST_FOLDER = Path(__file__).resolve().parents[2]
 FIT_PACKAGES = ("numpy", "scipy")  # requirements.txt
-ABORT_HELP = "End the calibration"
-POLL_S = 0.1
-PROGRESS_S = 10.0
+ABORTED = "ended by ABORT"
+WAIT_S = 0.1
 FRESH_S = 3.0
-SENSOR_LEAST_C = 0.0
-QUIET_S = 10.0  # no reading for so long: the sensor is gone
+SENSOR_MIN_C = 0.0
 
 
 def need_fit(gcmd: GCodeCommand) -> None:
@@ -39,102 +45,7 @@ def need_fit(gcmd: GCodeCommand) -> None:
         )
 
 
-class Run(Protocol):
-    """A calibration that decides outputs."""
-
-    fault: str
-
-    @property
-    def over(self) -> bool: ...
-    @property
-    def target_c(self) -> float: ...
-    def decide(self, time_s: float, temp_c: float, limit: float = math.inf) -> float: ...
-    def abort(self, reason: str) -> None: ...
-    def progress(self) -> str: ...
-
-
-class OrdinarySeat:
-    """Command of an ordinary heater."""
-
-    def __init__(self, heater: Any) -> None:
-        self.heater = heater
-        self.most = float(heater.get_max_power())
-
-    def reading(self, eventtime: float) -> tuple[float, float]:
-        """(age in s, degC)."""
-        read_s, temp_c = self.heater.reading
-        if not read_s:
-            return math.inf, math.nan
-        return self.heater.pwm.get_mcu().estimated_print_time(eventtime) - read_s, temp_c
-
-    def take(self, run: Run) -> None:
-        self.heater.borrow(run)
-
-    def keep(self, run: Run) -> None:
-        """Nothing to do between readings."""
-
-    def leave(self) -> None:
-        self.heater.give_back()
-
-
-class InductionSeat:
-    """Command of an induction nozzle, through its loop; outputs in watts."""
-
-    def __init__(self, heater: Any) -> None:
-        self.heater = heater
-        self.most = float(heater.parameters.control.power_max_w)
-        self._control: loop.Control = heater.parameters.control
-        self._taken = False
-        self._told_c = 0.0
-
-    def reading(self, eventtime: float) -> tuple[float, float]:
-        news = self.heater.loop.state.estimate
-        return (self.heater.now_s() - news.time_s, news.temp_c) if news.valid else (math.inf, math.nan)
-
-    def take(self, run: Run) -> None:
-        heater = self.heater
-        if heater.loop.state.target_c:
-            raise heater.printer.command_error(f"Turn heater '{heater.name}' off before calibrating it")
-        self._control = heater.parameters.control
-        law = control_api.Law("calibration", _stepper(run, self.most), 0, lambda p, state, inputs, out: state)
-        heater.use(replace(heater.parameters, control=loop.Control(law, None, self.most, models=True)))
-        self._told_c = run.target_c
-        heater.set_temp(self._told_c)
-        self._taken = heater.lent = True
-
-    def keep(self, run: Run) -> None:
-        """The loop's target follows the run's; one set from outside ends it."""
-        if self.heater.loop.state.target_c != self._told_c:
-            run.abort("somebody else set the heater's target")
-        elif run.target_c != self._told_c:
-            self._told_c = run.target_c
-            self.heater.set_temp(self._told_c)
-
-    def leave(self) -> None:
-        if self._taken:
-            self.heater.set_temp(0.0)
-            self.heater.use(replace(self.heater.parameters, control=self._control))
-            self.heater.lent = False
-
-
-def _stepper(run: Run, most: float) -> Callable[..., tuple[control_api.ControlOutput, int]]:
-    """The run as a control law."""
-
-    def step(
-        parameters: None, state: int, inputs: control_api.ControlInput, time_s: float
-    ) -> tuple[control_api.ControlOutput, int]:
-        seen = [s for s in inputs.samples if s.temp_c == s.temp_c and not s.rebased]
-        if isinstance(run, step_test.Drill):
-            run.heard(inputs.samples, inputs.flow_mm3_s)
-        temp_c = math.fsum(s.temp_c for s in seen) / len(seen) if seen else math.nan
-        at_s = math.fsum(s.time_s for s in seen) / len(seen) if seen else time_s
-        power = max(0.0, min(most, inputs.limit, run.decide(at_s, temp_c, min(most, inputs.limit))))
-        return control_api.ControlOutput(power, power, power, 0.0, 0.0, 0.0), state
-
-    return step
-
-
-class Session:
+class Runner:
     """One calibration of one heater."""
 
     def __init__(self, printer: Printer, heater: Any, what: str) -> None:
@@ -143,28 +54,29 @@ class Session:
         self.what = what
         self.gcode = printer.lookup_object("gcode")
         self.induction = heater_tuning.is_induction(heater)
-        self.seat = InductionSeat(heater) if self.induction else OrdinarySeat(heater)
+        self.active = False  # until the fit has ended
         self._reactor = printer.get_reactor()
         self._timer: Any = None
         self._run: Run | None = None
+        self._fit: subprocess.Popen[str] | None = None
+        self._is_fitting = self._is_aborted = False
         self._done: Callable[[], None] = lambda: None
-        self._each: Callable[[], None] = lambda: None
-        self._told_s = self._heard_s = 0.0
-        self.active = False
+        self._each: Callable[[float], None] = lambda eventtime: None
+        self._reported_s = self._received_s = 0.0
 
     def check_sensor(self, gcmd: GCodeCommand) -> float:
         """Temperature now; an error for a sensor that is silent or reads what no room has."""
         eventtime = self._reactor.monotonic()
         until_s = eventtime + FRESH_S
-        age_s, temp_c = self.seat.reading(eventtime)
+        age_s, temp_c = self.heater.reading(eventtime)
         while not age_s < FRESH_S and eventtime < until_s:  # just started: the first reading is on its way
-            eventtime = self._reactor.pause(eventtime + POLL_S)
-            age_s, temp_c = self.seat.reading(eventtime)
+            eventtime = self._reactor.pause(eventtime + WAIT_S)
+            age_s, temp_c = self.heater.reading(eventtime)
         if not age_s < FRESH_S or not math.isfinite(temp_c):
             raise gcmd.error(
                 f"{self.what}: heater '{self.heater.name}' has no fresh reading; check its temperature sensor"
             )
-        if temp_c < SENSOR_LEAST_C:
+        if temp_c < SENSOR_MIN_C:
             raise gcmd.error(
                 f"{self.what}: heater '{self.heater.name}' reads {temp_c:.1f} C. A sensor so cold is disconnected or of"
                 " another type than configured; nothing was heated"
@@ -176,31 +88,33 @@ class Session:
             )
         return temp_c
 
-    def start(self, run: Run, done: Callable[[], None], each: Callable[[], None] | None = None) -> None:
-        """Take the heater; `done` when the run is over, the heater off and given back; `each` every 0.1 s before."""
-        running = self.gcode.register_command("ABORT", None)
-        if running is not None:
-            self.gcode.register_command("ABORT", running, desc=ABORT_HELP)
+    def start(self, run: Run, done: Callable[[], None], each: Callable[[float], None] | None = None) -> None:
+        """Acquire the heater; `done` when the run is over, the heater off and released; `each` at each poll before."""
+        if self.gcode.get_handler("ABORT") is not None:
             raise self.printer.command_error("Another calibration is running; ABORT ends it")
-        self.seat.take(run)
-        self._run, self._done, self._each = run, done, each or (lambda: None)
+        self.heater.acquire(run)
+        self._run, self._done, self._each = run, done, each or self._each
         self.active = True
-        self.gcode.register_command("ABORT", self._cmd_abort, desc=ABORT_HELP)
-        self._told_s = self._heard_s = self._reactor.monotonic()
+        self.gcode.register_command("ABORT", self._cmd_abort, desc="End the calibration")
+        self._reported_s = self._received_s = self._reactor.monotonic()
         self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
 
     def wait(self) -> None:
-        """Until the calibration is over."""
+        """Until the calibration is over and fitted."""
         eventtime = self._reactor.monotonic()
         while self.active and not self.printer.is_shutdown():
-            eventtime = self._reactor.pause(eventtime + POLL_S)
+            eventtime = self._reactor.pause(eventtime + WAIT_S)
 
     def say(self, text: str) -> None:
         self.gcode.respond_info(text)
 
     def _cmd_abort(self, gcmd: GCodeCommand) -> None:
         if self._run is not None:
-            self._run.abort("ended by ABORT")
+            self._run.abort(ABORTED)
+            return
+        self._is_aborted = True
+        if self._fit is not None:
+            self._fit.kill()
 
     def _on_timer(self, eventtime: float) -> float:
         run = self._run
@@ -208,29 +122,81 @@ class Session:
             return float(self._reactor.NEVER)
         if self.printer.is_shutdown():
             run.abort("the printer stopped")
-        age_s, temp_c = self.seat.reading(eventtime)
+        age_s, temp_c = self.heater.reading(eventtime)
         if age_s < FRESH_S:
-            self._heard_s = eventtime
-        elif not run.over and eventtime - self._heard_s > QUIET_S:
-            run.abort(f"no reading for {QUIET_S:.0f} s")
+            self._received_s = eventtime
+        elif eventtime - self._received_s > run.timeout_s:
+            run.abort(f"no reading for {run.timeout_s:.0f} s")
         if not run.over:
-            self.seat.keep(run)
-            self._each()
+            if self.induction:
+                self.heater.follow_run()
+            self._each(eventtime)
         if run.over:
             self._finish()
             return float(self._reactor.NEVER)
-        if eventtime - self._told_s >= PROGRESS_S:
-            self._told_s = eventtime
-            self.say(f"{self.what}: {run.progress()}, {temp_c:.1f} C")
-        return eventtime + POLL_S
+        if eventtime - self._reported_s >= run.progress_s:
+            self._reported_s = eventtime
+            self.say(f"{self.what}: {run.progress(temp_c)}")
+        return eventtime + run.poll_s
 
     def _finish(self) -> None:
         self._reactor.unregister_timer(self._timer)
         self._timer = self._run = None
         if not self.printer.is_shutdown():
-            self.seat.leave()
-        self.gcode.register_command("ABORT", None)
+            self.heater.release()
         try:
             self._done()
         finally:
-            self.active = False
+            if not self._is_fitting:
+                self._end()
+
+    def _end(self) -> None:
+        self.gcode.register_command("ABORT", None)
+        self.active = False
+
+    # What becomes of the recording
+
+    def write_trace(self, run: Run, where: object, opened: Callable[[], Any], more: str = "") -> Path | None:
+        """The run's trace to the file that `opened` makes; None, and people know why, if that cannot be."""
+        try:
+            with opened() as stream:
+                run.write(stream)
+        except (OSError, output_file.OutputError) as e:
+            logging.warning("%s: %s: %s", self.what, where, e)
+            self.say(f"The trace cannot be written to {where}: {getattr(e, 'strerror', None) or e}{more}")
+            return None
+        return Path(stream.name)
+
+    def fit(
+        self, module: str, arguments: list[str], take: Callable[[dict[str, Any]], None], refused: str
+    ) -> None:
+        """Evaluate a trace with thermal/identification/`module` in a process of its own; `take` gets what it finds.
+
+        `refused` begins the text for people if it finds nothing.
+        """
+        self._is_fitting = True
+        command = [sys.executable, "-m", f"thermal.identification.{module}", *arguments]
+        done = self._reactor.run_beside(partial(self._evaluate, command))
+        self._reactor.register_callback(lambda eventtime: self._on_fit(done.wait(), take, refused))
+
+    def _evaluate(self, command: list[str]) -> dict[str, Any]:
+        """On a thread of its own."""
+        pipe = subprocess.PIPE
+        self._fit = subprocess.Popen(command, cwd=HOST_FOLDER, stdout=pipe, stderr=pipe, text=True)
+        output, errors = self._fit.communicate()
+        if self._is_aborted or self._fit.returncode:
+            lines = errors.strip().splitlines()
+            why = lines[-1] if lines else f"status {self._fit.returncode}"
+            raise RuntimeError(ABORTED if self._is_aborted else why)
+        return dict(json.loads(output))
+
+    def _on_fit(
+        self, found: dict[str, Any] | Exception, take: Callable[[dict[str, Any]], None], refused: str
+    ) -> None:
+        try:
+            if isinstance(found, Exception):
+                self.say(f"{refused}: {found}. Nothing was changed.")
+            else:
+                take(found)
+        finally:
+            self._end()

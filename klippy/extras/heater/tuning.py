@@ -124,9 +124,9 @@ def min_extrude_c(heater: Any) -> float:
     return float((heater if is_induction(heater) else heater.settings).min_extrude_c)
 
 
-def refuse_lent(heater: Any) -> None:
-    """A run at the law's place is no tuning to keep, and another law there would leave it waiting for ever."""
-    if heater.lent:
+def refuse_in_calibration(heater: Any) -> None:
+    """A run in the law's place is no tuning to keep, and another law there would leave it waiting for ever."""
+    if heater.in_calibration:
         raise heater.printer.command_error(f"Heater '{heater.name}' is being calibrated; ABORT ends that")
 
 
@@ -200,7 +200,7 @@ def _all_options() -> list[str]:
 
 def use(printer: Printer, heater: Any, tuning: dict[str, str]) -> None:
     """Work with this tuning from now on, target kept, at the present power. Raises command_error."""
-    refuse_lent(heater)
+    refuse_in_calibration(heater)
     meant = check(printer, heater, tuning)
     if not is_induction(heater):
         if meant.name == "mcu_onoff" != heater.law.name:

@@ -1,17 +1,12 @@
 """Commands around the thermometer of an [induction_heater].
 
-INDUCTION_CALIBRATE, ABORT, INDUCTION_STATUS, INDUCTION_ZERO. The run itself is thermal/identification/sweep.py, its
-evaluation thermal/identification/fit_sweep.py; here they meet the printer: the reference sensor, the trace file,
-progress, SAVE_CONFIG. The heater is off before and after a run, however that ends.
+INDUCTION_CALIBRATE, INDUCTION_REFERENCE, INDUCTION_STATUS, INDUCTION_ZERO. The run is
+thermal/identification/sweep.py, its evaluation thermal/identification/fit_sweep.py; here are the reference sensor and
+what becomes of the result.
 """
 
 from __future__ import annotations
 
-import csv
-import json
-import logging
-import subprocess
-import sys
 import time
 from dataclasses import replace
 from functools import partial
@@ -29,20 +24,8 @@ from ..heater import tuning as heater_tuning
 from ..outputs import output_file
 from . import settings
 
-COLUMNS = (
-    "t_s",
-    "temp_ref_c",
-    "error",
-    "phase_ticks",
-    "count",
-    "duration_s",
-)  # thermal/identification/fit_data.py
-READING_MARK = "# reference,"  # thermal/identification/fit_sweep.py
-HOST_FOLDER = Path(__file__).resolve().parents[2]
 MANUAL_SILENCE_S = 60.0  # a person types readings: patience with the next one
-POLL_S = 0.020  # the reference sensor is looked at so often
 SAME_S = 0.5  # a reading that does not change is taken again after this
-PROGRESS_S = 5.0
 ZERO_LIMIT_C = 60.0
 LOSS_UNCERTAINTY = 0.03  # of a calibrated two-node model
 
@@ -50,20 +33,15 @@ LOSS_UNCERTAINTY = 0.03  # of a calibrated two-node model
 class InductionCalibrate:
     """One heater's commands; one run at a time."""
 
-    def __init__(self, printer: Printer, heater: Any, section: str, folder: str) -> None:
+    def __init__(self, printer: Printer, heater: Any, folder: str) -> None:
         self.printer = printer
         self.heater = heater
-        self.section = section
         self.folder = Path(folder).expanduser()
         self.gcode = printer.lookup_object("gcode")
         self._reactor = printer.get_reactor()
         self._run: sweep.Sweep | None = None
         self._reference: Any = None  # object with get_temp, None: manual
-        self._gain = 1.0
         self._seen = (-1e9, 0.0)  # (time, reading) taken last
-        self._progress_s = 0.0
-        self._timer: Any = None
-        self._fitting = False
 
     def register(self) -> None:
         commands = (
@@ -81,16 +59,13 @@ class InductionCalibrate:
 
     def cmd_calibrate(self, gcmd: GCodeCommand) -> None:
         reference = gcmd.get("REFERENCE", "manual")
-        if self._fitting:
-            raise gcmd.error("The last calibration is still being fitted")
         heater_run.need_fit(gcmd)
         parameters = self.heater.parameters
         limit_c = gcmd.get_float(
             "TEMP_MAX", min(350.0, self.heater.max_temp - 10.0), above=120.0, maxval=500.0
         )
-        self._gain = gcmd.get_float("GAIN", 1.0, minval=0.5, maxval=1.5)
-        self._reference = self._find_reference(gcmd, reference)
-        now_s = self.heater.now_s()
+        gain = gcmd.get_float("GAIN", 1.0, minval=0.5, maxval=1.5)
+        sensor = self._find_reference(gcmd, reference)
         plan = sweep.SweepParameters(
             parameters.front,
             parameters.actuator.law,
@@ -100,26 +75,20 @@ class InductionCalibrate:
             cool_s=gcmd.get_float("COOL_TIME", 75.0, minval=10.0, maxval=600.0),
             lag_s=gcmd.get_float("LAG", 1.5, minval=0.0, maxval=10.0),
             lead_s=parameters.timing.lead_s,
-            reference_s=3.0 if self._reference is not None else MANUAL_SILENCE_S,
-            contact_s=6.0 if self._reference is not None else MANUAL_SILENCE_S,
+            reference_s=3.0 if sensor is not None else MANUAL_SILENCE_S,
+            contact_s=6.0 if sensor is not None else MANUAL_SILENCE_S,
         )
-        if self.gcode.get_handler("ABORT") is not None:
-            raise gcmd.error("Another calibration is running; ABORT ends it")
-        run = sweep.Sweep(plan, now_s)
-        self.heater.borrow(run)
-        self._run = run
-        self._progress_s = 0.0
-        self._seen = (-1e9, 0.0)
-        self.gcode.register_command("ABORT", self.cmd_abort, desc="End the calibration")
-        self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
-        against = "readings you enter by INDUCTION_REFERENCE" if self._reference is None else reference
+        wait = gcmd.get_int("WAIT", 0)
+        run = sweep.Sweep(plan, self.heater.now_s())
+        runner = heater_run.Runner(self.printer, self.heater, "calibration")
+        runner.start(run, lambda: self._finish(runner, run, gain), partial(self._read, run))
+        self._run, self._reference, self._seen = run, sensor, (-1e9, 0.0)
+        against = "readings you enter by INDUCTION_REFERENCE" if sensor is None else reference
         self._say(
             f"Calibrating '{self.heater.section_name}' up to {limit_c:.0f} C against {against}; ABORT ends it."
         )
-        if gcmd.get_int("WAIT", 0):
-            eventtime = self._reactor.monotonic()
-            while (self._run is not None or self._fitting) and not self.printer.is_shutdown():
-                eventtime = self._reactor.pause(eventtime + 0.1)
+        if wait:
+            runner.wait()
 
     def _find_reference(self, gcmd: GCodeCommand, name: str) -> Any:
         if name == "manual":
@@ -138,11 +107,6 @@ class InductionCalibrate:
             " or REFERENCE=manual)"
         )
 
-    def cmd_abort(self, gcmd: GCodeCommand) -> None:
-        if self._run is None:
-            raise gcmd.error("Nothing to abort")
-        self._run.abort("ended by ABORT")
-
     def cmd_reference(self, gcmd: GCodeCommand) -> None:
         """REFERENCE=manual: what an instrument of one's own shows now."""
         if self._run is None or self._reference is not None:
@@ -152,98 +116,30 @@ class InductionCalibrate:
         if not self.heater.parameters.supervise.calibrated:  # a law in force is quicker than a person
             self.heater.show_reference(temp_c)
 
-    def _on_timer(self, eventtime: float) -> float:
-        run = self._run
-        if run is None:
-            return float(self._reactor.NEVER)
-        now_s = self.heater.now_s()
-        if self._reference is not None and not run.over:
-            reading = self._reference.get_temp(eventtime)[0]
-            if reading and (reading != self._seen[1] or now_s - self._seen[0] >= SAME_S):
-                self._seen = (now_s, reading)
-                run.reference(now_s, reading)
-                self.heater.show_reference(reading)
-        if run.over:
-            self._finish(run)
-            return float(self._reactor.NEVER)
-        if eventtime - self._progress_s >= PROGRESS_S:
-            self._progress_s = eventtime
-            readings = run.recording.reference
-            shown = f"{readings[-1][1]:.1f} C" if readings else "no reading yet"
-            self._say(f"calibration: {run.stage} for {now_s - run.stage_s:.0f} s, reference {shown}")
-        return eventtime + POLL_S
+    def _read(self, run: sweep.Sweep, eventtime: float) -> None:
+        """The reference sensor, when it has something new."""
+        if self._reference is None:
+            return
+        now_s, reading = self.heater.now_s(), self._reference.get_temp(eventtime)[0]
+        if reading and (reading != self._seen[1] or now_s - self._seen[0] >= SAME_S):
+            self._seen = (now_s, reading)
+            run.reference(now_s, reading)
+            self.heater.show_reference(reading)
 
-    def _finish(self, run: sweep.Sweep) -> None:
-        """Bridge off, heater back, trace kept, and if the run went well the evaluation."""
-        self._reactor.unregister_timer(self._timer)
-        self._timer = None
-        if not self.printer.is_shutdown():
-            for command in run.on_timer(self.heater.now_s()):
-                self.heater.unit.queue_phase(command)
-            self.heater.give_back()
-        self.gcode.register_command("ABORT", None)
-        path = self._keep(run)
+    def _finish(self, runner: heater_run.Runner, run: sweep.Sweep, gain: float) -> None:
+        """Trace kept, and if the run went well the evaluation."""
         self._run = None
-        if run.stage != "done":
+        name = f"induction-{self.heater.section_name}-{time.strftime('%Y%m%d-%H%M%S')}.csv"
+        path = runner.write_trace(run, self.folder, partial(output_file.open_new, self.folder, name))
+        if run.fault:
             self._say(f"Calibration ended: {run.fault}. Nothing was changed. Trace: {path or 'not written'}")
         elif path is not None:
             self._say(f"The run is over. Fitting {path} ...")
-            self._fit(path)
-
-    def _keep(self, run: sweep.Sweep) -> Path | None:
-        """Write the trace, the reference interpolated to the blocks."""
-        name = f"induction-{self.heater.section_name}-{time.strftime('%Y%m%d-%H%M%S')}.csv"
-        readings = run.recording.reference
-        try:
-            with output_file.open_new(self.folder, name) as stream:
-                writer = csv.writer(stream)
-                for read_s, shown_c in readings:  # as they came; the column below is interpolated
-                    stream.write(f"{READING_MARK}{read_s:.6f},{shown_c:.4f}\n")
-                writer.writerow(COLUMNS)
-                at = 0
-                for time_s, error, phase, count, duration_s in run.recording.blocks:
-                    while at + 1 < len(readings) and readings[at + 1][0] <= time_s:
-                        at += 1
-                    if not readings or not readings[0][0] <= time_s < readings[-1][0]:
-                        continue
-                    (t0, c0), (t1, c1) = readings[at], readings[at + 1]
-                    shown = c0 + (c1 - c0) * (time_s - t0) / (t1 - t0)
-                    row = (f"{time_s:.6f}", f"{shown:.3f}", f"{error:.4f}", phase, count, f"{duration_s:.7f}")
-                    writer.writerow(row)
-        except (OSError, output_file.OutputError) as e:
-            logging.warning("calibration trace in %s: %s", self.folder, e)
-            self._say(f"The trace {name} cannot be written to {self.folder}: {e}")
-            return None
-        return Path(stream.name)
-
-    # The fit, in a process of its own
-
-    def _fit(self, path: Path) -> None:
-        drive = self.heater.parameters.actuator.law
-        command = [
-            sys.executable,
-            "-m",
-            "thermal.identification.fit_sweep",
-            str(path),
-            "--gain",
-            str(self._gain),
-        ]
-        command += ["--power-full", str(drive.power_max_w), "--exponent", str(drive.exponent)]
-        self._fitting = True
-        work = partial(subprocess.run, command, cwd=HOST_FOLDER, capture_output=True, text=True, check=False)
-        done = self._reactor.run_beside(work)
-        self._reactor.register_callback(lambda eventtime: self._on_fit(done.wait()))
-
-    def _on_fit(self, done: subprocess.CompletedProcess[str] | Exception) -> None:
-        self._fitting = False
-        if isinstance(done, Exception):
-            self._say(f"The calibration run cannot be evaluated: {done}. Nothing was changed.")
-        elif done.returncode:
-            errors = done.stderr.strip()
-            why = errors.splitlines()[-1] if errors else f"status {done.returncode}"
-            self._say(f"The calibration run cannot be evaluated: {why}. Nothing was changed.")
-        else:
-            self._take(json.loads(done.stdout))
+            drive = self.heater.parameters.actuator.law
+            arguments = [str(path), "--gain", str(gain), "--power-full", str(drive.power_max_w)]
+            arguments += ["--exponent", str(drive.exponent)]
+            refused = "The calibration run cannot be evaluated"
+            runner.fit("fit_sweep", arguments, self._take, refused)
 
     def _take(self, result: dict[str, Any]) -> None:
         """Use a fit's result from now on, and offer it to SAVE_CONFIG."""
@@ -279,22 +175,19 @@ class InductionCalibrate:
 
     def _stage(self, law: laws.Law, result: dict[str, Any] | None) -> None:
         """Put the values where SAVE_CONFIG finds them."""
-        configfile = self.printer.lookup_object("configfile")
         name, values = laws.coefficients_of(law)
-        configfile.set(self.section, "estimator", name)
-        for key, value in values.items():
-            configfile.set(self.section, f"{name}_{key}", f"{value:.7g}")
-        configfile.set(self.section, "law_residual", f"{law.residual_units:.3g}")
-        if result is None:
-            return
-        for key, value in (
-            ("heat_capacity_j_per_k", result["capacity_j_k"]),
-            ("loss_factor", result["loss_factor"]),
-            ("second_mass_factor", result["second_factor"]),
-            ("ambient_temp", result["ambient_c"]),
-            ("loss_uncertainty", LOSS_UNCERTAINTY),
-        ):
-            configfile.set(self.section, key, f"{value:.4g}")
+        options = {"estimator": name, **{f"{name}_{key}": f"{value:.7g}" for key, value in values.items()}}
+        options["law_residual"] = f"{law.residual_units:.3g}"
+        if result is not None:
+            more = {
+                "heat_capacity_j_per_k": result["capacity_j_k"],
+                "loss_factor": result["loss_factor"],
+                "second_mass_factor": result["second_factor"],
+                "ambient_temp": result["ambient_c"],
+                "loss_uncertainty": LOSS_UNCERTAINTY,
+            }
+            options |= {key: f"{value:.4g}" for key, value in more.items()}
+        heater_tuning.stage(self.printer, self.heater, heater_tuning.Tuning(options))
 
     # One point, and a look
 

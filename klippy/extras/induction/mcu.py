@@ -2,7 +2,6 @@
 
     queue_plan([PhaseCommand])     ──> queue_induction_plan clock= steps=    replaces what was pending from then on
     set_calm(Calm)                 ──> induction_calm records= phase= expected= limit=
-    queue_phase(PhaseCommand)      ──> queue_induction_phase clock= phase=
     on_blocks(Blocks)              <── induction_block sequence= clock= data=     a lot of them at a time
     on_stray()                     <── induction_stray                            not as expected: no more calm
 
@@ -65,14 +64,12 @@ class InductionUnit:
         self._oid = mcu.create_oid()
         self._on_blocks: OnBlocks = lambda blocks: None
         self._on_stray: OnStray = lambda: None
-        self._queue_phase: Any = None
         self._queue_plan: Any = None
-        self._period_ticks, self._period_s, self._second_ticks = 0, math.inf, 1
+        self._period_s, self._second_ticks = math.inf, 1
         self._report: Any = None
         self._tell_calm: Any = None
         self._calm: Calm | None = None
         self._stream: convert.Stream | None = None
-        self._last_clock = 0
         mcu.register_config_callback(self._build_config)
         mcu.register_response(self._handle_stray, "induction_stray", self._oid)
 
@@ -110,9 +107,8 @@ class InductionUnit:
             )
         mcu.add_config_cmd(f"induction_report oid={oid} enable=1", is_init=True)
         queue = mcu.alloc_command_queue()
-        self._queue_phase = mcu.lookup_command("queue_induction_phase oid=%c clock=%u phase=%hu", cq=queue)
         self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
-        self._period_ticks, self._period_s = period_ticks, period_ticks / clock_hz
+        self._period_s = period_ticks / clock_hz
         self._second_ticks = round(clock_hz)
         self._tell_calm = mcu.lookup_command(
             "induction_calm oid=%c records=%c phase=%hu expected=%u limit=%u", cq=queue
@@ -143,14 +139,6 @@ class InductionUnit:
 
     # Phases down
 
-    def queue_phase(self, command: PhaseCommand) -> None:
-        """Send one time-stamped phase; commands must come in order of time."""
-        clock = self.mcu.print_time_to_clock(command.time_s)
-        # Rounding must never make a command earlier than the one before it.
-        clock = max(clock, self._last_clock + 1)
-        self._last_clock = clock
-        self._queue_phase.send([self._oid, clock, command.phase_ticks], minclock=0, reqclock=clock)
-
     def queue_plan(self, commands: Sequence[PhaseCommand]) -> None:
         """Send phases in order of time, in place of all that is pending from the first of them on."""
         if not commands:
@@ -161,7 +149,6 @@ class InductionUnit:
             at = max(periods, round((command.time_s - commands[0].time_s) / self._period_s))
             steps += PLAN_STEP.pack(min(0xFFFF, at - periods), command.phase_ticks)
             periods = at
-        self._last_clock = clock + periods * self._period_ticks
         self._queue_plan.send([self._oid, clock, steps], minclock=0, reqclock=clock)
 
     def set_calm(self, calm: Calm | None) -> None:

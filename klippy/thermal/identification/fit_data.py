@@ -29,7 +29,6 @@ from .fit_sensing import (
 
 TABLE_COLUMNS = ("power_pct", "temp_c", "error")
 # The trace of a calibration run (sweep.py) is such a sweep with two columns more, powers visited in turns.
-SWEEP_COLUMNS = ("t_s", "temp_ref_c", "error", "phase_ticks", "count", "duration_s")
 TRACE_COLUMNS = ("t_s", "temp_ref_c", "error", "phase_ticks")
 
 

@@ -35,9 +35,9 @@ from thermal.sensing import heat_balance_monitor
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 
 from . import fit_sensing
-from .fit_data import SWEEP_COLUMNS, read_columns
+from .fit_data import read_columns
 from .fit_sensing import Array, FitError, Points
-from .sweep import Recording
+from .sweep import COLUMNS, READING_MARK, Recording
 
 GAIN_CENTRE_C = 25.0  # Table 6's gains are about this
 GRID_S = 0.02
@@ -241,16 +241,15 @@ def fit_heat(
 
 
 REFERENCE_EVERY_S = 0.1
-READING_MARK = "# reference,"  # a reading as it came, before the table
 
 
 def read_recording(path: Path) -> Recording:
     """The recording back from a trace file. Raises FitError."""
     columns = read_columns(path)
-    missing = [name for name in SWEEP_COLUMNS if name not in columns]
+    missing = [name for name in COLUMNS if name not in columns]
     if missing:
         raise FitError(f"{path}: not the trace of a calibration run, it has no {', '.join(missing)}")
-    time_s, reference_c, error, phase, count, duration = (columns[name] for name in SWEEP_COLUMNS)
+    time_s, reference_c, error, phase, count, duration = (columns[name] for name in COLUMNS)
     recording = Recording()
     recording.blocks = [
         (float(t), float(e), int(n), int(c), float(d))

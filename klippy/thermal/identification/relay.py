@@ -22,9 +22,10 @@ import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import Enum
 from itertools import pairwise
-from typing import NamedTuple
+from typing import NamedTuple, TextIO
+
+from .run import DONE, OutputPlan, OutputRun
 
 
 class CalibrationError(ValueError):
@@ -40,60 +41,43 @@ class Point(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class RelayPlan:
-    """How to swing. Times in s, outputs in the heater's unit (duty or W)."""
+class RelayPlan(OutputPlan):
+    """How to swing."""
 
-    target_c: float
-    high: float
-    band_c: float
     cycles: int = 5  # measured, after one that settles
     swing_s: float = 300.0  # longest half of a cycle
-    heat_s: float = 1200.0  # longest way to the target
-    lost_c: float = 40.0  # farther above the target than this the run ends
-    gain_c: float = 3.0  # at full power it must warm by so much ...
-    gain_s: float = 90.0  # ... within this time
 
 
-class Stage(Enum):
-    HEAT = "heating"
-    SWING = "swinging"
-    DONE = "done"
-    FAILED = "failed"
+HEAT, SWING = "heating", "swinging"
 
 
-class RelayRun:
-    """One run: `decide` at every reading, until `over`."""
+class RelayRun(OutputRun):
+    """One run."""
+
+    plan: RelayPlan
 
     def __init__(self, plan: RelayPlan) -> None:
-        self.plan = plan
-        self.stage = Stage.HEAT
-        self.fault = ""
+        super().__init__(plan, HEAT)
         self.points: list[Point] = []
         self.rises: list[
             int
         ] = []  # index of the point at which the output was switched on, once at temperature
         self._output = plan.high
         self._since_s = math.nan  # of the present half
-        self._gain = (math.nan, math.nan)
-
-    @property
-    def over(self) -> bool:
-        return self.stage in (Stage.DONE, Stage.FAILED)
 
     @property
     def target_c(self) -> float:
         return self.plan.target_c if not self.over else 0.0
 
-    def progress(self) -> str:
+    def progress(self, temp_c: float) -> str:
         done = max(0, len(self.rises) - 2)
-        return self.stage.value if self.stage is Stage.HEAT else f"swing {done} of {self.plan.cycles}"
+        doing = self.stage if self.stage == HEAT else f"swing {done} of {self.plan.cycles}"
+        return f"{doing}, {temp_c:.1f} C"
 
-    def abort(self, reason: str) -> None:
-        if not self.over:
-            self.stage, self.fault = Stage.FAILED, reason
+    def write(self, stream: TextIO) -> None:
+        stream.writelines(f"{p.time_s:.4f} {p.temp_c:.3f} {p.output:.4f}\n" for p in self.points)
 
     def decide(self, time_s: float, temp_c: float, limit: float = math.inf) -> float:
-        """Output from now on."""
         if not self.over and not math.isnan(temp_c):
             self._check(time_s, temp_c)
         if self.over:
@@ -105,34 +89,22 @@ class RelayRun:
         return 0.0 if self.over else min(limit, self._output)
 
     def _check(self, time_s: float, temp_c: float) -> None:
-        plan = self.plan
         if not self.points:
-            self._since_s, self._gain = time_s, (time_s, temp_c)
-        start_s, start_c = self._gain
-        if self._output <= 0.0 or temp_c >= start_c + plan.gain_c or temp_c > plan.target_c:
-            self._gain = time_s, temp_c
-        elif time_s - start_s > plan.gain_s:
-            self.abort(
-                f"the temperature went from {start_c:.1f} to {temp_c:.1f} C in {plan.gain_s:.0f} s of heating: heater"
-                " or sensor is broken, or they are not on the same part"
-            )
-        if temp_c > plan.target_c + plan.lost_c:
-            self.abort(
-                f"{temp_c:.0f} C is {plan.lost_c:.0f} C above the target: the heater does not turn off"
-            )
-        longest_s = plan.heat_s if self.stage is Stage.HEAT else plan.swing_s
+            self._since_s = time_s
+        self._check_heating(time_s, temp_c, self._output > 0.0)
+        longest_s = self.plan.heat_s if self.stage == HEAT else self.plan.swing_s
         if time_s - self._since_s > longest_s:
-            self.abort(f"it was still {self.stage.value} after {longest_s:.0f} s ({temp_c:.1f} C)")
+            self.abort(f"it was still {self.stage} after {longest_s:.0f} s ({temp_c:.1f} C)")
 
     def _switch(self, time_s: float, temp_c: float) -> None:
         plan = self.plan
         if self._output and temp_c >= plan.target_c + plan.band_c:
-            self._output, self._since_s, self.stage = 0.0, time_s, Stage.SWING
+            self._output, self._since_s, self.stage = 0.0, time_s, SWING
         elif not self._output and temp_c <= plan.target_c - plan.band_c:
             self._output, self._since_s = plan.high, time_s
             self.rises.append(len(self.points))
             if len(self.rises) > plan.cycles + 1:
-                self.stage = Stage.DONE
+                self.stage = DONE
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +157,7 @@ def _middle(values: Sequence[float]) -> tuple[float, float]:
 
 def evaluate(run: RelayRun) -> RelayResult:
     """PID from a run that is done. Raises CalibrationError if the swings do not tell one plant."""
-    if run.stage is not Stage.DONE:
+    if run.stage != DONE:
         raise CalibrationError(run.fault or "the run is not over")
     points = [*run.points]
     spans = list(zip(run.rises[1:], run.rises[2:], strict=False))  # the first swing settles

@@ -11,14 +11,17 @@ Output is duty or watts; what is recorded is the mean output that was in force b
 
 from __future__ import annotations
 
+import csv
 import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import NamedTuple, TextIO
 
 from thermal.control.control_api import Schedule
 from thermal.records import Sample
+
+from .run import DONE, OutputPlan, OutputRun
 
 STAGES = ("heat", "hold", "fan", "flow", "cool", "validate", "coast")
 
@@ -65,13 +68,10 @@ class Row(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class DrillPlan:
-    """Times in s; `high` and `delay_s` (reading to output in force) in the heater's terms."""
+class StepTestPlan(OutputPlan):
+    """How to heat, hold and cool."""
 
-    target_c: float
-    high: float
-    band_c: float  # on-off about the target
-    delay_s: float
+    delay_s: float  # reading to output in force
     hold_s: float
     cool_s: float
     coast_s: float
@@ -81,35 +81,26 @@ class DrillPlan:
     further: tuple[Step, ...] = ()  # after the hold
     even_c: float = 0.0  # hold with a drive in proportion over so many degrees instead of on and off
     share: float = 0.6  # hold and cool last at least this share of the heating
-    heat_s: float = 1200.0
-    lost_c: float = 40.0
-    gain_c: float = 3.0
-    gain_s: float = 90.0
     cool_to: float = 0.45  # cooling ends at this share of the rise; the pulse goes half way back
 
 
-class Drill:
-    """One run: `decide` at every reading, until `over`."""
+class StepTest(OutputRun):
+    """One run."""
 
-    def __init__(self, plan: DrillPlan, start_c: float) -> None:
-        self.plan = plan
+    plan: StepTestPlan
+
+    def __init__(self, plan: StepTestPlan, start_c: float) -> None:
+        super().__init__(plan, "heat")
         self.start_c = start_c
-        self.stage = "heat"
-        self.fault = ""
         self.rows: list[Row] = []
         self.heated_s = 0.0
         self._share = 1.0  # of the output
         self._pulse_rise = 0.0  # where the present stage began, share of the rise
         self._begun_s = math.nan  # of the stage
-        self._gain = (math.nan, math.nan)
         self._decided: list[tuple[float, float]] = []  # (time in force from, output), own decisions
-        self._heard_s = math.nan  # induction: end of the last sample
+        self._is_sampled = False  # induction: samples make the rows
         self._steps = deque(plan.further)
         self._step: Step | None = None  # under way
-
-    @property
-    def over(self) -> bool:
-        return self.stage in ("done", "failed")
 
     @property
     def target_c(self) -> float:
@@ -129,33 +120,33 @@ class Drill:
             return 0.0 if self.over else self._step.flow_mm3_s
         return self.plan.flow_mm3_s if self.stage == "flow" else 0.0
 
-    def progress(self) -> str:
-        return {"heat": "heating", "hold": "holding", "cool": "cooling"}.get(self.stage, self.stage)
+    def progress(self, temp_c: float) -> str:
+        doing = {"heat": "heating", "hold": "holding", "cool": "cooling"}.get(self.stage, self.stage)
+        return f"{doing}, {temp_c:.1f} C"
 
-    def abort(self, reason: str) -> None:
-        if not self.over:
-            self.stage, self.fault = "failed", reason
+    def write(self, stream: TextIO) -> None:
+        writer = csv.writer(stream)
+        writer.writerow(Row._fields)
+        writer.writerows(self.rows)
 
     def decide(self, time_s: float, temp_c: float, limit: float = math.inf) -> float:
-        """Output from now on."""
         if self.over:
             return 0.0
         if not math.isnan(temp_c):
             if math.isnan(self._begun_s):
-                self._begun_s, self._gain = time_s, (time_s, temp_c)
+                self._begun_s = time_s
             self._check(time_s, temp_c)
             self._advance(time_s, temp_c)
-            if math.isnan(self._heard_s):
+            if not self._is_sampled:
                 self._note(time_s, temp_c)
         output = min(limit, self.plan.high * self._share) if not self.over else 0.0
         self._decided.append((time_s + self.plan.delay_s, output))
         return output
 
-    def heard(self, samples: Sequence[Sample], flow: Schedule) -> None:
-        """Induction: each sample tells the heat in force itself, the extruder's queue the flow."""
+    def take_samples(self, samples: Sequence[Sample], flow: Schedule) -> None:
+        """Each sample has the heat in force itself, the extruder's queue the flow."""
+        self._is_sampled = self._is_sampled or bool(samples)
         for sample in samples:
-            if math.isnan(self._heard_s):
-                self._heard_s = sample.time_s
             temp_c = math.nan if sample.rebased else sample.temp_c
             flow_mm3_s = flow.at(sample.time_s)
             self.rows.append(Row(sample.time_s, temp_c, sample.output, self.fan, flow_mm3_s, self.stage))
@@ -180,21 +171,9 @@ class Drill:
         return (total + output * (end_s - at_s)) / (end_s - start_s)
 
     def _check(self, time_s: float, temp_c: float) -> None:
-        plan = self.plan
-        start_s, start_c = self._gain
-        if self._share < 1.0 or temp_c >= start_c + plan.gain_c or temp_c > plan.target_c:
-            self._gain = time_s, temp_c
-        elif time_s - start_s > plan.gain_s:
-            self.abort(
-                f"the temperature went from {start_c:.1f} to {temp_c:.1f} C in {plan.gain_s:.0f} s of heating: heater"
-                " or sensor is broken, or they are not on the same part"
-            )
-        if temp_c > plan.target_c + plan.lost_c:
-            self.abort(
-                f"{temp_c:.0f} C is {plan.lost_c:.0f} C above the target: the heater does not turn off"
-            )
-        if self.stage == "heat" and time_s - self._begun_s > plan.heat_s:
-            self.abort(f"the target was not reached within {plan.heat_s:.0f} s ({temp_c:.1f} C)")
+        self._check_heating(time_s, temp_c, self._share >= 1.0)
+        if self.stage == "heat" and time_s - self._begun_s > self.plan.heat_s:
+            self.abort(f"the target was not reached within {self.plan.heat_s:.0f} s ({temp_c:.1f} C)")
 
     def lasts_s(self) -> float:
         """How long the present stage lasts, s; heat and validate end by temperature."""
@@ -244,4 +223,4 @@ class Drill:
         passed = STAGES.index("hold" if self._step is not None else self.stage) + 1
         later = [name for name in STAGES[passed:] if name not in skipped]
         self._step = None
-        self.stage = later[0] if later else "done"
+        self.stage = later[0] if later else DONE

@@ -14,10 +14,12 @@ tells the reference sensor's lag (calibrate.py).
 
 from __future__ import annotations
 
+import csv
 import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import TextIO
 
 from thermal.models import heat_loss
 from thermal.models.drive_law import DriveLaw
@@ -26,6 +28,10 @@ from thermal.sensing import features
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 from thermal.sensing.blocks import Blocks
 
+from .run import DONE, Run
+
+COLUMNS = ("t_s", "temp_ref_c", "error", "phase_ticks", "count", "duration_s")
+READING_MARK = "# reference,"  # before a reading as it came; the column is interpolated
 POWERS_PERCENT = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0)
 
 
@@ -71,30 +77,47 @@ class Recording:
     reference: list[tuple[float, float]] = field(default_factory=list)
 
 
-class Sweep:
-    """One run. Feed it blocks, reference readings and time; it gives commands until `stage` is "done"."""
+class Sweep(Run):
+    """One run. Feed it blocks, reference readings and time; it gives commands until it is over."""
+
+    poll_s = 0.020  # of the reference sensor
+    progress_s = 5.0
+    timeout_s = math.inf  # it watches blocks and reference itself: the law in use may have no reading here
 
     def __init__(self, parameters: SweepParameters, now_s: float) -> None:
+        super().__init__("rest")
         self.parameters = parameters
         self.recording = Recording()
-        self.stage = "rest"
-        self.fault = ""
-        self.started_s = self.stage_s = now_s
-        self._heard_s = now_s
+        self.started_s = self.stage_s = self._watched_s = now_s
+        self._received_s = now_s  # last blocks
         self._next_s = now_s + parameters.lead_s
         self._plan: Iterator[tuple[int, float]] = self._rest()
         self._rise = (now_s, -math.inf)  # when the reference had risen enough, and to what
         self._levels = itertools.cycle([ticks_of_percent(p) for p in parameters.powers_percent])
 
-    @property
-    def over(self) -> bool:
-        return self.stage in ("done", "aborted")
+    def progress(self, temp_c: float) -> str:
+        readings = self.recording.reference
+        shown = f"{readings[-1][1]:.1f} C" if readings else "no reading yet"
+        return f"{self.stage} for {self._watched_s - self.stage_s:.0f} s, reference {shown}"
 
-    def abort(self, reason: str) -> None:
-        """The next commands switch the bridge off."""
-        if not self.over:
-            self.fault = reason
-            self.stage = "aborted"
+    def write(self, stream: TextIO) -> None:
+        """The readings as they came, then the blocks with the reference interpolated to them."""
+        readings = self.recording.reference
+        for read_s, shown_c in readings:
+            stream.write(f"{READING_MARK}{read_s:.6f},{shown_c:.4f}\n")
+        writer = csv.writer(stream)
+        writer.writerow(COLUMNS)
+        at = 0
+        for time_s, error, phase, count, duration_s in self.recording.blocks:
+            while at + 1 < len(readings) and readings[at + 1][0] <= time_s:
+                at += 1
+            if not readings or not readings[0][0] <= time_s < readings[-1][0]:
+                continue
+            (t0, c0), (t1, c1) = readings[at], readings[at + 1]
+            shown_c = c0 + (c1 - c0) * (time_s - t0) / (t1 - t0)
+            writer.writerow(
+                (f"{time_s:.6f}", f"{shown_c:.3f}", f"{error:.4f}", phase, count, f"{duration_s:.7f}")
+            )
 
     # Input
 
@@ -105,7 +128,7 @@ class Sweep:
     def on_blocks(self, blocks: Blocks, now_s: float) -> list[PhaseCommand]:
         record = self.recording
         if blocks:
-            self._heard_s = now_s
+            self._received_s = now_s
         for seen, block in zip(features.extract(self.parameters.front, blocks), blocks, strict=True):
             if self.over:
                 break
@@ -149,14 +172,15 @@ class Sweep:
 
     def _watch(self, now_s: float) -> None:
         p, record = self.parameters, self.recording
+        self._watched_s = now_s
         if self.over:
             return
-        if now_s - self._heard_s > p.silence_s:
+        if now_s - self._received_s > p.silence_s:
             self.abort("no samples from the induction unit")
             return
-        heard_s = record.reference[-1][0] if record.reference else self.started_s
-        if now_s - heard_s > p.reference_s:
-            self.abort(f"the reference sensor has not been heard for {now_s - heard_s:.1f} s")
+        read_s = record.reference[-1][0] if record.reference else self.started_s
+        if now_s - read_s > p.reference_s:
+            self.abort(f"the reference sensor has not been heard for {now_s - read_s:.1f} s")
             return
         if not record.reference:
             return
@@ -183,7 +207,7 @@ class Sweep:
             elif temp_c + p.lag_s * self._slope_c_s() >= p.temp_max_c or since_s >= p.heat_s:
                 self._enter("cool", self._cool(), now_s)
         elif self.stage == "cool" and (temp_c <= p.cool_to_c or since_s >= p.cool_s):
-            self.stage = "done"
+            self.stage = DONE
 
     def _stalled(self, now_s: float, temp_c: float) -> bool:
         """Has the reference stopped rising?"""
@@ -194,7 +218,7 @@ class Sweep:
     # Phases over time: (phase, duration)
 
     def _stretch(self, phase: int, duration_s: float) -> Iterator[tuple[int, float]]:
-        """One phase for long, told again often enough for the bridge's watchdog."""
+        """One phase for long, sent again often enough for the bridge's watchdog."""
         while duration_s > 0.0:
             part_s = min(duration_s, self.parameters.refresh_s)
             yield phase, part_s

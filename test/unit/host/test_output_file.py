@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from extras import pid_calibrate
+from extras.heater.run import Runner
 from extras.outputs import output_file
 from extras.outputs.output_file import OutputError
 from thermal.identification import relay
@@ -111,8 +112,10 @@ def test_files_lie_beside_the_log_or_where_the_program_says() -> None:
     assert output_file.default_folder(Printer(log_file=None)) == "~/printer_data/logs"
 
 
-class Session:
+class Said:
     """What PID_CALIBRATE says at its end."""
+
+    what = "PID_CALIBRATE"
 
     def __init__(self) -> None:
         self.said: list[str] = []
@@ -131,9 +134,9 @@ def test_the_trace_of_a_pid_calibration_replaces_a_link_or_a_pipe_and_opens_neit
     run.decide(1.0, 20.0)
     for put in (lambda: trace.symlink_to(config), lambda: os.mkfifo(trace), lambda: None):
         put()
-        session = Session()
-        pid_calibrate.PidCalibrate(None)._write(session, run)  # type: ignore[arg-type]
-        assert session.said == []
+        runner = Said()
+        Runner.write_trace(runner, run, trace, pid_calibrate._open_trace)  # type: ignore[arg-type]
+        assert runner.said == []
         assert trace.read_text() == "1.0000 20.000 1.0000\n"
         assert trace.is_file() and not trace.is_symlink()
         trace.unlink()

@@ -33,10 +33,10 @@ def hotend(mass: float = 1.0, loss: float = 1.0, lag: float = 1.0, element: floa
 def recording(true: ModelParameters, seed: int = 1, flow: float = 0.0) -> list[step_test.Row]:
     """A run of MODEL_CALIBRATE on this heater, with noise."""
     rng = np.random.default_rng(seed)
-    plan = step_test.DrillPlan(200.0, 1.0, 2.0, 0.0, hold_s=40.0, cool_s=40.0, coast_s=30.0, fan_s=30.0,
+    plan = step_test.StepTestPlan(200.0, 1.0, 2.0, 0.0, hold_s=40.0, cool_s=40.0, coast_s=30.0, fan_s=30.0,
                            flow_s=30.0 if flow else 0.0, flow_mm3_s=flow)  # fmt: skip
     fine = stepped(true, 0.02)  # nature does not step
-    run, nodes, output = step_test.Drill(plan, AMBIENT_C), at_rest(true, AMBIENT_C), 0.0
+    run, nodes, output = step_test.StepTest(plan, AMBIENT_C), at_rest(true, AMBIENT_C), 0.0
     for i in range(20000):
         output = run.decide(i * READ_S, nodes.sensor_c + rng.normal(0.0, NOISE_C))
         if run.over:

@@ -66,7 +66,7 @@ def leaves_c(n: Nozzle, bore_c: float, flow: float) -> float:
     return temp_c
 
 
-def extruded(run: step_test.Drill, times: list[float], flows: list[float], now_s: float) -> Schedule:
+def extruded(run: step_test.StepTest, times: list[float], flows: list[float], now_s: float) -> Schedule:
     """What stands in the extruder's queue: moves begin 0.3 s after they are asked for."""
     if not flows or flows[-1] != run.flow_mm3_s:
         times.append(now_s + 0.3)
@@ -79,11 +79,11 @@ def recording(n: Nozzle, moves: bool = True) -> tuple[Row, ...]:
     """The run of MODEL_CALIBRATE on this nozzle, with noise and the delay of the loop."""
     rng = np.random.default_rng(1)
     noise = rng.normal(0.0, NOISE_C, 80000).tolist()
-    plan = step_test.DrillPlan(
+    plan = step_test.StepTestPlan(
         230.0, 30.0, 1.0, 0.0, hold_s=25.0, cool_s=30.0, coast_s=10.0, heat_s=30.0, gain_s=5.0, lost_c=60.0,
         even_c=5.0, further=step_test.melt_steps(230.0, 185.0, FLOW_MM3_S),
     )  # fmt: skip
-    run, skin_c, second_c, bore_c = step_test.Drill(plan, ROOM_C), ROOM_C, ROOM_C, ROOM_C
+    run, skin_c, second_c, bore_c = step_test.StepTest(plan, ROOM_C), ROOM_C, ROOM_C, ROOM_C
     coming = deque([0.0] * LATE_TICKS)
     times: list[float] = []
     flows: list[float] = []
@@ -94,7 +94,9 @@ def recording(n: Nozzle, moves: bool = True) -> tuple[Row, ...]:
         if tick % READ_TICKS == 0:
             read_c = skin_c + noise[tick]
             schedule = extruded(run, times, flows, now_s) if moves else schedule
-            run.heard([Sample(now_s, now_s, read_c, NOISE_C, given_j / (READ_TICKS * TICK_S))], schedule)
+            run.take_samples(
+                [Sample(now_s, now_s, read_c, NOISE_C, given_j / (READ_TICKS * TICK_S))], schedule
+            )
             given_j, decided_w = 0.0, run.decide(now_s, read_c)
             if run.over:
                 break

@@ -145,7 +145,7 @@ class Driver:
 def test_a_reader_that_fails_does_not_disturb_a_calibration(printer: Printer) -> None:
     driver = Driver()
     printer.heater.set_temp(0.0)
-    printer.heater.borrow(driver)
+    printer.heater.acquire(driver)
     printer.heater.listen(failing([]))
     printer.run(5)
     assert driver.blocks == 10
