@@ -113,7 +113,7 @@ class PathEvents:
     # Moves, as soon as their times are known
 
     def _on_moves(self, row: Any, count: int, print_time: float) -> None:
-        if not self.enabled or not self._is_listening or getattr(self.heater, "lent", False):
+        if not self.enabled or not self._is_listening or getattr(self.heater, "in_calibration", False):
             return
         serving = self._toolhead.get_extruder()
         if serving is not self._extruder:
