@@ -92,7 +92,8 @@ def test_a_macro_may_be_taken_away_and_put_back(tmp_path: Path) -> None:
 
 def test_the_commands_that_yield_are_those_that_klipper_does_not_have() -> None:
     """A new command of our own belongs on the list, one that Klipper has does not."""
-    ours = documented_commands() - COMMANDS - UNDOCUMENTED - {"M200"}  # of files to plan offline, no printer has it
+    offline = {"M200"}  # of files to plan: no printer has it
+    ours = documented_commands() - COMMANDS - UNDOCUMENTED - offline
     assert {name for name in ours if not OF_THE_USER.match(name)} == OWN_COMMANDS
 
 
