@@ -25,6 +25,15 @@ def push(t, clock: int, phase: int, earliest: int | None = None):
     return lib.phase_push(t, node, (clock if earliest is None else earliest) & 0xFFFFFFFF), node
 
 
+def pending(t) -> list[int]:
+    """Phases that wait, oldest first."""
+    phases, node = [], t.first
+    while node != ffi.NULL:
+        phases.append(node.phase)
+        node = node.next
+    return phases
+
+
 def phases_at(t, first: int, count: int, piece: int = 32) -> list[int]:
     """Phase of each sample, asked half buffer by half buffer."""
     out: list[int] = []
@@ -65,18 +74,25 @@ def test_a_cut_takes_back_what_is_not_before_its_clock(base, cut_at, kept):
     assert taken == [100 + i for i in range(kept, 4)]
     accepted, newest = push(t, base + max(cut_at, 0), 7)  # goes behind what stayed
     assert accepted
-    left = []
-    while (node := lib.phase_pop(t)) != ffi.NULL:
-        left.append(node.phase)
-    assert left == [n.phase for n in nodes[:kept]] + [newest.phase]
+    assert pending(t) == [n.phase for n in nodes[:kept]] + [newest.phase]
+
+
+def test_what_is_forgotten_is_never_due_and_new_phases_are_taken():
+    t = track()
+    kept = [push(t, 1000 + i, 1 + i)[1] for i in range(3)]
+    lib.phase_forget(t)
+    assert lib.phase_pop_due(t, 2000) == ffi.NULL
+    accepted, node = push(t, 500, 9)  # older than what was forgotten
+    assert accepted and pending(t) == [9]
+    assert lib.phase_pop_due(t, 500) == node and node not in kept
 
 
 def test_order_of_clocks_is_demanded_and_a_refused_node_is_not_kept():
     t = track()
     first, second = push(t, 1000, 1), push(t, 999, 2)
     assert first[0] and not second[0]
-    assert lib.phase_pop(t) == first[1]
-    assert lib.phase_pop(t) == ffi.NULL
+    assert t.first == t.last == first[1]
+    assert pending(t) == [1]
 
 
 def test_late_phases_are_due_at_once_and_stay_in_order():

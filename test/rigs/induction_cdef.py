@@ -40,7 +40,7 @@ void phase_init(struct phase_track *t, uint16_t phase_max);
 uint8_t phase_push(struct phase_track *t, struct phase_node *node, uint32_t earliest);
 struct phase_node *phase_cut(struct phase_track *t, uint32_t clock);
 struct phase_node *phase_pop_due(struct phase_track *t, uint32_t clock);
-struct phase_node *phase_pop(struct phase_track *t);
+void phase_forget(struct phase_track *t);
 void phase_applied(struct phase_track *t, uint32_t index, uint16_t phase);
 uint16_t phase_run(struct phase_track *t, uint32_t index, uint16_t count, uint16_t *run);
 
