@@ -1,7 +1,7 @@
 """Runs pytest and notes which instructions of one Python file follow each other.
 
-branch_trace.py FILE REPORT [PYTEST-ARGUMENT ...]: REPORT gets a line for each line of FILE that was not reached and each condition that went one way only. Conditions are
-the jumps of the compiled code, so each operand of an `and` is one.
+branch_trace.py FILE REPORT [PYTEST-ARGUMENT ...]: REPORT gets a line for each line of FILE that was not reached and for
+each condition that went one way only. Conditions are the jumps of the compiled code: each operand of an `and` is one.
 """
 
 from __future__ import annotations

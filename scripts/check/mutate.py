@@ -1,5 +1,5 @@
 """Small changes of C and Python source, one at a time: each comparison, operator, bound and constant, each condition
-turned round, each simple statement left out. Whether a change compiles is not asked here.
+turned round, each field of an initializer and each simple statement left out. Whether a change compiles is not asked.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ _C_TOKEN = re.compile(
 )
 _C_HIDDEN = re.compile(r"/\*.*?\*/|//[^\n]*|^[ \t]*#(?:[^\n]*\\\n)*[^\n]*|\"(?:\\.|[^\"\\])*\"", re.S | re.M)
 _C_STATEMENT = re.compile(
-    r"^[ \t]*+(?!(?:return|break|continue|goto|else|case|default)\b)[^;{}\n]+;[ \t]*$", re.M
+    r"^[ \t]*+(?!(?:return|break|continue|goto|else|case|default|if|for|while|do)\b|\s)[^;{}]+;[ \t]*$", re.M
 )
+_C_FIELD = re.compile(r"[{,]\s*\.\w+ = ([^,{}]+)")
 _C_CONDITION = re.compile(r"\b(?:if|while) \(")
 
 
@@ -90,7 +91,8 @@ def _numbers(literal: str) -> Iterator[str]:
 def _c_edits(text: str, functions: tuple[str, ...]) -> Iterator[Edit]:
     code = _C_HIDDEN.sub(lambda hidden: re.sub(r"[^\n]", " ", hidden[0]), text)
     ranges = [_c_function(code, name) for name in functions] or [(0, len(code))]
-    for edit in (*_c_tokens(code), *_c_conditions(code), *_c_statements(code)):
+    fields = ((*field.span(1), "0") for field in _C_FIELD.finditer(code))
+    for edit in (*_c_tokens(code), *_c_conditions(code), *_c_statements(code), *fields):
         if any(begin <= edit[0] < end for begin, end in ranges):
             yield edit
 
@@ -111,7 +113,9 @@ def _c_tokens(code: str) -> Iterator[Edit]:
         elif token["name"]:
             if word.isupper() and len(word) > 1 and word != "NULL":
                 yield from ((start, end, f"({word} {sign} 1)") for sign in "+-")
-        elif word in "+-*&" and not re.search(r"[\w)\]]\s*$", code[max(0, start - 80) : start]):
+        elif word in "+-*&" and not re.search(
+            r"(?<!\breturn)(?<=[\w)\]])\s*$", code[max(0, start - 80) : start]
+        ):
             if word == "-":
                 yield start, end, ""
         else:
@@ -128,7 +132,7 @@ def _c_conditions(code: str) -> Iterator[Edit]:
 
 
 def _c_statements(code: str) -> Iterator[Edit]:
-    """Assignments and calls that fill their lines; a declaration left out does not compile."""
+    """Assignments and calls with lines of their own; a declaration left out does not compile."""
     for found in _C_STATEMENT.finditer(code):
         if not re.search(r"(?:[;{})]|\belse)\s*$", code[: found.start()]):
             continue  # goes on from the line before
