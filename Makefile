@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-plan soak soak-motion fuzz clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-plan soak soak-motion fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -30,6 +30,7 @@ help:
 	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it"
 	@echo "make soak               a long print in closed loop: does it leak? (HOURS=10, hours of wall time, too)"
 	@echo "make soak-motion        random moves on every machine against the analytic path (SECONDS=600)"
+	@echo "make mutants FILE=guard  do its tests notice each small change of a safety file? (without FILE: all, hours)"
 	@echo "make fuzz    fuzz the firmware's message parser (FUZZ_SECONDS=600)"
 	@echo "make sim     build the simulated MCU and the world it lives in"
 	@echo "make menuconfig     choose a chip and its options; then make, make flash, make size"
@@ -159,6 +160,10 @@ check-words:
 
 check-formats: sim
 	$(PYTHON) scripts/check/check_formats.py $(OUT)/simulator/ferrite.dict
+
+# FILE: guard oversample phase attention wire timed_output supervision.
+mutants: setup-test
+	@$(PYTHON) scripts/check/mutants.py $(FILE)
 
 # The chip's registers, written by hand, against the vendor's table.
 check-registers:

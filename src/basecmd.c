@@ -18,15 +18,19 @@ enum { STATS_SUMSQ_BASE = 256 };
 DECL_CONSTANT("STATS_SUMSQ_BASE", 256);
 enum { STATS_PERIOD_US = 5000000, UPTIME_POLL_US = 100000, IDENTIFY_MAX = 50 };
 
+/* Objects of one kind are chained in order of oid, and the first ones of the kinds: a shutdown walks them all in an interrupt.
+ * Chains hold oid + 1; 0 ends them. */
 struct oid_slot {
     void *type, *object;
+    uint8_t next_alike;
+    uint8_t next_kind;  /* in the first of a kind only */
 };
 
 static struct {
     char *arena;
     size_t arena_left;
     struct oid_slot *oids;
-    uint8_t oid_count;
+    uint8_t oid_count, first_kind;
     uint8_t finalized;
     uint32_t config_crc;
     struct move_node *free_moves;
@@ -85,6 +89,34 @@ command_allocate_oids(const struct command_args *args)
 }
 DECL_COMMAND(command_allocate_oids, "allocate_oids count=%c");
 
+static struct oid_slot *
+slot_of(uint8_t number)
+{
+    return &pool.oids[number - 1];
+}
+
+/* The link that leads to the first object of a kind; the end of the kinds' chain, if there is none. */
+static uint8_t *
+link_of_kind(void *type)
+{
+    uint8_t *link = &pool.first_kind;
+    while (*link && slot_of(*link)->type != type)
+        link = &slot_of(*link)->next_kind;
+    return link;
+}
+
+static void
+chain(struct oid_slot *slot, uint8_t number)
+{
+    uint8_t *link = link_of_kind(slot->type);
+    if (*link > number)
+        slot->next_kind = slot_of(*link)->next_kind;
+    while (*link && *link < number)
+        link = &slot_of(*link)->next_alike;
+    slot->next_alike = *link;
+    *link = number;
+}
+
 void *
 oid_alloc(uint8_t oid, void *type, uint16_t size)
 {
@@ -93,6 +125,7 @@ oid_alloc(uint8_t oid, void *type, uint16_t size)
     struct oid_slot *slot = &pool.oids[oid];
     slot->object = alloc_chunk(size);
     slot->type = type;
+    chain(slot, (uint8_t)(oid + 1));
     return slot->object;
 }
 
@@ -104,20 +137,13 @@ oid_lookup(uint8_t oid, void *type)
     return pool.oids[oid].object;
 }
 
-/* Shutdowns walk all objects once for each kind, in an interrupt: a tight loop, once in the image. */
+/* Once in the image: inlined it would stand there two dozen times. */
 __attribute__((noinline)) void *
 oid_next(uint8_t *cursor, void *type)
 {
-    if (!pool.oid_count)
-        return NULL;
-    const struct oid_slot *slot = pool.oids + *cursor, *const end = pool.oids + pool.oid_count;
-    while (slot != end) {
-        if (slot++->type == type) {
-            *cursor = (uint8_t)(slot - pool.oids);
-            return slot[-1].object;
-        }
-    }
-    return NULL;
+    uint8_t number = *cursor ? slot_of(*cursor)->next_alike : *link_of_kind(type);
+    *cursor = number;
+    return number ? slot_of(number)->object : NULL;
 }
 
 /****************************************************************

@@ -56,13 +56,12 @@ enum guard_trip
 guard_block(struct guard *g, const struct guard_input *block)
 {
     const struct guard_row *row = row_for(g, block->phase);
-    enum guard_trip bad = row && block->count ? judge(g, row, block) : GUARD_TRIP_NONE;
+    enum guard_trip bad = row ? judge(g, row, block) : GUARD_TRIP_NONE;
     if (bad == GUARD_TRIP_NONE) {
         g->bad_blocks = 0;
         return GUARD_TRIP_NONE;
     }
-    if (g->bad_blocks < UINT8_MAX)
-        g->bad_blocks++;
+    g->bad_blocks++; /* cannot run over before the trip: 255 in a row trip under every row */
     if (g->bad_blocks < row->trip_blocks)
         return GUARD_TRIP_NONE;
     return latch(g, bad, block->sum, block->count);

@@ -583,7 +583,7 @@ command_induction_query(const struct command_args *args)
 }
 DECL_COMMAND_FLAGS(command_induction_query, HF_IN_SHUTDOWN, "induction_query oid=%c");
 
-/* With interrupts disabled; may run twice.  The pending entries go back to the pool with everybody else's. */
+/* With interrupts disabled; may run twice.  Pending phases go back to the pool when the shutdown is cleared. */
 void
 induction_shutdown(void)
 {
@@ -591,7 +591,7 @@ induction_shutdown(void)
     if (!u)
         return;
     switch_off(u);
-    u->track.first = u->track.last = NULL;
+    phase_forget(&u->track);
     u->reporting = u->strayed = 0;
     u->block_tail = u->block_head;
     u->resync = 1;

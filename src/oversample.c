@@ -24,7 +24,7 @@ oversample_init(struct oversample *o, struct oversample_config config)
         return 0;
     *o = (struct oversample){.config = config};
     o->block_len = length;
-    o->cut_len = o->block_len >> OVERSAMPLE_CUT_SHIFT;
+    o->cut_len = (uint16_t)((length + (1u << OVERSAMPLE_CUT_SHIFT) - 1) >> OVERSAMPLE_CUT_SHIFT);
     ema_init(&o->ema, config.ema_shift);
     begin_block(o);
     return 1;

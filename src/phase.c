@@ -49,10 +49,10 @@ phase_cut(struct phase_track *t, uint32_t clock)
 }
 
 struct phase_node *
-phase_pop(struct phase_track *t)
+phase_pop_due(struct phase_track *t, uint32_t clock)
 {
     struct phase_node *node = t->first;
-    if (!node)
+    if (!node || is_before(clock, node->due))
         return NULL;
     t->first = node->next;
     if (!t->first)
@@ -60,10 +60,10 @@ phase_pop(struct phase_track *t)
     return node;
 }
 
-struct phase_node *
-phase_pop_due(struct phase_track *t, uint32_t clock)
+void
+phase_forget(struct phase_track *t)
 {
-    return t->first && !is_before(clock, t->first->due) ? phase_pop(t) : NULL;
+    t->first = t->last = NULL;
 }
 
 static struct phase_step *

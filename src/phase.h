@@ -54,8 +54,8 @@ uint8_t phase_push(struct phase_track *t, struct phase_node *node, uint32_t earl
 struct phase_node *phase_cut(struct phase_track *t, uint32_t clock);
 /* The oldest pending node if it is due at `clock`, else NULL. */
 struct phase_node *phase_pop_due(struct phase_track *t, uint32_t clock);
-/* The oldest pending node whatever its clock, else NULL: for emptying the queue. */
-struct phase_node *phase_pop(struct phase_track *t);
+/* Nothing is pending any more: the caller takes back all nodes at once. */
+void phase_forget(struct phase_track *t);
 /* `phase` was given to the bridge and holds from sample `index` on. */
 void phase_applied(struct phase_track *t, uint32_t index, uint16_t phase);
 /* What holds at sample `index`, and for how many of the next `count` (>= 1) samples. */

@@ -61,7 +61,7 @@ output_event(struct timer *t)
     struct update *next = front(o);
     if (next && next->clock == due)
         take_update(o);
-    else if (o->guarded && !next && o->deadline == due)
+    else if (o->guarded && o->deadline == due) /* nothing is queued, or it would have exceeded max_duration */
         shutdown((enum shutdown_reason)o->kind->missed_reason);
     else
         o->kind->toggle(o);

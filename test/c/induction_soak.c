@@ -106,7 +106,7 @@ main(void)
             printf("round %u: samples do not add up\n", round);
             return 1;
         }
-        for (struct phase_node *node; (node = phase_pop(&l.t));)
+        for (struct phase_node *node; (node = phase_pop_due(&l.t, l.clock + INT32_MAX));)
             free(node);
         blocks += l.blocks;
     }

@@ -68,6 +68,65 @@ def test_nothing_expected_nothing_strays() -> None:
     assert not lib.attention_block(a, 9000, 0)  # told once
 
 
+def test_what_is_expected_of_a_phase_to_come_waits_for_its_first_block() -> None:
+    a = ffi.new("struct attention *")
+    lib.attention_expect(a, 9000, 100_000, 100)
+    for _ in range(30):  # the mean comes to 90 of 100
+        assert not lib.attention_block(a, 9000, 100_090)
+    lib.attention_expect(a, 9500, 200_000, 100)
+    assert not lib.attention_block(a, 9000, 100_090)  # still judged by what was expected before
+    assert not lib.attention_block(a, 9700, 0)  # a phase nobody expects anything of
+    for _ in range(3):  # the mean begins anew: 38, 70, 99
+        assert not lib.attention_block(a, 9500, 200_300)
+    assert not lib.attention_block(a, 9000, 0)  # the phase before is not expected any more
+    assert lib.attention_block(a, 9500, 200_300) == 1
+
+
+def test_the_phase_in_force_is_judged_until_the_step_comes() -> None:
+    a = ffi.new("struct attention *")
+    lib.attention_expect(a, 9000, 100_000, 100)
+    lib.attention_expect(a, 9500, 200_000, 100)
+    assert lib.attention_block(a, 9000, 100_801) == 1
+
+
+def test_after_straying_what_is_expected_holds_at_once() -> None:
+    a = ffi.new("struct attention *")
+    lib.attention_expect(a, 9000, 100_000, 100)
+    assert lib.attention_block(a, 9000, 0)
+    lib.attention_expect(a, 9500, 200_000, 100)
+    lib.attention_expect(a, 9600, 300_000, 100)  # 9500 is in force since the one before
+    assert lib.attention_block(a, 9500, 0) == 1
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_one_block_strays_at_once_beyond_eight_limits_and_not_at_them(sign: int) -> None:
+    a = ffi.new("struct attention *")
+    lib.attention_expect(a, 9000, 100_000, 100)
+    assert not lib.attention_block(a, 9000, 100_000 + sign * 800)
+    lib.attention_expect(a, 9500, 200_000, 100)
+    assert not lib.attention_block(a, 9500, 200_000 + sign * 800)  # so too at the first block of a step
+    lib.attention_expect(a, 9500, 300_000, 100)
+    assert lib.attention_block(a, 9500, 300_000 + sign * 801) == 1
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_one_block_strays_at_once_also_against_a_mean_on_the_other_side(sign: int) -> None:
+    a = ffi.new("struct attention *")
+    lib.attention_expect(a, 9000, 100_000, 100)
+    for _ in range(30):
+        assert not lib.attention_block(a, 9000, 100_000 - sign * 90)
+    assert lib.attention_block(a, 9000, 100_000 + sign * 801) == 1
+
+
+@pytest.mark.parametrize("asked", [LIMIT_MAX - 1, LIMIT_MAX, LIMIT_MAX + 1])
+def test_a_limit_is_held_to_the_greatest(asked: int) -> None:
+    a, limit = ffi.new("struct attention *"), min(asked, LIMIT_MAX)
+    lib.attention_expect(a, 9000, 0, asked)
+    assert not lib.attention_block(a, 9000, 8 * limit)
+    lib.attention_expect(a, 9000, 0, asked)
+    assert lib.attention_block(a, 9000, 8 * limit + 1) == 1
+
+
 def test_a_new_expectation_at_the_same_phase_begins_with_a_mean_of_nothing() -> None:
     a = ffi.new("struct attention *")
     lib.attention_expect(a, 9000, 100_000, 100)

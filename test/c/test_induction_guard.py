@@ -16,7 +16,7 @@ def guard(*rows: tuple[int, int, int, int], max_duration: int = 7_200_000):
     g = ffi.new("struct guard *")
     lib.guard_init(g, 4095, max_duration)
     for row in rows:
-        assert lib.guard_add_row(g, row)
+        assert lib.guard_add_row(g, row) == 1
     return g
 
 
@@ -98,6 +98,17 @@ def test_a_row_out_of_order_is_refused(row):
     assert g.row_count == 1
 
 
+def test_limits_may_leave_one_mean():
+    g = guard((0, 300, 300, 1))
+    assert judge(g, 300) == NONE
+    assert judge(g, 301) == HIGH
+
+
+def test_the_longest_count_of_bad_blocks_trips_at_its_end_and_once():
+    g = guard((0, 200, 900, 255))
+    assert [judge(g, 100) for _ in range(600)] == [NONE] * 254 + [LOW] + [NONE] * 345
+
+
 def test_a_full_table_refuses_more():
     g = guard(*((phase, 0, 1, 1) for phase in range(12)))
     assert not lib.guard_add_row(g, (100, 0, 1, 1))
@@ -106,10 +117,11 @@ def test_a_full_table_refuses_more():
 @pytest.mark.parametrize("fed", [0, 123456, 2**32 - 1000])
 def test_silence_trips_exactly_at_max_duration(fed):
     g = guard(max_duration=7200)
-    lib.guard_fed(g, fed, 2012)
+    lib.guard_fed(g, fed, 1)  # the least phase is power, too
     assert lib.guard_deadline(g) == (fed + 7200) & 0xFFFFFFFF
     assert lib.guard_check_deadline(g, (fed + 7199) & 0xFFFFFFFF) == NONE
     assert lib.guard_check_deadline(g, (fed + 7200) & 0xFFFFFFFF) == TIMEOUT
+    assert (g.trip, g.trip_value, g.trip_count) == (TIMEOUT, (fed + 7200) & 0xFFFFFFFF, 0)
 
 
 def test_silence_without_power_is_no_fault():

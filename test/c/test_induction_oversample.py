@@ -59,7 +59,7 @@ class Reference:
         self.held, self.discarded, self.lost = [], 0, 0
 
     def _cut(self) -> None:
-        if self.held and len(self.held) >= self.length // 16:
+        if 16 * len(self.held) >= self.length:
             self._finish(whole=False)
         else:
             self.discarded += len(self.held)
@@ -97,11 +97,11 @@ class Fast:
         self.c = ffi.new("struct oversample *")
         self.block = ffi.new("struct oversample_block *")
         self.blocks: list[Block] = []
-        assert lib.oversample_init(
-            self.c, {"y": y, "ema_shift": shift, "settle_samples": settle, "block_len": length}
-        )
+        config = {"y": y, "ema_shift": shift, "settle_samples": settle, "block_len": length}
+        assert lib.oversample_init(self.c, config) == 1
 
     def _take(self, finished: int) -> None:
+        assert finished in (0, 1)
         if finished:
             self.blocks.append(Block(*(getattr(self.block, name) for name in Block.__dataclass_fields__)))
 
@@ -129,11 +129,12 @@ gaps = st.tuples(st.just("gap"), st.integers(0, 100), st.just(0))
     y=st.integers(3, 4),
     settle=st.integers(0, 60),
     shift=st.integers(0, 8),
-    length=st.sampled_from([0, 16, 37, 64]),
+    length=st.sampled_from([0, 4, 15, 16, 37, 64]),  # of 4^3 samples at least a sixteenth
     start=st.sampled_from([0, 5, 2**32 - 150]),
     events=st.lists(st.one_of(runs, runs, steps, gaps), max_size=40),
 )
 def test_blocks_equal_the_reference_whatever_comes(y, settle, shift, length, start, events):
+    length = max(length, 4 ** (y - 2)) if length else 0
     fast, reference = Fast(y, settle, shift, length), Reference(y, settle, shift, length)
     index, seen, lost = start, 0, 0
     for kind, count, seed in events:
@@ -216,12 +217,30 @@ def test_dropped_block_is_told_as_lost_with_the_next():
     assert (fast.blocks[1].lost, fast.blocks[1].discarded) == (64, 10)
 
 
-def test_counts_of_lost_samples_saturate():
+@pytest.mark.parametrize("more", [5535, 5536, 5537, 60000])
+def test_counts_of_lost_samples_saturate(more):
     fast = Fast(3, 0, 0)
     fast.gap(60000)
-    fast.gap(60000)
+    fast.gap(more)
     fast.feed([1] * 64, 0)
     assert fast.blocks[0].lost == U16
+
+
+def test_a_dropped_block_hands_on_what_was_lost_before_it():
+    fast = Fast(3, 10, 0)
+    fast.gap(100)
+    fast.feed([1] * 64, 100)
+    lib.oversample_drop(fast.c, fast.block)
+    fast.feed([1] * 64, 164)
+    assert [block.lost for block in fast.blocks] == [100, 164]
+
+
+@pytest.mark.parametrize(("length", "held", "worth"), [(4, 0, 0), (4, 1, 1), (33, 2, 0), (33, 3, 1)])
+def test_a_cut_block_is_worth_a_message_from_a_sixteenth_on(length, held, worth):
+    fast = Fast(3, 0, 0, length)
+    fast.feed([100] * held, 0)
+    fast.step(1)
+    assert len(fast.blocks) == worth
 
 
 def test_noise_turns_into_bits():

@@ -21,7 +21,17 @@ def track(phase_max: int = 45000):
 def push(t, clock: int, phase: int, earliest: int | None = None):
     """(accepted, node); the caller keeps the node alive, as the firmware's move queue does."""
     node = ffi.new("struct phase_node *", {"clock": clock & 0xFFFFFFFF, "phase": phase})
+    node.next = node  # what an entry of the pool had there before
     return lib.phase_push(t, node, (clock if earliest is None else earliest) & 0xFFFFFFFF), node
+
+
+def pending(t) -> list[int]:
+    """Phases that wait, oldest first."""
+    phases, node = [], t.first
+    while node != ffi.NULL:
+        phases.append(node.phase)
+        node = node.next
+    return phases
 
 
 def phases_at(t, first: int, count: int, piece: int = 32) -> list[int]:
@@ -58,24 +68,43 @@ def test_a_cut_takes_back_what_is_not_before_its_clock(base, cut_at, kept):
     t = track()
     nodes = [push(t, base + 40 * i, 100 + i)[1] for i in range(4)]
     node, taken = lib.phase_cut(t, (base + cut_at) & 0xFFFFFFFF), []
+    assert pending(t) == [100 + i for i in range(kept)]
     while node != ffi.NULL:
         taken.append(node.phase)
         node = node.next
     assert taken == [100 + i for i in range(kept, 4)]
     accepted, newest = push(t, base + max(cut_at, 0), 7)  # goes behind what stayed
-    assert accepted
-    left = []
-    while (node := lib.phase_pop(t)) != ffi.NULL:
-        left.append(node.phase)
-    assert left == [n.phase for n in nodes[:kept]] + [newest.phase]
+    assert accepted == 1
+    assert pending(t) == [n.phase for n in nodes[:kept]] + [newest.phase]
+
+
+def test_phases_queued_between_pops_stay_in_line():
+    t = track()
+    kept = [push(t, 1000, 1)[1], push(t, 1001, 2)[1]]
+    assert lib.phase_pop_due(t, 1000) == kept[0]
+    kept.append(push(t, 1002, 3)[1])
+    assert pending(t) == [2, 3]
+    assert [lib.phase_pop_due(t, 1002).phase for _ in range(2)] == [2, 3]
+    accepted, late = push(t, 900, 4)  # nothing is pending, so nothing is out of order
+    assert accepted and pending(t) == [4] and late not in kept
+
+
+def test_what_is_forgotten_is_never_due_and_new_phases_are_taken():
+    t = track()
+    kept = [push(t, 1000 + i, 1 + i)[1] for i in range(3)]
+    lib.phase_forget(t)
+    assert lib.phase_pop_due(t, 2000) == ffi.NULL
+    accepted, node = push(t, 500, 9)  # older than what was forgotten
+    assert accepted and pending(t) == [9]
+    assert lib.phase_pop_due(t, 500) == node and node not in kept
 
 
 def test_order_of_clocks_is_demanded_and_a_refused_node_is_not_kept():
     t = track()
     first, second = push(t, 1000, 1), push(t, 999, 2)
     assert first[0] and not second[0]
-    assert lib.phase_pop(t) == first[1]
-    assert lib.phase_pop(t) == ffi.NULL
+    assert t.first == t.last == first[1]
+    assert pending(t) == [1]
 
 
 def test_late_phases_are_due_at_once_and_stay_in_order():
@@ -133,6 +162,17 @@ def test_more_steps_than_the_ring_keeps_the_newest_right():
         lib.phase_applied(t, index, index)
     assert phases_at(t, RING, RING) == list(range(RING, 2 * RING))
     assert t.commanded == 2 * RING - 1
+
+
+@pytest.mark.parametrize("steps", [RING, RING + 1, RING + 5])
+def test_a_ring_of_steps_ahead_is_exact_and_one_more_counts_to_the_oldest_that_fell_out(steps):
+    t = track()
+    for n in range(steps):
+        lib.phase_applied(t, 100 + n, 1000 + n)
+    fallen = steps - RING
+    before = 1000 + fallen - 1 if fallen else 0
+    held = [before] * (100 + fallen) + [1000 + n for n in range(fallen, steps)]
+    assert phases_at(t, 0, 96) + phases_at(t, 96, 96) == (held + [held[-1]] * 96)[:192]
 
 
 def test_a_step_ahead_of_the_samples_waits_for_its_sample():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import subprocess
-from itertools import pairwise
+from itertools import pairwise, permutations
 
 import pytest
 
@@ -207,6 +207,23 @@ def test_shutdown_puts_outputs_to_their_defaults_and_refuses_commands(mcu: Mcu) 
     assert mcu.ask("get_config")["is_shutdown"] == 1
     assert mcu.ask("debug_ping", data=b"x")["data"] == b"x"
     assert mcu.ask("identify", offset=0, count=3)["data"]
+
+
+@pytest.mark.parametrize("order", list(permutations(range(4))))
+def test_a_shutdown_finds_every_object_in_order_of_oid_however_they_were_configured(
+    mcu: Mcu, order: tuple[int, ...]
+) -> None:
+    pwm = {"cycle_ticks": 1000, "value": 0, "default_value": 30, "max_duration": 0}
+    outputs = [digital_out(oid, PA0 + oid, default_value=1) for oid in range(4)]
+    outputs += [("config_pwm_out", {"oid": 4 + n, "pin": PA0 + 4 + n} | pwm) for n in range(4)]
+    mixed = [outputs[kind + oid] for oid in order for kind in (0, 4)]
+    mcu.configure(9, *mixed, ("config_trsync", {"oid": 8}))
+    before = len(mcu.pin_writes), len(mcu.pwm_writes)
+    mcu.send("emergency_stop")
+    assert [(pin, value) for _, pin, value in mcu.pin_writes[before[0] :]][:4] == [(n, 1) for n in range(4)]
+    assert [(write[1], write[3]) for write in mcu.pwm_writes[before[1] :]][:4] == [
+        (4 + n, 30) for n in range(4)
+    ]
 
 
 def test_the_first_reason_of_a_shutdown_stays(mcu: Mcu) -> None:

@@ -96,6 +96,18 @@ def test_an_update_beyond_max_duration_shuts_down(queued_together: bool) -> None
     assert mcu.edges(PIN)[-1][1] == 0
 
 
+def test_an_update_just_within_max_duration_may_come_late() -> None:
+    limit = 72_000
+    mcu = digital(limit)
+    start = mcu.now + 1000
+    queue(mcu, (start, 1))
+    mcu.run_to(start + limit - 100)
+    queue(mcu, (start + limit, 0))
+    mcu.run(0.1)
+    assert mcu.shutdown_reason() is None
+    assert mcu.edges(PIN)[1:] == [(start, 1), (start + limit, 0)]
+
+
 def test_the_default_value_may_stand_for_ever() -> None:
     mcu = digital(72_000)
     queue(mcu, (mcu.now + 1000, 1), (mcu.now + 2000, 0))
@@ -156,6 +168,37 @@ def test_new_software_pwm_value_takes_effect_at_its_clock() -> None:
     assert mcu.edges(PIN)[1:] == [
         (start, 1), (start + 400_000, 0), (start + 1_020_000, 1),
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize(("at", "off_at"), [(300_000, 350_000), (500_000, 400_000)], ids=["before", "after"])
+def test_a_value_that_comes_while_software_pwm_runs_takes_effect_at_its_clock(at: int, off_at: int) -> None:
+    """Before and after the next edge of the value in force."""
+    mcu = digital(cycle=720_000)
+    start = mcu.now + 1000
+    queue(mcu, (start, 400_000))
+    mcu.run_to(start + 100_000)
+    queue(mcu, (start + at, 50_000))
+    mcu.run_to(start + at + 720_000)
+    again = [] if at < off_at else [(start + at, 1), (start + at + 50_000, 0)]
+    assert mcu.edges(PIN)[1:] == [(start, 1), (start + off_at, 0), *again, (start + at + 720_000, 1)]
+
+
+def test_software_pwm_goes_on_while_the_next_value_waits_within_max_duration() -> None:
+    mcu = digital(3 * 720_000, cycle=720_000)
+    start = mcu.now + 1000
+    queue(mcu, (start, 300_000), (start + 3 * 720_000, 0))
+    mcu.run(1.0)
+    assert mcu.shutdown_reason() is None
+    edges = [(start + n * 720_000 + on * 300_000, 1 - on) for n in range(3) for on in (0, 1)]
+    assert mcu.edges(PIN)[1:] == edges
+
+
+def test_a_running_software_pwm_refuses_an_immediate_update() -> None:
+    mcu = digital(cycle=720_000)
+    queue(mcu, (mcu.now + 1000, 300_000))
+    mcu.run(0.01)
+    mcu.send("update_digital_out", oid=0, value=1)
+    assert mcu.shutdown_reason() == "update_digital_out not valid with active queue"
 
 
 def test_software_pwm_is_guarded_by_max_duration_and_ends_at_the_default() -> None:

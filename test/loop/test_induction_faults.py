@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -97,3 +98,23 @@ def test_the_supply_sensor_ignores_a_lead_that_came_off() -> None:
     sensor._on_adc(0.0, 0.6)
     sensor._on_adc(0.05, 0.0)
     assert sensor.volt == pytest.approx(24.0)
+
+
+def test_a_fault_takes_the_bridge_off_by_one_command_of_the_loop_not_by_the_watchdog() -> None:
+    rig = Rig(Plant(3), default_parameters(law=TANK), 5)
+    hold(rig, 2.0)
+    parameters = rig.loop.parameters
+    rig.loop.parameters = replace(parameters, supervise=replace(parameters.supervise, temp_high_c=200.0))
+    changed_s = rig.now_s
+    while not rig.loop.fault:
+        rig.run(0.001)
+    # six blocks of 1.6 ms, then the message of seven that is being gathered in a calm, six of them at once
+    assert rig.now_s - changed_s < 0.0096 + 6 * 7 * 0.0016 + 0.03
+    fault_s, sent = rig.now_s, len(rig.sent_s)
+    assert rig.phase > 0 and rig.loop.state.target_c == 0.0
+    while rig.phase:
+        rig.run(0.001)
+    assert rig.now_s - fault_s < parameters.timing.lead_s + 0.002
+    rig.run(0.5)
+    assert max(rig.trace.phase[-1000:]) == 0 and rig.watchdog_trips == 0
+    assert len(rig.sent_s) <= sent + 1  # the one command, sent in the millisecond of the fault or after it

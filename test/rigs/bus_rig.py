@@ -34,14 +34,14 @@ def build_dictionary() -> bytes:
 class RigPin:
     """A digital_out, pwm or adc pin; `log` is what it was told, (print time, value)."""
 
-    def __init__(self, chip: Chip, kind: str, invert: int) -> None:
+    def __init__(self, chip: Any, kind: str, invert: int) -> None:
         self.chip, self.kind, self.invert = chip, kind, invert
         self.log: list[tuple[float, float]] = []
         self.setup: dict[str, Any] = {}
         self.callback: Callable[[float, float], None] = lambda read_time, value: None
         self.last = (0.0, 0.0)
 
-    def get_mcu(self) -> Chip:
+    def get_mcu(self) -> Any:
         return self.chip
 
     def setup_max_duration(self, duration_s: float) -> None:
@@ -64,7 +64,7 @@ class RigPin:
 
     def set_pwm(self, print_time: float, value: float) -> None:
         assert not self.log or print_time >= self.log[-1][0], "times must not go back"
-        self.log.append((round(print_time, 6), round(value, 6)))
+        self.log.append((round(print_time, 6), value))
 
     set_digital = set_pwm
 

@@ -42,7 +42,7 @@ class HttpError(Exception):
 
 
 class SimulatedPrinter:
-    """run_printer.py in a folder, with a client for Moonraker's HTTP API."""
+    """run_printer.py in a folder, with a client for Moonraker's HTTP API; ended with its `with`, if it has not been."""
 
     def __init__(self, folder: Path, *options: str, moonraker: bool = True) -> None:
         self.data = folder
@@ -54,6 +54,13 @@ class SimulatedPrinter:
         self._output = folder.parent / f"{folder.name}-output.txt"
         with self._output.open("wb") as output:
             self.process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT)
+
+    def __enter__(self) -> SimulatedPrinter:
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        if self.process.poll() is None:
+            self.stop()
 
     @property
     def output(self) -> str:

@@ -42,7 +42,7 @@ PLANT_HEADERS = (PLANT / "plant.h", PLANT / "thermal_load.h")
 def compile_library(name: str, sources: Sequence[str], sanitize: str = "", flags: Sequence[str] = ()) -> Path:
     """Compile src/ files into out/test-c/NAME-HASH.so and return its path; raises with gcc's words."""
     paths = [SRC / source for source in sources]
-    options = [*BASE_FLAGS, *SANITIZERS[sanitize], *flags, f"-I{SRC}"]
+    options = [*BASE_FLAGS, *SANITIZERS[sanitize], *flags, f"-I{SRC}", f"-I{SRC}/simulator"]
     digest = hashlib.sha256(" ".join(options).encode())
     for folder in sorted({path.parent for path in paths}):
         for header in sorted(folder.glob("*.h")):

@@ -51,6 +51,7 @@ class Run:
     stderr: str
     summary: dict[str, Any]
     trace: Path
+    log: Path  # the host's
 
     def column(self, name: str) -> list[float]:
         """One column of the trace."""
@@ -59,6 +60,13 @@ class Run:
 
 
 Simulate = Callable[..., Run]
+
+
+def machine(folder: Path, more: str = "", base: Path = CONFIG) -> Path:
+    """printer.cfg of `base` and what `more` adds to it or says otherwise."""
+    path = folder / "printer.cfg"
+    path.write_text(f"[include {base}]\n{more}\n")
+    return path
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -87,15 +95,15 @@ def simulate(tmp_path: Path) -> Simulate:
         if isinstance(gcode, str):
             path = folder / "part.gcode"
             path.write_text(gcode)
-        summary, trace = folder / "summary.json", folder / "trace.csv"
+        summary, trace, log = folder / "summary.json", folder / "trace.csv", folder / "host.log"
         command = [sys.executable, ROOT / "scripts" / "simulate.py", config, path, "--seed", str(seed)]
-        command += ["--summary", summary, "--trace", trace, *more]
+        command += ["--summary", summary, "--trace", trace, "--log", log, *more]
         for setting in settings:
             command += ["--set", setting]
         done = subprocess.run(
             list(map(str, command)), capture_output=True, text=True, timeout=300, check=False
         )
         facts = json.loads(summary.read_text()) if summary.exists() else {}
-        return Run(done.returncode, done.stdout, done.stderr, facts, trace)
+        return Run(done.returncode, done.stdout, done.stderr, facts, trace, log)
 
     return run

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from simulation.runner import PRINTED, RunOptions, Simulation
-from system.conftest import CONFIG, TWO_MCUS, Simulate
+from system.conftest import CONFIG, TWO_MCUS, Simulate, machine
 
 BOARD = """
 [temperature_sensor board]
@@ -21,9 +21,7 @@ WHERE = "simulator mcu", "chip_temperature"
 
 
 def with_sensor(tmp_path: Path, base: Path = CONFIG, more: str = "") -> Path:
-    path = tmp_path / "printer.cfg"
-    path.write_text(f"[include {base}]\n{BOARD}{more}")
-    return path
+    return machine(tmp_path, BOARD + more, base)
 
 
 def told_c(config: Path, overrides: tuple[tuple[str, str, str], ...] = ()) -> float:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from system.conftest import CONFIG, Simulate
+from system.conftest import CONFIG, Simulate, machine
 
 PROFILES = """
 [heater_profile]
@@ -26,12 +26,10 @@ pid_kd_w_s_per_k: 0.1
 
 def play(simulate: Simulate, tmp_path: Path, lines: str, status: int = 0) -> tuple[str, Path]:
     """(log, the config file after the run)."""
-    path, log = tmp_path / "printer.cfg", tmp_path / "log"
-    if not path.exists():
-        path.write_text(f"[include {CONFIG}]\n{PROFILES}")
-    run = simulate(lines, config=path, more=["--log", str(log)])
+    path = tmp_path / "printer.cfg"
+    run = simulate(lines, config=path if path.exists() else machine(tmp_path, PROFILES))
     assert run.status == status, run.stderr
-    return log.read_text(), path
+    return run.log.read_text(), path
 
 
 def test_a_profile_is_used_saved_listed_and_removed(simulate: Simulate, tmp_path: Path) -> None:
@@ -59,12 +57,10 @@ def test_a_nozzle_changes_its_law_while_it_holds_and_goes_on_holding(
 ) -> None:
     lines = "HEATER_PROFILE HEATER=extruder SAVE=own\nM109 S200\nG4 P2000\n"
     lines += "HEATER_PROFILE HEATER=extruder LOAD=soft\nG4 P4000\nHEATER_PROFILE HEATER=extruder LOAD=own\nG4 P3000\n"
-    path, log = tmp_path / "printer.cfg", tmp_path / "log"
-    path.write_text(f"[include {CONFIG}]\n{PROFILES}")
-    run = simulate(lines, config=path, more=["--log", str(log)])
+    run = simulate(lines, config=machine(tmp_path, PROFILES))
     assert run.status == 0, run.stderr
     true = run.column("true_c")
-    assert log.read_text().count("works with profile") == 2
+    assert run.log.read_text().count("works with profile") == 2
     assert true[-1] == pytest.approx(200.0, abs=0.5)
     # it goes on at the power it had: 0.33 degC seen, of which the soft PID's own noise is most
     assert all(abs(t - 200.0) < 0.6 for t in true[-800:])
@@ -76,26 +72,24 @@ def test_a_bed_changes_between_pid_and_model_while_it_holds(simulate: Simulate, 
         "model_heat_j_per_k: 410\nmodel_element_j_per_k: 110\nmodel_element_w_per_k: 11\nmodel_loss_w_per_k: 1.2\n"
         "model_sensor_lag: 3\nmodel_ambient_temp: 22\n"
     )
-    path = tmp_path / "printer.cfg"
-    path.write_text(f"[include {CONFIG}]\n{more}")
     lines = "HEATER_PROFILE HEATER=heater_bed SAVE=own\nM190 S60\nG4 P120000\n"
     lines += "".join(
         f"HEATER_PROFILE HEATER=heater_bed LOAD={name}\nG4 P60000\n" for name in ("known", "own")
     )
-    run = simulate(lines, config=path)
+    run = simulate(lines, config=machine(tmp_path, more))
     assert run.status == 0, run.stderr
     held = run.column("bed_c")[-12000:]
     assert max(held) - min(held) < 0.5
 
 
 def test_a_profile_outlives_a_restart_and_so_does_its_removal(simulate: Simulate, tmp_path: Path) -> None:
-    path, log = tmp_path / "printer.cfg", tmp_path / "log"
+    path = tmp_path / "printer.cfg"
     path.write_text(CONFIG.read_text() + PROFILES)  # SAVE_CONFIG does not edit included files
 
     def play_again(lines: str) -> str:
-        run = simulate(lines, config=path, more=["--log", str(log)])
+        run = simulate(lines, config=path)
         assert run.status == 0, run.stderr
-        return log.read_text()
+        return run.log.read_text()
 
     play_again(
         "HEATER_PROFILE HEATER=heater_bed SAVE=kept\nHEATER_PROFILE HEATER=extruder SAVE=kept\nSAVE_CONFIG RESTART=0\n"

@@ -18,9 +18,9 @@ HEADER = ["time", "phase", "count", "raw_mean", "raw_min", "raw_max", "temperatu
 
 @pytest.fixture
 def client(tmp_path: Path) -> Iterator[Client]:
-    machine = SimulatedPrinter(tmp_path / "data", "--speed", "5", moonraker=False)
-    yield connect(machine)
-    assert machine.stop() == 0
+    with SimulatedPrinter(tmp_path / "data", "--speed", "5", moonraker=False) as machine:
+        yield connect(machine)
+        assert machine.stop() == 0
     assert "Traceback" not in machine.log("klippy.log")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from system.conftest import CONFIG, Simulate
+from system.conftest import Simulate, machine
 
 # Far from config/sim-induction.cfg in all that matters: without the run the melt would be 10 degC off.
 PLANT = """
@@ -28,18 +28,11 @@ LINE = (
 )
 
 
-def machine(folder: Path, more: str) -> Path:
-    path = folder / "printer.cfg"
-    path.write_text(f"[include {CONFIG}]\n{more}\n")
-    return path
-
-
 def test_the_melt_is_as_hot_as_planned_on_a_nozzle_nobody_configured(
     simulate: Simulate, tmp_path: Path
 ) -> None:
-    log = tmp_path / "log"
-    run = simulate(RUN + LINE, config=machine(tmp_path, PLANT + PLAN), more=["--log", str(log)])
-    text = log.read_text()
+    run = simulate(RUN + LINE, config=machine(tmp_path, PLANT + PLAN))
+    text = run.log.read_text()
     assert run.status == 0, text[-800:]
     found = dict(re.findall(r"set \[induction_heater nozzle\] (\w+) = ([0-9.]+)", text))
     # power is told 1/0.9 too high, and with it heat and exchange; what the melt's temperature hangs on is their ratio
@@ -58,10 +51,9 @@ def test_the_melt_is_as_hot_as_planned_on_a_nozzle_nobody_configured(
 
 
 def test_an_extruder_without_filament_changes_nothing(simulate: Simulate, tmp_path: Path) -> None:
-    log = tmp_path / "log"
     plant = "[simulator nozzle nozzle]\nmelt_ua_w_k: 0\n"
-    run = simulate(RUN, config=machine(tmp_path, plant), more=["--log", str(log)])
-    text = log.read_text()
+    run = simulate(RUN, config=machine(tmp_path, plant))
+    text = run.log.read_text()
     assert run.status == 0, text[-800:]
     assert "no filament is loaded, it slips, or the nozzle is clogged" in text
     assert "Nothing was changed" in text and "save_config: set" not in text
@@ -78,10 +70,9 @@ def test_an_extruder_without_filament_changes_nothing(simulate: Simulate, tmp_pa
 def test_what_would_spoil_the_run_is_told_before_anything_is_heated(
     simulate: Simulate, tmp_path: Path, line: str, more: str, words: str
 ) -> None:
-    log = tmp_path / "log"
     gcode = f"G4 P300\nMODEL_CALIBRATE HEATER=extruder {line}\n"
-    run = simulate(gcode, config=machine(tmp_path, more), more=["--log", str(log)])
-    assert run.status == 2 and words in log.read_text() + run.stderr
+    run = simulate(gcode, config=machine(tmp_path, more))
+    assert run.status == 2 and words in run.log.read_text() + run.stderr
     assert max(run.column("power_w")) < 2.0
 
 

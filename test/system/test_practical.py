@@ -17,9 +17,8 @@ def test_the_cutoff_bounds_the_swing_and_m109_ends(
     simulate: Simulate, tmp_path: Path, cutoff_c: float, low_c: float, high_c: float
 ) -> None:
     """Table 2 heats at 82 % above the target too, so the swing sits at the cutoff; on top 10 ms of 282 W, 7 degC."""
-    log = tmp_path / "log"
     settings = (PRACTICAL, *STRONG, f"induction_heater nozzle.practical_cutoff={cutoff_c}")
-    run = simulate("M109 S250\nG4 P5000\n", settings=settings, more=["--log", str(log)])
+    run = simulate("M109 S250\nG4 P5000\n", settings=settings)
     assert run.status == 0, run.stderr
     assert run.column("t_s")[-1] < 12.0  # M109 took its climb and a second or so, then the 5 s
     true = run.column("true_c")

@@ -7,13 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from system.conftest import CONFIG, Simulate
+from system.conftest import Simulate, machine
 
 
 def play(simulate: Simulate, tmp_path: Path, more: str) -> tuple[int, str]:
-    path, log = tmp_path / "printer.cfg", tmp_path / "log"
-    path.write_text(f"[include {CONFIG}]\n{more}")
-    run = simulate("G4 P100\n", config=path, more=["--log", str(log)])
+    run = simulate("G4 P100\n", config=machine(tmp_path, more))
     return run.status, run.stderr
 
 

@@ -9,15 +9,13 @@ import pytest
 
 from extras.heater import run as heater_run
 from simulation.runner import BAD_INPUT, RunOptions, Simulation
-from system.conftest import CONFIG, Simulate
+from system.conftest import CONFIG, Simulate, machine
 
 
 def play(simulate: Simulate, tmp_path: Path, lines: str, more: str = "") -> tuple[int, str, list[float]]:
-    path, log = tmp_path / "printer.cfg", tmp_path / "log"
-    path.write_text(f"[include {CONFIG}]\n{more}")
-    run = simulate(lines, config=path, more=["--log", str(log)])
+    run = simulate(lines, config=machine(tmp_path, more))
     power = run.column("power_w") if run.trace.exists() else []
-    return run.status, log.read_text() + run.stderr, power
+    return run.status, run.log.read_text() + run.stderr, power
 
 
 @pytest.mark.parametrize(
@@ -165,10 +163,8 @@ def test_after_refused_commands_the_heaters_go_on_as_they_were(simulate: Simulat
         more += f"[delayed_gcode wrong{i}]\ninitial_duration: {5.0 + 0.1 * i:.1f}\ngcode:\n  {command}\n"
     both = "HEATER_PROFILE HEATER=extruder SAVE={0}\nHEATER_PROFILE HEATER=heater_bed SAVE={0}\n"
     lines = both.format("before") + "M109 S200\nG4 P8000\nM400\nM190 S50\n" + both.format("after")
-    path, log = tmp_path / "printer.cfg", tmp_path / "log"
-    path.write_text(f"[include {CONFIG}]\n{more}")
-    run = simulate(lines + "M109 S230\nG4 P1000\n", config=path, more=["--log", str(log)])
-    text = log.read_text()
+    run = simulate(lines + "M109 S230\nG4 P1000\n", config=machine(tmp_path, more))
+    text = run.log.read_text()
     for i, (command, words) in enumerate(WHILE_HOLDING.items()):
         said = [line for line in text.splitlines() if line.startswith(f"delayed_gcode wrong{i}: ")]
         assert len(said) == 1 and words in said[0], (command, said)
@@ -194,10 +190,8 @@ def test_after_an_ended_run_the_nozzle_has_its_tuning_and_takes_a_target(
 ) -> None:
     lines = f"HEATER_PROFILE HEATER=extruder SAVE=before\n{command} WAIT=0\nG4 P2500\nABORT\nG4 P500\n"
     lines += "HEATER_PROFILE HEATER=extruder SAVE=after\nM109 S200\nG4 P1000\n"
-    path, log = tmp_path / "printer.cfg", tmp_path / "log"
-    path.write_text(f"[include {CONFIG}]\n")
-    run = simulate(lines, config=path, more=["--log", str(log)])
-    text = log.read_text()
+    run = simulate(lines, config=machine(tmp_path))
+    text = run.log.read_text()
     assert run.status == 0, run.stderr
     assert "ended: ended by ABORT. Nothing was changed." in text
     assert kept(text, "before") and kept(text, "before") == kept(text, "after")

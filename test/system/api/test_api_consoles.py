@@ -68,8 +68,7 @@ def test_no_board_is_told_in_a_line(tmp_path: Path) -> None:
 
 # --- gcode_console.py and log_extract.py ---
 def test_the_gcode_console_and_the_story_of_its_log(tmp_path: Path) -> None:
-    printer = SimulatedPrinter(tmp_path / "data", "--speed", "10", moonraker=False)
-    try:
+    with SimulatedPrinter(tmp_path / "data", "--speed", "10", moonraker=False) as printer:
         printer.wait("ready", lambda: "ready:" in printer.output, 60.0)
         done = run("gcode_console.py", printer.socket_path, text="M117 hi\nM104 S150\nG4 P3000\nG1 X5\n")
         assert done.returncode == 1, "the last line fails: not homed"
@@ -79,9 +78,6 @@ def test_the_gcode_console_and_the_story_of_its_log(tmp_path: Path) -> None:
         done = run("gcode_console.py", printer.socket_path, text="M112\n")
         assert "// Klipper state: Shutdown" in done.stdout
         assert printer.stop() == 0
-    finally:
-        if printer.process.poll() is None:
-            printer.stop()
     log = printer.data / "logs" / "klippy.log"
     done = run("log_extract.py", log, "--config", tmp_path / "found", "--plot", tmp_path / "p.png")
     assert done.returncode == 0, done.stderr

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +24,10 @@ Start = Callable[..., SimulatedPrinter]
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
     """start(*options): a printer that is ended with the test."""
-    machines: list[SimulatedPrinter] = []
-
-    def run(*options: str) -> SimulatedPrinter:
-        machine = SimulatedPrinter(tmp_path / "data", *options, moonraker=False)
-        machines.append(machine)
-        return machine
-
-    yield run
-    for machine in machines:
-        if machine.process.poll() is None:
-            machine.stop()
+    with ExitStack() as machines:
+        yield lambda *options: machines.enter_context(
+            SimulatedPrinter(tmp_path / "data", *options, moonraker=False)
+        )
 
 
 def connect(machine: SimulatedPrinter, state: str = "ready", not_pid: int = 0) -> Client:

@@ -45,13 +45,9 @@ def square(rounds: int) -> str:
 
 @pytest.fixture
 def printer(tmp_path: Path) -> Iterator[SimulatedPrinter]:
-    machine = SimulatedPrinter(tmp_path / "data", "--speed", str(SPEED))
-    try:
+    with SimulatedPrinter(tmp_path / "data", "--speed", str(SPEED)) as machine:
         machine.wait_start()
         yield machine
-    finally:
-        if machine.process.poll() is None:
-            machine.stop()
 
 
 def check_connection(printer: SimulatedPrinter) -> None:

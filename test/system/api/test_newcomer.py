@@ -42,13 +42,9 @@ def printer(tmp_path: Path) -> Iterator[SimulatedPrinter]:
     own.write_text(f"{example}\n[plugins]\npath: {tmp_path / 'plugins'}\n[bed_tuner]\n")
     (tmp_path / "plugins").mkdir()
     (tmp_path / "plugins" / "bed_tuner.py").write_text(PLUGIN)
-    machine = SimulatedPrinter(tmp_path / "data", "--config", str(own), "--speed", "10")
-    try:
+    with SimulatedPrinter(tmp_path / "data", "--config", str(own), "--speed", "10") as machine:
         machine.wait_start()
         yield machine
-    finally:
-        if machine.process.poll() is None:
-            machine.stop()
 
 
 def settings(printer: SimulatedPrinter, section: str) -> dict[str, object]:

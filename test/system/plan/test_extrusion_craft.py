@@ -10,26 +10,19 @@ import numpy as np
 import pytest
 
 from extras import extrusion
-from system.conftest import CONFIG, Simulate, square
+from system.conftest import Simulate, machine, square
 from thermal.plan.extrusion import DieSwell, Overrun, exit_diameter
-
-
-def config(folder: Path, more: str) -> Path:
-    path = folder / "printer.cfg"
-    path.write_text(f"[include {CONFIG}]\n{more}")
-    return path
 
 
 def test_a_dry_run_follows_the_path_above_it_without_heat_or_filament(
     simulate: Simulate, tmp_path: Path
 ) -> None:
-    log = tmp_path / "log"
     gcode = (
         "G28\nG1 Z5 F600\nDRY_RUN ENABLE=1 Z_OFFSET=8\n"
         + square(1).replace("G28\n", "")
         + "DRY_RUN ENABLE=0\nG1 Z3\nM400\n"
     )
-    run = simulate(gcode, config=config(tmp_path, "[dry_run]\n"), more=["--log", str(log)])
+    run = simulate(gcode, config=machine(tmp_path, "[dry_run]\n"))
     assert run.status == 0, run.stderr
     x, z, e = (np.array(run.column(name)) for name in ("x_mm", "z_mm", "e_mm"))
     path = (x > 59.0) & (x < 81.0) & (z > 7.0)
@@ -39,7 +32,7 @@ def test_a_dry_run_follows_the_path_above_it_without_heat_or_filament(
     assert np.ptp(e) < 0.01
     assert max(run.column("power_w")) < 2.0 and max(run.column("target_c")) == 0.0
     assert z[-1] == pytest.approx(3.0, abs=0.02)  # as before
-    left_out = re.search(r"(\d+) heating commands left out", log.read_text())
+    left_out = re.search(r"(\d+) heating commands left out", run.log.read_text())
     assert left_out is not None and int(left_out[1]) == 3  # M104, M109, M104
 
 
@@ -49,20 +42,18 @@ def test_a_second_dry_run_and_an_end_without_one_are_refused(simulate: Simulate,
         ("DRY_RUN ENABLE=1\nDRY_RUN ENABLE=1\n", "under way already"),
         ("DRY_RUN Z_OFFSET=-1 ENABLE=1\n", "Z_OFFSET"),
     ):
-        log = tmp_path / "log"
-        simulate(lines, config=config(tmp_path, "[dry_run]\n"), more=["--log", str(log)])
-        assert words in log.read_text()
+        run = simulate(lines, config=machine(tmp_path, "[dry_run]\n"))
+        assert words in run.log.read_text()
 
 
 def test_die_swell_is_fitted_from_measured_strands(simulate: Simulate, tmp_path: Path) -> None:
     truth = DieSwell(0.42, 0.0035)
     speeds = (0.5, 1.0, 2.0, 4.0)
     widths = ",".join(f"{exit_diameter(truth, v, 1.75):.4f}" for v in speeds)
-    log = tmp_path / "log"
     line = f"EXTRUSION_CALIBRATE SPEEDS={','.join(map(str, speeds))} WIDTHS={widths}\n"
-    run = simulate(line, config=config(tmp_path, "[extrusion]\n"), more=["--log", str(log)])
+    run = simulate(line, config=machine(tmp_path, "[extrusion]\n"))
     assert run.status == 0, run.stderr
-    found = re.search(r"Die swell: ([0-9.]+) mm \+ ([0-9.e-]+) s", log.read_text())
+    found = re.search(r"Die swell: ([0-9.]+) mm \+ ([0-9.e-]+) s", run.log.read_text())
     assert found is not None
     # widths are given to 0.1 um
     assert float(found[1]) == pytest.approx(truth.hole_mm, abs=1e-3)
@@ -78,7 +69,7 @@ def test_strands_come_at_the_speeds_asked_for_whatever_the_overrides(
     gcode = (
         HOT + "M82\nG92 E0\nM220 S50\nM221 S80\nEXTRUSION_CALIBRATE SPEEDS=1,4 PAUSE=1\nG1 E5 F240\nM400\n"
     )
-    run = simulate(gcode, config=config(tmp_path, "[extrusion]\n"))
+    run = simulate(gcode, config=machine(tmp_path, "[extrusion]\n"))
     assert run.status == 0, run.stderr
     feed_mm_s = np.array(run.column("flow_mm3_s")) / (math.pi / 4.0 * 1.75**2)
     for speed_mm_s in (1.0, 4.0):
@@ -90,23 +81,21 @@ def test_strands_come_at_the_speeds_asked_for_whatever_the_overrides(
 
 def test_ooze_is_pushed_back_by_the_model_once(simulate: Simulate, tmp_path: Path) -> None:
     """The wait is still queued as the commands are read."""
-    log = tmp_path / "log"
     more = "[extrusion]\noverrun_length: 1.5\noverrun_time: 3\n"
     gcode = HOT + "G1 E10 F240\nM400\nG4 P3000\nPRIME_OOZE\nPRIME_OOZE\nM400\n"
-    run = simulate(gcode, config=config(tmp_path, more), more=["--log", str(log)])
+    run = simulate(gcode, config=machine(tmp_path, more))
     assert run.status == 0, run.stderr
-    pushed = re.findall(r"Pushed ([0-9.]+) mm", log.read_text())
-    assert len(pushed) == 1 and "Nothing has oozed" in log.read_text()
+    pushed = re.findall(r"Pushed ([0-9.]+) mm", run.log.read_text())
+    assert len(pushed) == 1 and "Nothing has oozed" in run.log.read_text()
     # 1.5 (1 - exp(-3/3)) = 0.948 mm; motion ends and is looked at within 0.5 s
     assert float(pushed[0]) == pytest.approx(0.948, abs=0.12)
     assert run.column("e_mm")[-1] - 10.0 == pytest.approx(float(pushed[0]), abs=0.02)
 
 
 def test_what_a_cold_spell_pushes_out_is_made_good_too(simulate: Simulate, tmp_path: Path) -> None:
-    log = tmp_path / "log"
     more = "[extrusion]\noverrun_length: 1.5\noverrun_time: 3\noverrun_reheat: 5\n"
     gcode = HOT + "G1 E10 F240\nM400\nM104 S0\nG4 P30000\nM400\nM109 S215\nPRIME_OOZE\nM400\n"
-    run = simulate(gcode, config=config(tmp_path, more), more=["--log", str(log)])
+    run = simulate(gcode, config=machine(tmp_path, more))
     assert run.status == 0, run.stderr
     assert min(run.column("true_c")[-1000:]) < 170.0  # it was cold
     assert run.column("e_mm")[-1] - 10.0 == pytest.approx(1.5 + 5.0, abs=0.02)
@@ -157,7 +146,6 @@ def test_a_refused_push_leaves_the_modes_of_extrusion_as_they_were() -> None:
 def test_a_bad_command_says_what_would_be_right(
     simulate: Simulate, tmp_path: Path, line: str, words: str
 ) -> None:
-    log = tmp_path / "log"
     more = "[extruder]\nmax_extrude_only_distance: 50\n[extrusion]\n"
-    simulate(line + "\n", config=config(tmp_path, more), more=["--log", str(log)])
-    assert words in log.read_text()
+    run = simulate(line + "\n", config=machine(tmp_path, more))
+    assert words in run.log.read_text()

@@ -10,7 +10,7 @@ import pytest
 
 from plan_rig import Watched, watch
 from sample_gcode import sample_path
-from system.conftest import CONFIG
+from system.conftest import machine
 
 # The pace of hot layers is what the plan wants itself; without it every move has the file's own speed.
 SECTION = "[temperature_plan]\nmaterial: ABS\nbed_temp: 100\nchamber_temp: 40\nminimum_speed_factor: 1\n"
@@ -40,8 +40,7 @@ def sliced() -> str:
 
 
 def printed(tmp_path: Path, body: str, section: str) -> Watched:
-    config, gcode = tmp_path / "printer.cfg", tmp_path / "part.gcode"
-    config.write_text(f"[include {CONFIG}]\n{section}")
+    config, gcode = machine(tmp_path, section), tmp_path / "part.gcode"
     gcode.write_text(f"{START}{body}\nM400\nG4 P1000\n")
     watched = watch(config, gcode, until_s=60.0)
     assert watched.outcome is not None and watched.outcome.status == 0, watched.outcome

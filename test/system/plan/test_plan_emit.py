@@ -13,7 +13,7 @@ import plan_temperature
 from path_rig import offline_plan
 from plan_rig import watch
 from simulation import plan_offline
-from system.conftest import CONFIG, ROOT, Simulate
+from system.conftest import CONFIG, ROOT, Simulate, machine
 
 SECTION = (
     "[temperature_plan]\nmaterial: PLA\nbonding: no\nmelt_min: 190\nmelt_max: 240\nfeatures:\n  perimeter: 200\n"
@@ -67,9 +67,7 @@ def test_an_emitted_file_prints_as_foretold(simulate: Simulate, tmp_path: Path) 
     """Also where the file slows down, rests and pauses: a target is that of its road, whenever that comes."""
     text, foretold = emitted(tmp_path, part(), SECTION)
     assert text.count(";planned") >= 3  # one a stretch at least
-    printer = tmp_path / "printer.cfg"
-    printer.write_text(f"[include {CONFIG}]\n{PAUSES}")
-    run = simulate(text, config=printer, more=["--until", "300"])
+    run = simulate(text, config=machine(tmp_path, PAUSES), more=["--until", "300"])
     assert run.status == 0 and run.summary["reason"] == "printed to its end", run.stderr
     trace = np.genfromtxt(run.trace, delimiter=",", names=True)
     laid, looked = trace["flow_mm3_s"] > 0.5, 0

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from plan_rig import SECTION, Watched, watch
-from system.conftest import CONFIG
+from system.conftest import machine
 from thermal.control.control_api import Reference
 
 SQUARE = "".join(f"G1 X{x} Y{y} E1.5 F2400\n" for x, y in ((80, 60), (80, 80), (60, 80), (60, 60)))
@@ -17,8 +17,7 @@ JUMP_C = 0.05  # corners within 0.02 degC of a line are left out of both referen
 
 
 def print_it(folder: Path, gcode: str, more: str = "", until_s: float = 60.0) -> Watched:
-    config, part = folder / "printer.cfg", folder / "part.gcode"
-    config.write_text(f"[include {CONFIG}]\n{SECTION}{more}")
+    config, part = machine(folder, SECTION + more), folder / "part.gcode"
     part.write_text(gcode)
     watched = watch(config, part, until_s=until_s)
     assert watched.outcome is not None and watched.outcome.status == 0, watched.outcome

@@ -19,7 +19,7 @@ import pytest
 from extras.temperature_plan import nozzle_limits
 from plan_gcode import Writer
 from plan_rig import Road, Watched, watch
-from system.conftest import CONFIG
+from system.conftest import machine
 from thermal.control.control_api import Reference
 from thermal.models import melt_exchange
 
@@ -60,8 +60,7 @@ JUMP_C = 0.05  # corners within 0.02 degC of a line are left out of both referen
 
 
 def printed(tmp_path: Path, body: str, section: str, wire: bool = False) -> Watched:
-    config, gcode = tmp_path / "printer.cfg", tmp_path / "part.gcode"
-    config.write_text(f"[include {CONFIG}]\n{section}{MORE}")
+    config, gcode = machine(tmp_path, section + MORE), tmp_path / "part.gcode"
     gcode.write_text(body, encoding="utf-8")
     watched = watch(config, gcode, wire=wire)
     outcome = watched.outcome

@@ -10,16 +10,14 @@ import pytest
 
 import bench_plan
 from plan_rig import SECTION
-from system.conftest import CONFIG, Simulate, square
+from system.conftest import Simulate, machine, square
 
 START = "M104 S215\nG28\nM83\nG1 X40 Y40 Z0.3 F6000\nM109 S215\n"
 LINE_E = 5.0 * 1.5 / 2.405  # 5 mm3/s over 1.5 s
 
 
 def config(folder: Path, more: str = "", section: str = SECTION) -> Path:
-    path = folder / "printer.cfg"
-    path.write_text(f"[include {CONFIG}]\n{section}{more}")
-    return path
+    return machine(folder, section + more)
 
 
 def steps(count: int = 14) -> str:
@@ -68,13 +66,12 @@ def test_a_disabled_plan_changes_no_byte(simulate: Simulate, tmp_path: Path) -> 
 
 def test_the_users_word_wins_and_the_plan_goes_home(simulate: Simulate, tmp_path: Path) -> None:
     """During planned path M104 S0 turns the heater off at once; after path the target is the user's again."""
-    log = tmp_path / "log"
     lines = "".join(f"G1 X{90 if i % 2 else 40} E{LINE_E:.4f} F2400\n" for i in range(6))
     gcode = (
         f"{START}M104.1 S228\n{lines}M400\nG4 P3000\nTEMPERATURE_PLAN\n"
         f"M104.1 S0\n{lines}M104 S0\nM400\nG4 P500\nTEMPERATURE_PLAN ENABLE=0\n"
     )
-    run = simulate(gcode, config=config(tmp_path), more=["--log", str(log)])
+    run = simulate(gcode, config=config(tmp_path))
     assert run.status == 0, run.stderr
     target, true, flow = (np.array(run.column(name)) for name in ("target_c", "true_c", "flow_mm3_s"))
     first = np.flatnonzero(flow > 1.0)
@@ -84,7 +81,7 @@ def test_the_users_word_wins_and_the_plan_goes_home(simulate: Simulate, tmp_path
     span = target[first[0] : first[-1] - 500]
     assert np.diff(span).min() > -1.0, np.diff(span).min()  # home by a ramp, not by a jump
     assert target[-1] == 0.0 and true[-1] < 215.0
-    assert "Temperature plan (PLA" in log.read_text()
+    assert "Temperature plan (PLA" in run.log.read_text()
 
 
 def test_a_targets_repetition_in_the_file_disturbs_nothing(simulate: Simulate, tmp_path: Path) -> None:
@@ -157,12 +154,11 @@ def test_a_hot_tower_is_laid_more_slowly(simulate: Simulate, tmp_path: Path) -> 
         run = simulate(
             gcode + "TEMPERATURE_PLAN\n",
             config=config(tmp_path, f"minimum_speed_factor: {slowest}\n", section=section),
-            more=["--log", str(tmp_path / "log")],
         )
         assert run.status == 0, run.stderr
         flow = np.array(run.column("flow_mm3_s"))
         seconds[slowest] = 0.01 * np.sum(flow > 0.2)
-        log = (tmp_path / "log").read_text()
+        log = run.log.read_text()
         slowed = slowest < 1.0
         assert log.count("A hot layer is laid at") == slowed, "once, and only where it is"
         assert ("s longer" in log) == slowed
@@ -199,9 +195,8 @@ def test_features_and_layers_of_a_sliced_file_are_laid_as_asked(simulate: Simula
 def test_a_bad_command_says_what_would_be_right(
     simulate: Simulate, tmp_path: Path, line: str, words: str
 ) -> None:
-    log = tmp_path / "log"
-    simulate(f"{line}\n", config=config(tmp_path), more=["--log", str(log)])
-    assert words in log.read_text()
+    run = simulate(f"{line}\n", config=config(tmp_path))
+    assert words in run.log.read_text()
 
 
 @pytest.mark.parametrize(
@@ -240,14 +235,12 @@ def lines(count: int, y_mm: float = 40.0) -> str:
 
 def planned_run(simulate: Simulate, folder: Path, gcode: str, more: str = "", args: tuple[str, ...] = ()):  # type: ignore[no-untyped-def]
     """(run, rows laid, its log): six lines of melt at 228 degC are what the tests have in mind, the user says 215."""
-    record, log = folder / "rows.csv", folder / "log"
+    record = folder / "rows.csv"
     run = simulate(
-        f"{START}M104.1 S228\n{gcode}",
-        config=config(folder, f"record: {record}\n{more}"),
-        more=["--log", str(log), *args],
+        f"{START}M104.1 S228\n{gcode}", config=config(folder, f"record: {record}\n{more}"), more=args
     )
     assert run.status == 0, run.stderr
-    return run, np.genfromtxt(record, delimiter=",", names=True), log.read_text()
+    return run, np.genfromtxt(record, delimiter=",", names=True), run.log.read_text()
 
 
 def test_a_pause_holds_the_users_target_and_resume_the_plan(simulate: Simulate, tmp_path: Path) -> None:

@@ -9,45 +9,18 @@ from typing import Any
 import pytest
 
 from base_rig import Session
+from bus_rig import RigPin
 from gcode import CommandError
-
-
-class FakePin:
-    """Records what a pin is told."""
-
-    def __init__(self, mcu: FakeMcu, kind: str) -> None:
-        self._mcu = mcu
-        self.kind = kind
-        self.log: list[tuple[float, float]] = []
-        self.setup: dict[str, Any] = {}
-
-    def get_mcu(self) -> FakeMcu:
-        return self._mcu
-
-    def setup_max_duration(self, duration_s: float) -> None:
-        self.setup["max_duration"] = duration_s
-
-    def setup_start_value(self, start: float, shutdown: float) -> None:
-        self.setup["start"], self.setup["shutdown"] = start, shutdown
-
-    def setup_cycle_time(self, cycle_time_s: float, hardware_pwm: bool = False) -> None:
-        self.setup["cycle_time"], self.setup["hardware"] = cycle_time_s, hardware_pwm
-
-    def set_pwm(self, print_time: float, value: float) -> None:
-        assert not self.log or print_time >= self.log[-1][0], "times must not go back"
-        self.log.append((round(print_time, 6), value))
-
-    set_digital = set_pwm
 
 
 class FakeMcu:
     """A chip whose clock is the reactor's."""
 
     def __init__(self) -> None:
-        self.pins: dict[str, FakePin] = {}
+        self.pins: dict[str, RigPin] = {}
 
-    def setup_pin(self, kind: str, params: dict[str, Any]) -> FakePin:
-        pin = self.pins[params["pin"]] = FakePin(self, kind)
+    def setup_pin(self, kind: str, params: dict[str, Any]) -> RigPin:
+        pin = self.pins[params["pin"]] = RigPin(self, kind, 0)
         return pin
 
     def estimated_print_time(self, eventtime: float) -> float:

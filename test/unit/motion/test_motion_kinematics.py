@@ -124,6 +124,12 @@ def random_path(seed: int, count: int = 60) -> Polyline:
 
 def run_stepper(solver: Any, line: Polyline, step_dist: float) -> CStepper:
     stepper = CStepper(step_dist, solver=solver)
+    follow(stepper, line)
+    return stepper
+
+
+def follow(stepper: CStepper, line: Polyline) -> None:
+    """From its first point to its end, in pieces of time as the host generates steps."""
     stepper.open()
     LIB.trapq_set_position(stepper.trapq, 0.5, *line.points[0])
     LIB.itersolve_set_position(stepper.sk, *line.points[0])
@@ -131,7 +137,6 @@ def run_stepper(solver: Any, line: Polyline, step_dist: float) -> CStepper:
     for until in np.arange(0.3, line.end_time + 0.5, 0.23):
         stepper.run(float(until), float(until) - 0.05)
     stepper.run(line.end_time + 1.0)
-    return stepper
 
 
 def check_steps(

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import motion_lists
 from motion_rig import CLOCK_HZ, BatchResult, batch
 
 CONFIGS = Path(__file__).resolve().parents[3] / "config"
@@ -19,20 +20,7 @@ SAMPLE_S = 0.004
 # half a step of the motors (0.0125 mm, or 0.07 mm at the rim of a polar bed), stretched by slanted arms a few times
 NEAR_MM = 0.06
 SPEED_MM_S = 150.0
-# x, y, z from .. to, within every machine's range and off the centre of the polar one
-BOXES = {
-    "cartesian": ((5, 5, 1), (195, 195, 60)),
-    "corexy": ((5, 5, 1), (195, 195, 60)),
-    "corexz": ((5, 5, 1), (195, 195, 60)),
-    "hybrid-corexy": ((5, 5, 1), (195, 195, 60)),
-    "hybrid-corexz": ((5, 5, 1), (195, 195, 60)),
-    "generic-cartesian": ((5, 5, 1), (195, 195, 60)),
-    "delta": ((-80, -80, 1), (80, 80, 60)),
-    "deltesian": ((-80, 5, 1), (80, 195, 60)),
-    "rotary-delta": ((-60, -60, 1), (60, 60, 60)),
-    "polar": ((30, 30, 1), (150, 150, 60)),
-    "winch": ((-200, -200, 1), (200, 200, 200)),
-}
+BOXES = {**motion_lists.BOXES, "polar": ((30, 30, 1), (150, 150, 60))}  # off the centre, on one side of it
 
 
 def random_points(name: str, seed: int, count: int = 25) -> np.ndarray:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_motion_kinematics import MACHINES, Polyline, random_path
+from test_motion_kinematics import MACHINES, Polyline, follow, random_path
 
 from extras.input_shaper import SHAPERS, AxisShaper
 from motion_rig import CONFIG, FFI, LIB, MAX_ERROR_S, CStepper, batch
@@ -61,13 +61,7 @@ def test_steps_follow_the_shaped_path(machine: str, kind: str) -> None:
         )
     reach = max(abs(d) for _, delays in pulses.values() for d in delays)
     assert LIB.itersolve_look_ahead(stepper.sk) == pytest.approx(reach)
-    stepper.open()
-    LIB.trapq_set_position(stepper.trapq, 0.5, *line.points[0])
-    LIB.itersolve_set_position(stepper.sk, *line.points[0])
-    line.append(stepper.trapq)
-    for until in np.arange(0.3, line.end_time + 0.5, 0.23):
-        stepper.run(float(until), float(until) - 0.05)
-    stepper.run(line.end_time + 1.0)
+    follow(stepper, line)
 
     def shaped(t: np.ndarray) -> np.ndarray:
         xyz = line.at(t)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import struct
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,6 +14,7 @@ from block_codec import Row, content, pack
 from configtext import ConfigError
 from extras import heater_bed, heater_generic, heaters, induction_heater, temperature_sensor, verify_heater
 from extras.heater import tuning as heater_tuning
+from extras.heater.ordinary import HeaterSettings
 from heater_fakes import CommandError, FakeCommand, FakePrinter
 from thermal.sensing import laws
 
@@ -107,6 +109,48 @@ def test_target_out_of_range_is_refused_in_plain_words() -> None:
     assert heater.get_temp(0.0)[1] == 0.0
     heater.alter_target(130.0)
     assert heater.get_temp(0.0)[1] == 120.0
+
+
+class Probe:
+    """A sensor whose readings the test makes up."""
+
+    def setup_minmax(self, min_temp: float, max_temp: float) -> None: ...
+
+    def setup_callback(self, callback: Any) -> None:
+        self.read = callback
+
+
+def extruding(min_extrude_c: float, **start_args: Any) -> tuple[Any, Probe]:
+    printer, probe = machine(**start_args), Probe()
+    settings = HeaterSettings("extruder", -50.0, 300.0, 1.0, 1.0, min_extrude_c, 0.1)
+    law, pwm = SimpleNamespace(decide=lambda *a: 0.0), SimpleNamespace(set_pwm=lambda *a: None)
+    return heaters.Heater(printer, settings, probe, law, pwm), probe
+
+
+def test_filament_is_pushed_from_the_smoothed_minimum_on_and_not_below() -> None:
+    heater, probe = extruding(170.0)
+    assert not heater.can_extrude  # nothing was read yet
+    for time_s, temp_c, may in ((10.0, 169.9, False), (11.0, 170.0, True), (12.0, 169.9, False)):
+        probe.read(time_s, temp_c)  # smoothed over a second: as read
+        assert heater.can_extrude is may
+    probe.read(12.5, 170.0)
+    assert not heater.can_extrude  # half way there
+    probe.read(13.5, 170.0)
+    assert heater.can_extrude
+
+
+@pytest.mark.parametrize(("min_extrude_c", "may"), [(0.0, True), (-10.0, True), (0.1, False)])
+def test_before_the_first_reading_filament_is_pushed_only_where_no_heat_is_asked_for(
+    min_extrude_c: float, may: bool
+) -> None:
+    assert extruding(min_extrude_c)[0].can_extrude is may
+
+
+def test_commands_written_to_a_file_extrude_cold() -> None:
+    heater, probe = extruding(170.0, debugoutput="out")
+    assert heater.can_extrude
+    probe.read(10.0, 20.0)
+    assert heater.can_extrude
 
 
 def test_pin_is_told_its_limits() -> None:
