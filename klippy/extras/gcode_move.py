@@ -392,15 +392,16 @@ class MoveRows:
         self._toolhead = toolhead
         self._ffi, self._lib = chelper.get_ffi()
         self._state = self._ffi.new("struct row_state *")
-        self._state.lookahead = toolhead.lookahead.row
         self._state_bytes = self._ffi.buffer(self._state, self._STATE.size)
 
     def _is_plain(self) -> bool:
         """Whether C does just what Python would: nobody has put a method of his own in place of one it stands for."""
         toolhead, gcode = self._toolhead, self._gcode
+        if not is_done_in_c(toolhead.move):
+            return False
         extruder = toolhead.extruder
         return not toolhead.extra_axes and is_done_in_c(
-            gcode.get_handler("G0"), gcode.get_handler("G1"), toolhead.move, toolhead.lookahead.add_move,
+            gcode.get_handler("G0"), gcode.get_handler("G1"), toolhead.lookahead.add_move,
             toolhead.kin.check_move, extruder.check_move, extruder.calc_junction, extruder.process_move,
         )  # fmt: skip
 
@@ -432,6 +433,7 @@ class MoveRows:
             self._gcode.has_comment_listeners(), *limits_of(toolhead), *low, *high, z_velocity, z_accel,
             *toolhead.extruder.filament_limits(),
         )  # fmt: skip
+        self._state.lookahead = toolhead.lookahead.row
         following = self._ffi.NULL
         for _, stage in reversed(stages):
             stage.next = following
