@@ -129,7 +129,8 @@ def run(names: tuple[str, ...]) -> list[Result]:
         except BaseException as e:
             failures.append(e)
 
-    with tempfile.TemporaryDirectory() as folder:
+    (ROOT / "out").mkdir(exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="mutants-", dir=ROOT / "out") as folder:
         threads = [threading.Thread(target=work, args=(Path(folder) / str(n),)) for n in range(WORKERS)]
         for thread in threads:
             thread.start()

@@ -69,7 +69,10 @@ def uncovered(names: tuple[str, ...] = tuple(SAFETY)) -> list[str]:
     found = []
     with tempfile.TemporaryDirectory() as folder:
         tree = copy_tree(Path(folder) / "tree").resolve()
-        environment = with_gcc_flags(Path(folder) / "bin", *FLAGS)
+        # Every call of gcc keeps its notes apart, and after the folder that it compiled in is gone.
+        notes = tree / "out" / "notes"
+        notes.mkdir(parents=True)
+        environment = with_gcc_flags(Path(folder) / "bin", *FLAGS, f'-dumpdir "{notes}/$$-"')
         # Python first: what else it compiles is counted, too.
         for part in (p for p in parts if not p.is_c):
             report = Path(folder) / "trace"

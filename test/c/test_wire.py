@@ -7,15 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from mcu_harness import crc16, make_block, vlq
-from pure_harness import load
+from pure_harness import SRC, load
 
-CDEF = """
-uint16_t wire_crc16(const uint8_t *data, uint8_t len);
-uint8_t *wire_put_vlq(uint8_t *out, int32_t value);
-const uint8_t *wire_get_vlq(const uint8_t *at, const uint8_t *end, int32_t *value);
-uint8_t wire_seal_block(uint8_t *block, uint8_t content_len, uint8_t sequence);
-"""
-ffi, lib = load("wire", ("wire.c",), CDEF)
+ffi, lib = load("wire", ("wire.c",), (SRC / "wire.h",))
 EDGES = sorted({sign * (1 << bit) + step for bit in range(31) for sign in (1, -1) for step in range(-33, 97)})
 EDGES = [value for value in EDGES if -(2**31) <= value < 2**31]
 

@@ -76,6 +76,7 @@ def test_plugins_dropped_into_extras(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "klippy", klippy, ignore=shutil.ignore_patterns("__pycache__"))
     os.symlink(ROOT / "out", tmp_path / "tree" / "out")
     os.symlink(ROOT / "src", tmp_path / "tree" / "src")
+    os.symlink(ROOT / "VERSION", tmp_path / "tree" / "VERSION")
     shutil.copytree(FOLDER, klippy / "extras", dirs_exist_ok=True)
     check(*run_host(tmp_path, klippy, printer_cfg(SECTIONS), SCRIPT))
 

@@ -92,10 +92,10 @@ PULSE_J = PARAMETERS.power_low_w * PULSE_S
 
 def test_heat_owed_through_a_pause_of_the_host_is_paid_back_by_four_pulses_at_most() -> None:
     state = actuator.ActuatorState()
-    actuator.actuate(PARAMETERS, state, 1.45, 0.0)
+    actuator.actuate(PARAMETERS, state, 1.45, 0.0, False)
     time_s, energy_j = 10.0, 0.0  # 14.5 J were asked for meanwhile
     while time_s < 10.4:  # before the next pulse for sensing is due
-        commands = actuator.actuate(PARAMETERS, state, 0.0, time_s, idle=True)
+        commands = actuator.actuate(PARAMETERS, state, 0.0, time_s, False, idle=True)
         energy_j += sum(b.time_s - a.time_s for a, b in zip(commands[::2], commands[1::2], strict=True))
         time_s = max(time_s + STEP_S, commands[-1].time_s if commands else 0.0)
     assert energy_j * PARAMETERS.power_low_w == pytest.approx(DEBT_PULSES * PULSE_J)
@@ -105,10 +105,10 @@ def test_heat_of_sensing_is_taken_off_later_requests_up_to_four_pulses() -> None
     state = actuator.ActuatorState()
     time_s = 0.0
     while time_s < 60.0:  # 600 pulses nobody asked for
-        actuator.actuate(PARAMETERS, state, 0.0, time_s)
+        actuator.actuate(PARAMETERS, state, 0.0, time_s, False)
         time_s += STEP_S
     start_s = time_s
-    while not actuator.actuate(PARAMETERS, state, 1.0, time_s, idle=True):
+    while not actuator.actuate(PARAMETERS, state, 1.0, time_s, False, idle=True):
         time_s += 0.001
     # from four pulses overdrawn to half a pulse owed
     assert time_s - start_s == pytest.approx((DEBT_PULSES + 0.5) * PULSE_J / 1.0, abs=0.002)
