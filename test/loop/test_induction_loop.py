@@ -287,10 +287,10 @@ def test_a_calm_nozzle_is_reported_in_bulk_and_any_change_ends_that() -> None:
 
 
 @pytest.mark.parametrize(
-    ("flow", "fan", "within_s", "most_c"), [(25.0, 0.0, 0.05, 0.75), (0.0, 1.0, 0.09, 0.35)]
+    ("flow", "fan", "within_s", "highest_c"), [(25.0, 0.0, 0.05, 0.75), (0.0, 1.0, 0.09, 0.35)]
 )
 def test_what_nobody_told_of_is_heard_of_before_the_lot_is_full(
-    flow: float, fan: float, within_s: float, most_c: float
+    flow: float, fan: float, within_s: float, highest_c: float
 ) -> None:
     """Measured: heard of within 25 to 40 ms (60 to 80), and at most 0.67 degC (0.28) away in ten runs each."""
     rig = calm_rig()
@@ -303,7 +303,7 @@ def test_what_nobody_told_of_is_heard_of_before_the_lot_is_full(
     assert set(sizes_of_messages(rig, 0.1)) == {RECORDS}
     rig.run(0.3)
     trace = rig.trace.arrays()
-    assert np.abs(trace["skin_c"][trace["t_s"] > start_s] - TARGET_C).max() < most_c
+    assert np.abs(trace["skin_c"][trace["t_s"] > start_s] - TARGET_C).max() < highest_c
 
 
 def test_a_calm_is_seldom_disturbed_by_noise_and_holds_as_well_as_haste_does() -> None:

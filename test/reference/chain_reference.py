@@ -123,7 +123,7 @@ class Chain:
     estimator: block_temperature.EstimatorParameters
     supervise: supervision.SuperviseParameters
     drive: DriveLaw
-    track: temperature_filter.TrackParameters
+    track: temperature_filter.FilterParameters
     heard_s: float = math.inf
     believed_s: float = math.inf
     reason: str = ""

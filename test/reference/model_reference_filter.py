@@ -104,8 +104,8 @@ def advance(
     h = dt_s / steps
     air_w_k = p.loss_w_k + fan * p.fan_w_k
     ambient_c, cold_k4, radiation = p.ambient_c, p.air_k4, STEFAN_BOLTZMANN * p.radiation_m2
-    bore_fade = math.exp(-h / p.bore_s) if p.bore_s else 0.0
-    sensor_fade = math.exp(-h / p.sensor_s) if p.sensor_s else 0.0
+    bore_decay = math.exp(-h / p.bore_s) if p.bore_s else 0.0
+    sensor_decay = math.exp(-h / p.sensor_s) if p.sensor_s else 0.0
     for _ in range(steps):
         if flow != flow_in:
             flow = flow_in + (flow - flow_in) * (math.exp(-h / p.flow_s) if p.flow_s else 0.0)
@@ -125,19 +125,19 @@ def advance(
         before_c = temp_c
         temp_c += h * net / (p.heat_j_k * (1.0 + p.heat_slope_per_k * (temp_c - 25.0)))
         middle_c = 0.5 * (before_c + temp_c)
-        sensor_c = middle_c + (sensor_c - middle_c) * sensor_fade if p.sensor_s else temp_c
-        bore_c = middle_c + (bore_c - middle_c) * bore_fade if p.bore_s else temp_c
+        sensor_c = middle_c + (sensor_c - middle_c) * sensor_decay if p.sensor_s else temp_c
+        bore_c = middle_c + (bore_c - middle_c) * bore_decay if p.bore_s else temp_c
     return Nodes(element_c, temp_c, second_c, sensor_c, bore_c, flow)
 
 
 # The filter
 
-GAIN_LEAST, GAIN_MOST = 0.1, 10.0
-TOGETHER_MOST = 7  # samples of one innovation
+GAIN_MIN, GAIN_MAX = 0.1, 10.0
+TOGETHER_MAX = 7  # samples of one innovation
 SURPRISE = 14.0  # innovation squared over its variance beyond which the disturbance is taken to have changed
 SURPRISED_W = 3.0  # by about this much at once
 # Innovations that lean one way: their sum, each in its own sigma and fading so fast a message, is 1.5 by chance.
-LEAN_KEEP, LEAN_MOST = 0.75, 4.0  # nearly three times that: the disturbance moves ...
+LEAN_KEEP, LEAN_MAX = 0.75, 4.0  # nearly three times that: the disturbance moves ...
 LEAN_SHARE = 0.5  # ... by about this much of disturbance_start_w a message
 JUMP_C, JUMP_SIGMA = 3.0, 6.0  # farther off than this within a message no heat goes: the thermometer jumped
 JUMPED_C = 10.0  # 1 sigma of such a jump
@@ -263,8 +263,8 @@ def taken_over(p: ModelParameters, state: ModelState, disturbance_w: float) -> M
     rows = [list(row) for row in state.covariance]
     for place, sigma in doubts.items():
         rows[place][place] = min(rows[place][place], sigma * sigma)
-    most_w = p.disturbance_max_w
-    known_w = min(most_w, max(-most_w, disturbance_w))
+    max_w = p.disturbance_max_w
+    known_w = min(max_w, max(-max_w, disturbance_w))
     return state._replace(disturbance_w=known_w, covariance=tuple(map(tuple, rows)))
 
 
@@ -476,7 +476,7 @@ def _widened(p: ModelParameters, places: Layout, rows: list[list[float]], run: _
         return 0.0
     spread = _spread_of(places, rows, run)
     lean = LEAN_KEEP * lean + run.innovation_c / math.sqrt(spread)
-    if abs(lean) > LEAN_MOST:
+    if abs(lean) > LEAN_MAX:
         rows[places.disturbance][places.disturbance] += (LEAN_SHARE * p.disturbance_start_w) ** 2
     elif run.innovation_c * run.innovation_c / spread > SURPRISE:
         rows[places.disturbance][places.disturbance] += SURPRISED_W * SURPRISED_W
@@ -499,8 +499,8 @@ def observe(
             return state
         begun = begin(p, measured[-1].temp_c, measured[-1].end_s, state)
         return begun._replace(usual=measured[-1].output / p.output_high)
-    for first in range(0, len(samples), TOGETHER_MOST):
-        state = _observe_piece(p, state, samples[first : first + TOGETHER_MOST], flow, fan)
+    for first in range(0, len(samples), TOGETHER_MAX):
+        state = _observe_piece(p, state, samples[first : first + TOGETHER_MAX], flow, fan)
     return state
 
 
@@ -523,9 +523,9 @@ def _observe_piece(
     gains = [value / spread for value in column]
     rows = [[v - k * c for v, c in zip(row, column, strict=True)] for row, k in zip(rows, gains, strict=True)]
     by_c = run.innovation_c
-    gain = min(GAIN_MOST, max(GAIN_LEAST, state.gain + gains[places.gain] * by_c))
-    most_w = p.disturbance_max_w
-    disturbance_w = min(most_w, max(-most_w, state.disturbance_w + gains[places.disturbance] * by_c))
+    gain = min(GAIN_MAX, max(GAIN_MIN, state.gain + gains[places.gain] * by_c))
+    max_w = p.disturbance_max_w
+    disturbance_w = min(max_w, max(-max_w, state.disturbance_w + gains[places.disturbance] * by_c))
     nodes = _moved(p, places, run.nodes, gains, by_c)
     slant_c, usual = 0.0, state.usual
     if places.slant >= 0:

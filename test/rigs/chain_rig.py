@@ -26,7 +26,7 @@ def new_chain(
     read: block_temperature.EstimatorParameters | None = None,
     watch: supervision.SuperviseParameters | None = None,
     drive: DriveLaw | None = None,
-    filtered: temperature_filter.TrackParameters | None = None,
+    filtered: temperature_filter.FilterParameters | None = None,
 ) -> pipeline.Chain:
     made = pipeline.Chain()
     made.use(
@@ -34,7 +34,7 @@ def new_chain(
         read or block_temperature.EstimatorParameters(laws.ExpLaw()),
         watch or supervision.SuperviseParameters(0.0, 300.0),
         drive or DriveLaw(),
-        filtered or temperature_filter.TrackParameters(heat_loss.LossLaw()),
+        filtered or temperature_filter.FilterParameters(heat_loss.LossLaw()),
     )
     return made
 

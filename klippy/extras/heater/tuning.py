@@ -164,7 +164,7 @@ def options_of(heater: Any) -> Tuning:
         values["pid_derivative_time"] = chosen.parameters.derivative_s
     if isinstance(chosen.parameters, pid.WatermarkParameters):
         values["max_delta"] = chosen.parameters.max_delta_c
-    if isinstance(chosen.parameters, two_period.PracticalParameters):
+    if isinstance(chosen.parameters, two_period.TwoPeriodParameters):
         values["practical_turn"] = chosen.parameters.turn_c
         values["practical_cutoff"] = chosen.parameters.cutoff_c
     texts = {name: NUMBER.format(value) for name, value in values.items()}

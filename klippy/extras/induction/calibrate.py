@@ -165,7 +165,7 @@ class InductionCalibrate:
                 supervise=replace(old.supervise, calibrated=True),
                 loss=loss,
                 approach=settings.approach_for(law, old.actuator.law),
-                track=temperature_filter.TrackParameters(loss, heat),
+                track=temperature_filter.FilterParameters(loss, heat),
                 plausible=replace(
                     old.plausible, heat=heat, loss=two_nodes, loss_uncertainty=LOSS_UNCERTAINTY
                 ),

@@ -113,12 +113,12 @@ class InductionUnit:
         self._tell_calm = mcu.lookup_command(
             "induction_calm oid=%c records=%c phase=%hu expected=%u limit=%u", cq=queue
         )
-        mcu.register_lot(self._take_lot, BLOCK_FORMAT)
+        mcu.register_batch(self._take_batch, BLOCK_FORMAT)
         self._report = mcu.lookup_command("induction_report oid=%c enable=%c", cq=queue)
 
     # Samples up
 
-    def _take_lot(self, messages: Any, count: int) -> None:
+    def _take_batch(self, messages: Any, count: int) -> None:
         stream, mcu = self._stream, self.mcu
         if stream is None:
             return
@@ -158,7 +158,7 @@ class InductionUnit:
         settings, was_calm, self._calm = self.settings, self._calm is not None, calm
         if calm is None:
             self._tell_calm.send([self._oid, settings.records, 0, 0, 0])
-            self.mcu.register_lot(self._take_lot, BLOCK_FORMAT)
+            self.mcu.register_batch(self._take_batch, BLOCK_FORMAT)
             return
         samples = settings.block_samples
         expected, limit = round(calm.expected_raw * samples), math.ceil(calm.limit_raw * samples)
@@ -167,7 +167,7 @@ class InductionUnit:
         if not was_calm:
             message_s = settings.calm_records * samples / settings.frequency_hz
             most = max(1, round(LOT_S / message_s))
-            self.mcu.register_lot(self._take_lot, BLOCK_FORMAT, most * message_s + LOT_SLACK_S, most)
+            self.mcu.register_batch(self._take_batch, BLOCK_FORMAT, most * message_s + LOT_SLACK_S, most)
 
     def set_report(self, enable: bool) -> None:
         """Start or stop sampling and reports."""

@@ -15,7 +15,7 @@ REPORT_S = 0.050
 SAMPLE_S = 0.001
 SAMPLES = 8
 SMOOTH = 0.3  # share of a new report: ripple of the mains is not the supply's mean
-LEAST_V = 5.0  # below, the wire is off or the supply is: keep what was known
+MIN_V = 5.0  # below, the wire is off or the supply is: keep what was known
 
 
 class SupplySensor:
@@ -33,7 +33,7 @@ class SupplySensor:
 
     def _on_adc(self, read_time: float, value: float) -> None:
         volt = value * self.volt_full_scale
-        if volt < LEAST_V:
+        if volt < MIN_V:
             return
         self.volt = volt if self.volt is None else self.volt + SMOOTH * (volt - self.volt)
         if self._heater is not None:

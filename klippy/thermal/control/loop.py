@@ -41,7 +41,7 @@ BALANCE_S = 0.1
 HEARD_S = 0.15  # from a pulse to what it says: its blocks, a lot of messages in a calm
 PROMPT_S = 0.005  # to the MCU, when it matters more that a command comes soon than that it comes in time
 QUIET_C = 1.0  # nearer than this to the target a step of the model may wait for the next command's turn
-SAMPLES_MOST = 15  # 25 ms
+SAMPLES_MAX = 15  # 25 ms
 RESAY_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
 
 
@@ -89,8 +89,8 @@ class LoopParameters:
     supervise: supervision.SuperviseParameters
     timing: Timing
     approach: Approach
-    track: temperature_filter.TrackParameters
-    plausible: heat_balance_monitor.PlausibleParameters
+    track: temperature_filter.FilterParameters
+    plausible: heat_balance_monitor.HeatBalanceParameters
     melt: MeltExchange = field(default_factory=MeltExchange)
 
 
@@ -118,8 +118,8 @@ class LoopState:
     law: Any = None  # memory of the control law
     actuator: actuator.ActuatorState = field(default_factory=actuator.ActuatorState)
     supervise: supervision.SuperviseState = field(default_factory=supervision.SuperviseState)
-    plausible: heat_balance_monitor.PlausibleState = field(
-        default_factory=heat_balance_monitor.PlausibleState
+    plausible: heat_balance_monitor.HeatBalanceState = field(
+        default_factory=heat_balance_monitor.HeatBalanceState
     )
     balanced_s: float = -math.inf  # when that was
     warning: str = ""  # plausibility: text for people
@@ -281,7 +281,7 @@ class InductionLoop:
         """The law changed: what the filter and the balance remember was told by another one."""
         self.chain.restart_track()
         self.state.law = self._parameters.control.law.start
-        self.state.plausible = heat_balance_monitor.PlausibleState()
+        self.state.plausible = heat_balance_monitor.HeatBalanceState()
         self.state.warning = ""
 
     def is_calm(self, now_s: float) -> bool:
@@ -413,7 +413,7 @@ class InductionLoop:
         state = self.state
         off = state.target_c <= 0.0
         quiet = off or abs(news.temp_c - state.target_c) < QUIET_C
-        if not quiet or state.horizon or self.chain.waiting > SAMPLES_MOST:
+        if not quiet or state.horizon or self.chain.waiting > SAMPLES_MAX:
             return False
         if off:
             return True

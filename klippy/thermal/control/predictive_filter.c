@@ -5,7 +5,7 @@
 #include <math.h>
 #include <string.h>
 
-#define SLOPES_MOST 11 // a model with all nodes
+#define SLOPES_MAX 11 // a model with all nodes
 
 // A nonzero entry of A, the derivative of the model's rates by its state.
 struct slope {
@@ -316,7 +316,7 @@ widen(const struct model_params *p, const struct model_places *at, struct model_
         return;
     }
     s->lean = LEAN_KEEP * s->lean + run->innovation_c / sqrt(variance);
-    if (fabs(s->lean) > LEAN_MOST)
+    if (fabs(s->lean) > LEAN_MAX)
         s->covariance[d][d] += square(LEAN_SHARE * p->disturbance_start_w);
     else if (run->innovation_c * run->innovation_c / variance > SURPRISE)
         s->covariance[d][d] += SURPRISED_W * SURPRISED_W;
@@ -348,7 +348,7 @@ update(const struct model_params *p, const struct model_places *at, struct model
     for (int i = 0; i < at->size; i++)
         for (int j = 0; j < at->size; j++)
             s->covariance[i][j] -= gains[i] * column[j];
-    s->gain = lesser(GAIN_MOST, greater(GAIN_LEAST, s->gain + gains[at->gain] * by_c));
+    s->gain = lesser(GAIN_MAX, greater(GAIN_MIN, s->gain + gains[at->gain] * by_c));
     s->disturbance_w = bounded(s->disturbance_w + gains[at->disturbance] * by_c, p->disturbance_max_w);
     s->slant_c += at->slant >= 0 ? gains[at->slant] * by_c : 0.0;
     move(p, at, &s->nodes, gains, by_c);
@@ -399,7 +399,7 @@ observe_piece(const struct model_params *p, const struct model_places *at, struc
               const struct model_sample *samples, int count, const struct model_line *flow,
               const struct model_line *fan)
 {
-    struct slope slopes[SLOPES_MOST];
+    struct slope slopes[SLOPES_MAX];
     struct run run = walk_through(p, s, samples, count, flow, fan);
     int slope_count = find_slopes(p, at, &run, model_line_step(fan, run.time_s), slopes);
     spread(p, at, s->covariance, slopes, slope_count, run.time_s - s->time_s);
@@ -426,8 +426,8 @@ model_observe(const struct model_params *p, struct model_state *s, const struct 
         begin_anew(p, s, samples, count);
         return;
     }
-    for (int first = 0; first < count; first += TOGETHER_MOST) {
-        int piece = count - first < TOGETHER_MOST ? count - first : TOGETHER_MOST;
+    for (int first = 0; first < count; first += TOGETHER_MAX) {
+        int piece = count - first < TOGETHER_MAX ? count - first : TOGETHER_MAX;
         observe_piece(p, &at, s, samples + first, piece, flow, fan);
     }
 }

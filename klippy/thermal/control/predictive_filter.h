@@ -7,16 +7,16 @@
 #include "reference_line.h"
 #include "thermal/models/heater_model.h"
 
-#define GAIN_LEAST 0.1
-#define GAIN_MOST 10.0
+#define GAIN_MIN 0.1
+#define GAIN_MAX 10.0
 // Samples of one innovation at most, about those of a message: one of a long lot would dilute what the newest say.
-#define TOGETHER_MOST 7
+#define TOGETHER_MAX 7
 // An innovation whose square is so many times its variance: the disturbance is taken to have changed ...
 #define SURPRISE 14.0
 #define SURPRISED_W 3.0 // ... by about this much at once.
 // Innovations that lean one way: their sum, each in its own sigma and fading so fast a message, is 1.5 by chance.
 #define LEAN_KEEP 0.75
-#define LEAN_MOST 4.0  // nearly three times that: the disturbance moves ...
+#define LEAN_MAX 4.0  // nearly three times that: the disturbance moves ...
 #define LEAN_SHARE 0.5 // ... by about this much of disturbance_start_w a message.
 // Farther off than this within a message no heat goes: the thermometer jumped, by about JUMPED_C.
 #define JUMP_C 3.0

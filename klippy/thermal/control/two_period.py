@@ -36,7 +36,7 @@ TABLE_FULL = 255.0
 
 
 @dataclass(frozen=True, slots=True)
-class PracticalParameters:
+class TwoPeriodParameters:
     """`output_high` is what 255 in the table means. Raises ParameterError on impossible values."""
 
     output_high: float
@@ -50,7 +50,7 @@ class PracticalParameters:
 
 
 @dataclass(frozen=True, slots=True)
-class PracticalState:
+class TwoPeriodState:
     """Period, and the farthest the temperature has been in its direction."""
 
     flying: bool = True
@@ -60,23 +60,23 @@ class PracticalState:
 def table_value(flying: bool, below_c: float) -> int:
     """Drive 0..255 of Table 2, `below_c` below the target."""
     rows = FLYING if flying else FALLING
-    return next(value for least_c, value in rows if below_c >= least_c)
+    return next(value for lowest_c, value in rows if below_c >= lowest_c)
 
 
-def _period(parameters: PracticalParameters, state: PracticalState, temp_c: float) -> PracticalState:
+def _period(parameters: TwoPeriodParameters, state: TwoPeriodState, temp_c: float) -> TwoPeriodState:
     if math.isnan(state.extreme_c):
         return replace(state, extreme_c=temp_c)
     ahead_c = temp_c - state.extreme_c if state.flying else state.extreme_c - temp_c
     if ahead_c >= 0.0:
         return replace(state, extreme_c=temp_c)
     if -ahead_c >= parameters.turn_c:
-        return PracticalState(not state.flying, temp_c)
+        return TwoPeriodState(not state.flying, temp_c)
     return state
 
 
-def practical_step(
-    parameters: PracticalParameters, state: PracticalState, inputs: ControlInput, time_s: float
-) -> tuple[ControlOutput, PracticalState]:
+def two_period_step(
+    parameters: TwoPeriodParameters, state: TwoPeriodState, inputs: ControlInput, time_s: float
+) -> tuple[ControlOutput, TwoPeriodState]:
     """One decision; `time_s` does not matter to this law."""
     if math.isnan(inputs.measured_c):
         return ControlOutput(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), state
@@ -88,13 +88,13 @@ def practical_step(
     return ControlOutput(value, wanted, wanted, 0.0, 0.0, 0.0), state
 
 
-def practical_follow(
-    parameters: PracticalParameters, state: PracticalState, inputs: ControlInput, output: float
-) -> PracticalState:
+def two_period_follow(
+    parameters: TwoPeriodParameters, state: TwoPeriodState, inputs: ControlInput, output: float
+) -> TwoPeriodState:
     """A table has nothing to be re-based; the period is found anew."""
-    return PracticalState()
+    return TwoPeriodState()
 
 
-PRACTICAL: Law[PracticalParameters, PracticalState] = Law(
-    "practical", practical_step, PracticalState(), practical_follow
+PRACTICAL: Law[TwoPeriodParameters, TwoPeriodState] = Law(
+    "practical", two_period_step, TwoPeriodState(), two_period_follow
 )

@@ -24,7 +24,7 @@ import chelper
 
 from .blocks import Blocks
 
-LOT_MESSAGES = 32  # unpacked at a time, 0.36 s of a calm; more wait for the next time
+BATCH_MESSAGES = 32  # unpacked at a time, 0.36 s of a calm; more wait for the next time
 
 # By thermal/sensing/convert.h's enum blockwire_error.
 _COMPLAINTS = {
@@ -72,7 +72,7 @@ class Stream:
         self.counters.next_sequence = -1
 
     def take(self, messages: Any, count: int, clock: int, time_s: float, tick_s: float) -> Blocks:
-        """The blocks of up to LOT_MESSAGES messages (C's struct pull_message), valid until the next.
+        """The blocks of up to BATCH_MESSAGES messages (C's struct pull_message), valid until the next.
 
         `clock` is any 64-bit clock within 2^31 ticks of theirs, `time_s` its print time, `tick_s` that of a tick.
         A message seen before gives none, a malformed one neither: `complaint` tells.

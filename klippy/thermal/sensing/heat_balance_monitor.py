@@ -67,7 +67,7 @@ def scaled(factor: float, ambient_c: float, second_factor: float = 1.0) -> TwoNo
 
 
 @dataclass(frozen=True, slots=True)
-class PlausibleParameters:
+class HeatBalanceParameters:
     """Model and how far it may be believed."""
 
     heat: heat_loss.HeatCapacity
@@ -76,15 +76,15 @@ class PlausibleParameters:
     limit_c: float = 8.0  # drift beyond this plus the uncertainty is reported
     window_s: float = 12.0  # time constant of the average; the second mass settles with 10 s
     ready_s: float = 30.0  # quiet for so long before anything is said
-    drift_most_c: float = 60.0  # 0.4 % of C1: no capacitor drifts more, another steel in the coil does
+    drift_max_c: float = 60.0  # 0.4 % of C1: no capacitor drifts more, another steel in the coil does
     run_c: float = 60.0  # a heat-up by this much tells the capacity
     run_w: float = 25.0  # mean heat over it, so that losses are a correction
-    doubt_most_c: float = 2.0  # of the second mass, unknown at a start: with more only gross drift is told
+    doubt_max_c: float = 2.0  # of the second mass, unknown at a start: with more only gross drift is told
     capacity_band: float = 0.35  # capacity off by more: not the nozzle this was set up for
 
 
 @dataclass(slots=True)
-class PlausibleState:
+class HeatBalanceState:
     """Memory; times are print times."""
 
     time_s: float = math.nan
@@ -102,7 +102,7 @@ class PlausibleState:
 
 
 def _run(
-    parameters: PlausibleParameters, state: PlausibleState, dt_s: float, temp_c: float, net_w: float
+    parameters: HeatBalanceParameters, state: HeatBalanceState, dt_s: float, temp_c: float, net_w: float
 ) -> None:
     """Book a heat-up; ends when the heat ends or enough degrees are there."""
     if net_w < parameters.run_w:
@@ -127,8 +127,8 @@ def _run(
 
 
 def observe(
-    parameters: PlausibleParameters,
-    state: PlausibleState,
+    parameters: HeatBalanceParameters,
+    state: HeatBalanceState,
     time_s: float,
     temp_c: float,
     energy_j: float,
@@ -163,17 +163,17 @@ def observe(
     state.doubt_w += (loss.link_w_k * state.second_doubt_c - state.doubt_w) * share
     slope_w_k = loss.slope_w_k(temp_c)
     drift_c, doubt_c = -state.left_w / slope_w_k, state.doubt_w / slope_w_k
-    sure = doubt_c <= parameters.doubt_most_c or abs(drift_c) - doubt_c > parameters.drift_most_c
+    sure = doubt_c <= parameters.doubt_max_c or abs(drift_c) - doubt_c > parameters.drift_max_c
     state.drift_c = drift_c if sure and state.quiet_s >= parameters.ready_s else None
 
 
-def uncertainty_c(parameters: PlausibleParameters, temp_c: float) -> float:
+def uncertainty_c(parameters: HeatBalanceParameters, temp_c: float) -> float:
     """What the losses' uncertainty is worth in degC."""
     rise = abs(temp_c - parameters.loss.ambient_c)
     return parameters.loss_uncertainty * rise + 3.0  # 3: ambient not known better
 
 
-def warning(parameters: PlausibleParameters, state: PlausibleState) -> str:
+def warning(parameters: HeatBalanceParameters, state: HeatBalanceState) -> str:
     """Text for people, "" while all is plausible."""
     ratio = state.capacity_ratio
     if ratio is not None and abs(ratio - 1.0) > parameters.capacity_band:
@@ -187,7 +187,7 @@ def warning(parameters: PlausibleParameters, state: PlausibleState) -> str:
         return ""
     if abs(drift_c) <= parameters.limit_c + uncertainty_c(parameters, state.temp_c) - 3.0:
         return ""
-    if abs(drift_c) > parameters.drift_most_c:
+    if abs(drift_c) > parameters.drift_max_c:
         return (
             f"wrong nozzle? the thermometer reads {drift_c:+.0f} C off (heat balance at {state.temp_c:.0f} C), more"
             " than any drift: another material or shape than the calibrated one; run INDUCTION_CALIBRATE for it"

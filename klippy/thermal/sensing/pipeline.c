@@ -141,7 +141,7 @@ chain_take(const struct chain_params *p, struct chain_state *s, struct coil_bloc
         b->heat_w = drive_power_w(p->power_max_w, p->power_exponent, p->power_phase_max_ticks, b->phase_ticks);
         s->heat_j += b->heat_w * (b->duration_s + b->discarded * b->duration_s / b->count);
         chain_note_span(p, s, b);
-        if (track_block(&p->track, &s->track, b))
+        if (filter_block(&p->track, &s->track, b))
             newest = i;
         samples[i] = sample_of(p, s, b);
     }

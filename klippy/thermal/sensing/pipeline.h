@@ -1,5 +1,5 @@
-#ifndef CHELPER_BLOCKCHAIN_H
-#define CHELPER_BLOCKCHAIN_H
+#ifndef CHELPER_PIPELINE_H
+#define CHELPER_PIPELINE_H
 // What is done with each block of an induction nozzle's coil, 600 times a second: codes to error units, error units to
 // a temperature with its uncertainty, the watch on it, the filter, and the sample for a control law with a model.
 //
@@ -54,7 +54,7 @@ struct chain_params {
     double limit_low_c, limit_high_c;               // watch
     int32_t limit_blocks, is_calibrated;
     double power_max_w, power_exponent, power_phase_max_ticks;
-    struct track_params track;
+    struct filter_params track;
     int32_t span_samples, span_blocks;              // noise from the span of blocks: nominal length, memory
     double span_per_noise;                          // expected span of a block of that length, in sigma of a sample
     double phase_max_ticks;                         // of the usual drive
@@ -73,7 +73,7 @@ struct chain_watch {
 
 struct chain_state {
     struct chain_watch watch;
-    struct track_state track;
+    struct filter_state track;
     double heat_j;              // put in since somebody last set this to 0
     double span_lsb;            // running mean of highest minus lowest code
     int32_t spans;              // how many are in it

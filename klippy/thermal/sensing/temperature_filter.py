@@ -20,7 +20,7 @@ from thermal.models import heat_loss
 
 
 @dataclass(frozen=True, slots=True)
-class TrackParameters:
+class FilterParameters:
     """What the filter assumes of the nozzle and how fast the unexplained rate may change."""
 
     loss: heat_loss.LossLaw
@@ -35,8 +35,8 @@ class TrackParameters:
     outliers_max: int = 4
 
 
-def track_params(parameters: TrackParameters) -> dict[str, float]:
-    """As C's struct track_params: the heat capacity is a straight line over T."""
+def filter_params(parameters: FilterParameters) -> dict[str, float]:
+    """As C's struct filter_params: the heat capacity is a straight line over T."""
     loss, heat = parameters.loss, parameters.heat
     return {
         "conductance_w_k": loss.conductance_w_k,

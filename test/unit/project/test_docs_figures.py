@@ -64,7 +64,7 @@ def thermometer_rows() -> Iterator[str]:
     yield f"drift reported | {heat.limit_c:g} °C"
     known, measured = 100.0 * heat.loss_uncertainty, 100.0 * calibrate.LOSS_UNCERTAINTY
     yield f"uncertainty of the losses | {known:g} %, after a calibration {measured:g} %"
-    yield f"more than drift | {heat.drift_most_c:g} °C"
+    yield f"more than drift | {heat.drift_max_c:g} °C"
     yield f"heat capacity measured | over a rise of {heat.run_c:g} °C with {heat.run_w:g} W or more"
     yield f"wrong nozzle | heat capacity off by more than {100.0 * heat.capacity_band:g} %"
 

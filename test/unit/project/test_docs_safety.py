@@ -189,7 +189,7 @@ def drift_claims() -> Iterator[str]:
             n
             for n in range(2000)
             if heat_balance_monitor.warning(
-                known, heat_balance_monitor.PlausibleState(temp_c=250.0, drift_c=n / 10)
+                known, heat_balance_monitor.HeatBalanceState(temp_c=250.0, drift_c=n / 10)
             )
         )
         return next(tenths) / 10

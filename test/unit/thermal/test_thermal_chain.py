@@ -68,7 +68,7 @@ def parameters(law: laws.Law, rng: random.Random, supply: float) -> tuple[Any, .
         block_temperature.EstimatorParameters(law, supply=supply),
         supervision.SuperviseParameters(0.0, 245.0, limit_blocks=4, calibrated=rng.random() < 0.8),
         DriveLaw(vdc_v=24.0 * supply),
-        temperature_filter.TrackParameters(
+        temperature_filter.FilterParameters(
             loss, heat_loss.HeatCapacity(0.414 * rng.uniform(0.6, 1.6)), outliers_max=3
         ),
     )
@@ -194,7 +194,7 @@ def test_a_filter_told_to_forget_starts_anew() -> None:
 def test_more_blocks_than_a_message_holds_are_refused() -> None:
     block = blocks.SampleBlock(0, 0, 0.0, 0.0016, 192, 400.0, 398, 402, 5600, 0, 0)
     with pytest.raises(ValueError, match="more than"):
-        blocks.Blocks.of([block] * (blocks.BLOCKS_MOST + 1))
+        blocks.Blocks.of([block] * (blocks.BLOCKS_MAX + 1))
     assert math.isinf(blocks.Blocks().end_s)
     with pytest.raises(IndexError):
         blocks.Blocks.of([block])[1]
