@@ -73,8 +73,8 @@ class OfflinePlan:
 def steady(settings: Settings, plain: Summary, slow_run: Summary) -> Settings:
     """The whole file is known: the weld is held at one temperature from the first road on.
 
-    `plain`: of the file at its own speed, whose fixed temperature gives the usual weld. `slow_run`: with hot layers slowed
-    down, which shows what the window can still make of the ends of the path.
+    `plain`: the file at its own speed, whose fixed temperature gives the usual weld. `slow_run`: hot layers slowed down,
+    which shows what the window can still make of the ends of the path.
     """
     lowest_c = settings.options.interface_c or 0.0
     kept_c = weld.held_c(plain.interface_5_50_95_c[1][1], slow_run.band_c, lowest_c)

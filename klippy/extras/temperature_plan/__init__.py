@@ -69,8 +69,8 @@ class TemperaturePlanner(PathEvents):
             if not low_c <= temp_c <= high_c:
                 raise self.printer.config_error(
                     f"Option '{option}' in section 'temperature_plan': '{place}: {temp_c:g}' is no melt that heater"
-                    f" '{self.settings.heater}' can give: {low_c:g} C (min_extrude_temp) to {high_c:g} C ({HEADROOM_C:g}"
-                    f" below max_temp) are ({self.settings.written_at[option]})."
+                    f" '{self.settings.heater}' can give: {low_c:g} C (min_extrude_temp) to {high_c:g} C"
+                    f" ({HEADROOM_C:g} below max_temp) are ({self.settings.written_at[option]})."
                 )
 
     def renew(self) -> None:
@@ -128,7 +128,7 @@ class TemperaturePlanner(PathEvents):
             interface_c = self.session.plan.speed_interface_c
             self._gcode.respond_info(
                 f"A hot layer is deposited at {100 * speed.factor:.0f} % of the file's speed, so that its weld stays"
-                f" near {interface_c:.0f} C. A higher interface_temp, more fan or minimum_speed_factor: 1 keep the speed"
+                f" near {interface_c:.0f} C. A higher interface_temp, more fan or minimum_speed_factor: 1 keeps it"
             )
 
     # The plan

@@ -229,8 +229,7 @@ class TemperaturePlan:
         self, path: PathPieces, from_s: float, within_c: float, recorded_s: float
     ) -> tuple[float, Reference | None] | None:
         """All that a timer has to do, in one call: take what waits on the path, record what lies before `recorded_s`,
-        plan again from `from_s` on, where the nozzle is led then. (End of what is planned, the reference as it is now; None:
-        nothing lies ahead.)
+        plan again from `from_s` on. (End of what is planned, the reference from there; None: nothing lies ahead.)
 
         None: another request holds for moves that still wait (PathPieces.inquire).
         """
