@@ -73,7 +73,7 @@ class OfflinePlan:
 def steady(settings: Settings, plain: Summary, slow_run: Summary) -> Settings:
     """The whole file is known: the weld is held at one temperature from the first road on.
 
-    `plain`: the file at its own speed, whose fixed temperature gives the usual weld. `slow_run`: hot layers slowed down,
+    `plain`: the file at its own speed, whose fixed temperature gives the usual weld. `slow_run`: hot layers slowed,
     which shows what the window can still make of the ends of the path.
     """
     lowest_c = settings.options.interface_c or 0.0

@@ -1,7 +1,7 @@
 """From wanted melt temperatures along the path to a nozzle temperature that physics can follow.
 
 1. What is wanted of the wall: melt temperature -> wall temperature at the segment's flow. Where the weld decides, the
-   interface temperature is the target on both sides, if need be beyond the material's window, which then bounds the wall.
+   interface temperature is the target on both sides, also beyond the material's window, which then bounds the wall.
 2. `nodes`: the path in steps of `NODE_S`, earlier by the lag between nozzle and leaving melt. Each has the length
    deposited in it as its weight, for every mm of weld counts the same, and the mean of what is wanted there.
 3. `best_path`: of all temperatures that keep the limits on heating (power) and cooling (loss and melt), those with the
