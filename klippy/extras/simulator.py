@@ -2,7 +2,8 @@
 
     [simulator]                 how the run is recorded
     [simulator mcu NAME]        the line to one MCU and the error of its clock
-    [simulator nozzle NAME]     an induction-heated nozzle on an MCU's bridge: preset and plant parameters
+    [simulator nozzle NAME]     an induction-heated nozzle on an MCU's bridge: preset and plant parameters,
+                                each a number or TIME:VALUE, TIME:VALUE, ...
     [simulator load NAME]       a bed or a conventional hotend: heater pin, sensor pin, parameters
     [simulator reference NAME]  a thermocouple on a nozzle, to calibrate against: gain, tau (Table 6), amplifier
     [simulator axis NAME]       what a stepper moves, and the switch at its end
@@ -21,6 +22,8 @@ them in as start_args["simulator_parameters"]; without them names and ranges of 
 from __future__ import annotations
 
 import difflib
+import itertools
+import math
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -34,6 +37,7 @@ LINE_LATENCY_S = 0.0005  # a USB serial adapter's turn-round, both directions al
 FAN_SPIN_UP_S = 0.2
 CHIP_TEMP_C = 40.0  # a room of 25 C and what the chip's own losses add on a small board
 FILAMENT_DIAMETER_MM = 1.75
+NOZZLE_PRESETS = ("reference", "strong", "light", "real")
 MCU_BUILDS = ("simulator", "stm32f334", "atmega2560")
 
 
@@ -47,6 +51,8 @@ class ParameterRow(Protocol):
 
 
 _LETTER_AXIS = re.compile(r"[a-z]|[xyz][0-9]+")  # x and z1 belong to stepper_x and stepper_z1
+
+Profile = tuple[tuple[float, float], ...]  # (s since the start, value), times rising
 
 ParameterTables = Mapping[str, Mapping[str, ParameterRow]]  # "nozzle" and "load" → name → row
 
@@ -91,10 +97,13 @@ class NozzleSettings:
 
     name: str
     mcu: str
-    preset: str  # reference or strong
+    preset: str  # reference, strong, light or real
     feed: FeedSettings
     fan: str | None
     parameters: Mapping[str, float]
+    profiles: Mapping[str, Profile]
+    vdc_pin: str | None  # None: as in [induction_heater NAME]
+    vdc_scale_v: float | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,12 +227,34 @@ def _read_feed(config: ConfigWrapper, default_axis: str | None) -> FeedSettings:
     )
 
 
-def _read_parameters(config: ConfigWrapper, table_name: str, own: set[str]) -> dict[str, float]:
+def _read_profile(config: ConfigWrapper, name: str, low: float, high: float) -> Profile:
+    """A parameter as 'TIME:VALUE, TIME:VALUE, ...'; a plain number is the value from 0 on."""
+    text = str(config.get(name))
+    if ":" not in text:
+        return ((0.0, float(config.getfloat(name, minval=low, maxval=high))),)
+    where = f"Option '{name}' in section '{config.get_name()}' ({config.where(name)})"
+    try:
+        points = [tuple(float(number) for number in pair.split(":")) for pair in text.split(",")]
+        profile = tuple((time_s, value) for time_s, value in points)
+    except ValueError:
+        raise config.error(
+            f"{where}: '{text}' is no profile; it has the form TIME:VALUE, TIME:VALUE, such as 0:1.0, 600:1.02."
+        ) from None
+    times = [time_s for time_s, _ in profile]
+    if times[0] < 0.0 or any(after <= before for before, after in itertools.pairwise(times)):
+        raise config.error(f"{where}: the times of '{text}' must rise from 0 or later.")
+    for _, value in profile:
+        if not low <= value <= high:
+            raise config.error(f"{where}: {value:g} must be from {low:g} to {high:g}.")
+    return profile
+
+
+def _read_parameters(config: ConfigWrapper, table_name: str, own: set[str]) -> dict[str, Profile]:
     """Every option that is not one of `own` is a plant parameter."""
     tables: ParameterTables | None = config.get_printer().get_start_args().get("simulator_parameters")
     names = [name for name in config.get_prefix_options("") if name not in own]
     if tables is None:
-        return {name: config.getfloat(name) for name in names}
+        return {name: _read_profile(config, name, -math.inf, math.inf) for name in names}
     table = tables[table_name]
     values = {}
     for name in names:
@@ -235,25 +266,35 @@ def _read_parameters(config: ConfigWrapper, table_name: str, own: set[str]) -> d
                 f"Option '{name}' in section '{config.get_name()}' is not a parameter of the simulated "
                 f"{table_name} ({config.where(name)}).{hint}"
             )
-        values[name] = config.getfloat(name, minval=row.min, maxval=row.max)
+        values[name] = _read_profile(config, name, row.min, row.max)
     return values
 
 
 def _read_nozzle(config: ConfigWrapper, name: str) -> NozzleSettings:
-    own = {"mcu", "preset", "filament_axis", "filament_diameter", "fan"}
+    own = {"mcu", "preset", "filament_axis", "filament_diameter", "fan", "vdc_pin", "vdc_scale"}
+    parameters = _read_parameters(config, "nozzle", own)
     return NozzleSettings(
         name=name,
         mcu=config.get("mcu", "mcu"),
-        preset=config.getchoice("preset", {"reference": "reference", "strong": "strong"}, "reference"),
+        preset=config.getchoice("preset", {name: name for name in NOZZLE_PRESETS}, "reference"),
         feed=_read_feed(config, "extruder"),
         fan=config.get("fan", None),
-        parameters=_read_parameters(config, "nozzle", own),
+        parameters={option: profile[0][1] for option, profile in parameters.items()},
+        profiles={option: profile for option, profile in parameters.items() if len(profile) > 1},
+        vdc_pin=config.get("vdc_pin", None),
+        vdc_scale_v=config.getfloat("vdc_scale", None, above=0.0),
     )
 
 
 def _read_load(config: ConfigWrapper, name: str) -> LoadSettings:
     own = {"kind", "section", "heater_pin", "sensor_pin", "filament_axis", "filament_diameter", "fan"}
     is_bed = name in ("bed", "heater_bed")
+    parameters = _read_parameters(config, "load", own)
+    if moving := next((option for option, profile in parameters.items() if len(profile) > 1), None):
+        raise config.error(
+            f"Option '{moving}' in section '{config.get_name()}' ({config.where(moving)}): only parameters of a "
+            "nozzle may be profiles."
+        )
     kind = config.getchoice("kind", {"bed": "bed", "hotend": "hotend"}, "bed" if is_bed else "hotend")
     return LoadSettings(
         name=name,
@@ -263,7 +304,7 @@ def _read_load(config: ConfigWrapper, name: str) -> LoadSettings:
         sensor_pin=config.get("sensor_pin", None),
         feed=_read_feed(config, None if kind == "bed" else "extruder"),
         fan=config.get("fan", None),
-        parameters=_read_parameters(config, "load", own),
+        parameters={option: profile[0][1] for option, profile in parameters.items()},
     )
 
 

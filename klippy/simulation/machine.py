@@ -97,7 +97,7 @@ def assemble(
         pin = _pin(machine, fan.pin, config, fan.section, "pin", f"simulator fan {fan.name}")
         machine.fans[fan.name] = world.add_fan(pin, fan.spin_up_s)
     for nozzle in _of(things, NozzleSettings):
-        machine.nozzles[nozzle.name] = _add_nozzle(machine, nozzle)
+        machine.nozzles[nozzle.name] = _add_nozzle(machine, nozzle, config)
     for reference in _of(things, ReferenceSettings):
         _add_reference(machine, reference, config)
     for load in _of(things, LoadSettings):
@@ -336,14 +336,25 @@ def _index(table: Mapping[str, int], name: str | None, kind: str, where: str) ->
     return table[name]
 
 
-def _add_nozzle(machine: Machine, nozzle: NozzleSettings) -> int:
+def _add_nozzle(machine: Machine, nozzle: NozzleSettings, config: Config) -> int:
     where = f"simulator nozzle {nozzle.name}"
     if nozzle.mcu not in machine.mcus:
         raise WorldError(f"Section '{where}' names the MCU '{nozzle.mcu}', which is not in the config.")
     axis, area_mm2 = _feed(machine, nozzle.feed, where)
     fan = _index(machine.fans, nozzle.fan, "fan", where)
     values = parameter_values("nozzle", nozzle.preset, dict(nozzle.parameters))
-    return machine.world.add_nozzle(machine.mcus[nozzle.mcu], values, axis, area_mm2, fan)
+    index = machine.world.add_nozzle(machine.mcus[nozzle.mcu], values, axis, area_mm2, fan)
+    for name, points in nozzle.profiles.items():
+        machine.world.add_profile(index, name, points)
+    heater = config.get(f"induction_heater {nozzle.name}", {})
+    if pin := nozzle.vdc_pin or heater.get("vdc_pin"):
+        full_scale_v = nozzle.vdc_scale_v or _number(heater, "vdc_scale", 0.0, where)
+        if full_scale_v <= 0.0:
+            raise WorldError(f"Section '{where}' needs option 'vdc_scale' with its 'vdc_pin'.")
+        machine.world.add_supply_sensor(
+            index, parse_pin(pin, machine, f"Section '{where}', vdc_pin"), full_scale_v
+        )
+    return index
 
 
 def _add_reference(machine: Machine, reference: ReferenceSettings, config: Config) -> int:

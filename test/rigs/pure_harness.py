@@ -33,9 +33,7 @@ SANITIZERS = {
 }
 
 INDUCTION_SOURCES = ("filters.c", "oversample.c", "phase.c", "guard.c", "attention.c")
-PLANT_SOURCES = tuple(
-    str(PLANT / name) for name in ("plant.c", "plant_tank.c", "plant_noise.c", "thermal_load.c")
-)
+PLANT_SOURCES = tuple(map(str, sorted(PLANT.glob("*.c"))))
 PLANT_HEADERS = (PLANT / "plant.h", PLANT / "thermal_load.h")
 
 
@@ -131,7 +129,7 @@ class Plant(_Device):
     """The induction nozzle: temperatures in degC, seconds, phase in ticks of 0..45000."""
 
     prefix = "plant"
-    presets = ("reference", "strong")
+    presets = ("reference", "strong", "real")
 
     def __init__(self, preset: str = "reference", **kwargs: Any) -> None:
         super().__init__(preset, **kwargs)

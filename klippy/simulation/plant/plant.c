@@ -19,13 +19,15 @@
 #include <stdlib.h>
 #include <string.h>
 
+#include "plant_bridge.h"
+
 static const double pi = 3.14159265358979323846, phase_full_ticks = 45000.0;
 static const double sigma_sb = 5.670374e-8, kelvin = 273.15, cp_reference_c = 25.0;
 static const double max_step_s = 2e-3, unsampled_settled_s = 5e-3;
 static const double decay_done = 1e-7; // below this the tank counts as settled (error < 1e-4 units)
 
 const struct plant_param plant_params[] = {
-#define PLANT_ROW(name, unit, reference, strong, lo, hi, doc) {#name, unit, doc, reference, strong, lo, hi},
+#define PLANT_ROW(name, unit, reference, strong, real, lo, hi, doc) {#name, unit, doc, reference, strong, real, lo, hi},
     PLANT_PARAM_TABLE(PLANT_ROW)
 #undef PLANT_ROW
 };
@@ -60,35 +62,49 @@ static double electrical_power(const struct plant *p, double metal_w)
     return fmax(metal_w, p->v.electrical_base_w + p->v.electrical_swing_w * s * s);
 }
 
-// Mean supply under load; the ripple is added where an instant matters (it averages out of the heat).
-static double loaded_supply(const struct plant *p)
+double plant_loaded_supply(const struct plant *p)
 {
     const double sag_v = p->v.supply_ohm * electrical_power(p, 0) / fmax(p->v.supply_v, 1.0);
     return fmax(p->v.supply_v - sag_v, 0.0);
+}
+
+// The ripple is added where an instant matters; it averages out of the heat.
+static double mean_supply(const struct plant *p)
+{
+    return p->effects.bus ? p->effects.bus_v : plant_loaded_supply(p);
+}
+
+double plant_supply(const struct plant *p)
+{
+    const double ripple_v = p->v.ripple_v == 0 ? 0 : p->v.ripple_v * sin(2 * pi * p->v.ripple_hz * p->time_s);
+    return mean_supply(p) + ripple_v;
 }
 
 static double metal_power(const struct plant *p)
 {
     if (fault_is(p, PLANT_NO_NOZZLE) || fault_is(p, PLANT_COIL_BROKEN))
         return 0;
-    const double drive = half_sine(p) * loaded_supply(p) / p->v.supply_nominal_v;
+    const double drive = half_sine(p) * mean_supply(p) / p->v.supply_nominal_v;
     double power = p->v.heat_w * p->v.efficiency_factor * pow(fmax(drive, 0.0), p->v.heat_exponent);
     if (p->v.curie_drop > 0)
         power *= 1 - p->v.curie_drop / (1 + exp((p->v.curie_c - p->skin_c) / p->v.curie_width_k));
+    if (p->v.dead_time_ns > 0 && power > 0)
+        power *= exp(p->v.heat_exponent *
+                     bridge_dead_time(p->v.dead_time_ns, phase_in_force(p), p->skin_c).log_current);
     return power;
 }
 
 static struct tank_drive drive_now(const struct plant *p)
 {
-    const double ripple_v = p->v.ripple_v == 0 ? 0 : p->v.ripple_v * sin(2 * pi * p->v.ripple_hz * p->time_s);
-    return (struct tank_drive){
+    struct tank_drive d = {
         .phase_ticks = phase_in_force(p),
-        .supply_v = loaded_supply(p) + ripple_v,
+        .supply_v = plant_supply(p),
         .frequency_hz = (1 + 1e-6 * p->v.frequency_ppm) / p->period_s,
-        .c1_uf = p->v.c1_uf * p->v.c1_factor * (1 + 1e-6 * p->v.c1_drift_ppm_s * p->time_s),
         .empty = fault_is(p, PLANT_NO_NOZZLE),
         .open = fault_is(p, PLANT_COIL_BROKEN),
     };
+    effects_drive(p, &d);
+    return d;
 }
 
 // Hand a step of the drive to the tank; it settles from where it is.
@@ -106,11 +122,12 @@ void plant_init(struct plant *p, const double *values, uint64_t seed)
 {
     memset(p, 0, sizeof(*p));
     memcpy(&p->v, values, sizeof(p->v));
-    p->skin_c = p->second_c = p->bore_c = p->v.start_c;
+    p->mean_c = p->skin_c = p->tip_c = p->second_c = p->bore_c = p->v.start_c;
     p->period_s = 1 / 120e3;
     p->last_code = (int)lround(p->v.adc_zero);
     noise_seed(&p->noise, seed);
     tank_init(&p->tank);
+    effects_init(p, seed);
     drive_stepped(p);
     p->tank.fade = 0;
 }
@@ -148,6 +165,7 @@ void plant_set_param(struct plant *p, int index, double value)
     const struct tank_point present = tank_now(&p->tank, tank_steady(&p->tank, &p->v, p->skin_c));
     memcpy((char *)&p->v + (size_t)index * sizeof(double), &value, sizeof(value));
     tank_changed(&p->tank);
+    effects_changed(p);
     drive_stepped(p);
     p->tank.from = present;
     p->lags.dt_s = 0;
@@ -169,6 +187,12 @@ void plant_set_inputs(struct plant *p, double flow_mm3_s, double fan)
     p->fan = fmin(fmax(fan, 0.0), 1.0);
 }
 
+void plant_set_head(struct plant *p, double place, double way_mm)
+{
+    p->effects.head = place;
+    p->effects.way_mm = way_mm;
+}
+
 // Share of the way from entry to wall temperature that the melt goes.
 static double melt_share(const struct plant *p)
 {
@@ -181,9 +205,13 @@ void plant_read(const struct plant *p, struct plant_outputs *out)
     const double metal_w = metal_power(p);
     *out = (struct plant_outputs){
         .skin_c = p->skin_c,
-        .bore_c = p->bore_c,
-        .melt_c = p->flow > 1e-6 ? p->v.melt_in_c + (p->bore_c - p->v.melt_in_c) * melt_share(p) : p->bore_c,
+        .mean_c = p->mean_c,
+        .bore_c = p->bore_c - p->v.wall_k_w * p->melt_w,
+        .tip_c = p->tip_c,
+        .melt_c = p->flow > 1e-6 ? p->v.melt_in_c + (p->tip_c - p->v.melt_in_c) * melt_share(p) : p->tip_c,
         .second_c = p->second_c,
+        .coil_c = p->effects.coil_c,
+        .supply_v = plant_supply(p),
         .power_w = metal_w,
         .electrical_w = electrical_power(p, metal_w),
         .flow_mm3_s = p->flow,
@@ -192,29 +220,29 @@ void plant_read(const struct plant *p, struct plant_outputs *out)
 
 // ---- thermal -------------------------------------------------------------------------------------------------------
 
-static double skin_capacity(const struct plant_values *v, double skin_c)
+static double wall_capacity(const struct plant_values *v, double mean_c)
 {
     const double mass_kg = 1e-3 * v->mass_g * v->mass_factor;
-    return mass_kg * v->cp_j_kgk * (1 + v->cp_slope_per_k * (skin_c - cp_reference_c));
+    return mass_kg * v->cp_j_kgk * (1 + v->cp_slope_per_k * (mean_c - cp_reference_c));
 }
 
 struct heat_flows {
-    double skin_net_w, second_net_w, to_air_w;
+    double mean_net_w, second_net_w, to_air_w, nozzle_air_w;
 };
 
-static struct heat_flows heat_flows(const struct plant *p, double power_w, double skin_c, double second_c)
+static struct heat_flows heat_flows(const struct plant *p, double power_w, double mean_c, double second_c)
 {
     const struct plant_values *v = &p->v;
-    const double skin_k2 = (skin_c + kelvin) * (skin_c + kelvin);
+    const double mean_k2 = (mean_c + kelvin) * (mean_c + kelvin);
     const double air_k2 = (v->ambient_c + kelvin) * (v->ambient_c + kelvin);
-    const double link_w = v->loss_factor * v->link_w_k * (skin_c - second_c);
+    const double link_w = v->loss_factor * v->link_w_k * (mean_c - second_c);
     const double second_air_w = v->loss_factor * v->second_loss_w_k * (second_c - v->ambient_c);
-    const double skin_air_w =
-        v->loss_factor * (v->loss_w_k * (skin_c - v->ambient_c) +
-                          sigma_sb * v->radiation_area_m2 * (skin_k2 * skin_k2 - air_k2 * air_k2)) +
-        p->fan * v->fan_w_k * (skin_c - v->ambient_c);
-    return (struct heat_flows){power_w - link_w - skin_air_w - p->melt_w, link_w - second_air_w,
-                               skin_air_w + second_air_w};
+    const double nozzle_air_w =
+        v->loss_factor * (v->loss_w_k * (mean_c - v->ambient_c) +
+                          sigma_sb * v->radiation_area_m2 * (mean_k2 * mean_k2 - air_k2 * air_k2)) +
+        p->fan * v->fan_w_k * (mean_c - v->ambient_c);
+    return (struct heat_flows){power_w - link_w - nozzle_air_w - p->melt_w, link_w - second_air_w,
+                               nozzle_air_w + second_air_w, nozzle_air_w};
 }
 
 static void update_lags(struct plant *p, double dt_s)
@@ -233,18 +261,19 @@ static void thermal_step(struct plant *p, double dt_s)
     if (p->flow < 1e-9)
         p->flow = 0;
     p->melt_w =
-        p->flow > 0 ? 1e-3 * p->v.melt_heat_mj_m3k * p->flow * (p->bore_c - p->v.melt_in_c) * melt_share(p) : 0;
-    const double power_w = p->v.curie_drop > 0 ? metal_power(p) : p->drive_w;
-    const struct heat_flows start = heat_flows(p, power_w, p->skin_c, p->second_c);
-    const double mid_skin_c = p->skin_c + 0.5 * dt_s * start.skin_net_w / skin_capacity(&p->v, p->skin_c);
+        p->flow > 0 ? 1e-3 * p->v.melt_heat_mj_m3k * p->flow * (p->tip_c - p->v.melt_in_c) * melt_share(p) : 0;
+    const double power_w = p->effects.live_power ? metal_power(p) : p->drive_w;
+    const struct heat_flows start = heat_flows(p, power_w, p->mean_c, p->second_c);
+    const double mid_mean_c = p->mean_c + 0.5 * dt_s * start.mean_net_w / wall_capacity(&p->v, p->mean_c);
     const double mid_second_c = p->second_c + 0.5 * dt_s * start.second_net_w / p->v.second_j_k;
-    const struct heat_flows mid = heat_flows(p, power_w, mid_skin_c, mid_second_c);
-    const double rise_c = dt_s * mid.skin_net_w / skin_capacity(&p->v, mid_skin_c);
-    // Exact for a skin that moves along a straight line during the step.
+    const struct heat_flows mid = heat_flows(p, power_w, mid_mean_c, mid_second_c);
+    const double rise_c = dt_s * mid.mean_net_w / wall_capacity(&p->v, mid_mean_c);
+    // Exact for a wall that moves along a straight line during the step.
     const double lag_share = 1 - p->lags.bore;
-    p->bore_c += (p->skin_c - p->bore_c) * lag_share + rise_c * (1 - lag_share * p->v.bore_tau_s / dt_s);
-    p->skin_c += rise_c;
+    p->bore_c += (p->mean_c - p->bore_c) * lag_share + rise_c * (1 - lag_share * p->v.bore_tau_s / dt_s);
+    p->mean_c += rise_c;
     p->second_c += dt_s * mid.second_net_w / p->v.second_j_k;
+    effects_advance(p, dt_s, power_w, mid.nozzle_air_w);
     p->metal_j += power_w * dt_s;
     p->lost_j += mid.to_air_w * dt_s;
     p->melt_j += p->melt_w * dt_s;
@@ -267,8 +296,8 @@ void plant_advance(struct plant *p, double dt_s)
 static double stored_heat(const struct plant *p)
 {
     const struct plant_values *v = &p->v;
-    const double from_c = v->start_c - cp_reference_c, to_c = p->skin_c - cp_reference_c;
-    const double flat_j_k = skin_capacity(v, cp_reference_c);
+    const double from_c = v->start_c - cp_reference_c, to_c = p->mean_c - cp_reference_c;
+    const double flat_j_k = wall_capacity(v, cp_reference_c);
     return flat_j_k * (to_c - from_c + 0.5 * v->cp_slope_per_k * (to_c * to_c - from_c * from_c)) +
            v->second_j_k * (p->second_c - v->start_c);
 }
@@ -299,38 +328,41 @@ static void quantise(uint16_t *restrict out, uint32_t n, struct noise_rows rows,
     }
 }
 
-// In codes, before noise.
-static float level_of(const struct plant *p, double error)
+// In codes, before white noise.
+static float level_of(const struct plant *p, double error, double disturbance_lsb)
 {
-    return (float)(p->v.adc_zero + (fault_is(p, PLANT_SIGNAL_LOST) ? 0 : error) / p->v.units_per_lsb);
+    const double signal = (fault_is(p, PLANT_SIGNAL_LOST) ? 0 : error) / p->v.units_per_lsb;
+    return (float)(p->v.adc_zero + signal + disturbance_lsb);
 }
 
-// Drift and ripple move the drive without a step; everything else went through drive_stepped.
+// Where the drive moves without a step; everything else went through drive_stepped.
 static void follow_drive(struct plant *p, double period_s)
 {
-    const int moves = p->v.ripple_v != 0 || p->v.c1_drift_ppm_s != 0;
-    if (!moves && period_s == p->period_s)
+    if (!p->effects.live_drive && period_s == p->period_s)
         return;
     p->period_s = period_s;
     p->tank.drive = drive_now(p);
     tank_changed(&p->tank);
 }
 
-static void sample_run(struct plant *p, uint16_t *out, uint32_t n, double decay_per_sample)
+static void sample_run(struct plant *p, uint16_t *out, uint32_t n, double decay_per_sample, double disturbance_lsb)
 {
     const float sigma = (float)p->v.noise_lsb, top = (float)p->v.adc_max;
     struct noise_rows rows = noise_run(&p->noise);
     uint32_t done = 0;
     for (; done < n && p->tank.fade > 0; done++) {
         const struct tank_point now = tank_now(&p->tank, tank_steady(&p->tank, &p->v, p->skin_c));
-        quantise(out + done, 1, rows, level_of(p, tank_error(&p->tank, &p->v, now)), sigma, top);
+        const float level = level_of(p, tank_error(&p->tank, &p->v, now), disturbance_lsb);
+        quantise(out + done, 1, rows, level, sigma, top);
         rows.a++, rows.b++, rows.sign++;
         p->tank.fade *= decay_per_sample;
         if (p->tank.fade < decay_done)
             p->tank.fade = 0;
     }
-    if (done < n)
-        quantise(out + done, n - done, rows, level_of(p, tank_steady_error(&p->tank, &p->v, p->skin_c)), sigma, top);
+    if (done == n)
+        return;
+    const float level = level_of(p, tank_steady_error(&p->tank, &p->v, p->skin_c), disturbance_lsb);
+    quantise(out + done, n - done, rows, level, sigma, top);
 }
 
 void plant_sample(struct plant *p, uint16_t *out, uint32_t n, double period_s)
@@ -342,9 +374,11 @@ void plant_sample(struct plant *p, uint16_t *out, uint32_t n, double period_s)
     p->unsampled_s = 0;
     follow_drive(p, period_s);
     const double decay_per_sample = p->tank.fade > 0 ? exp(-period_s * 1e6 / p->v.tank_tau_us) : 0;
+    const uint32_t longest = p->effects.noisy ? 16 : NOISE_RUN - 16; // 7.5 kHz for disturbances up to 3 kHz
     for (uint32_t done = 0; done < n;) {
-        const uint32_t take = n - done < NOISE_RUN - 16 ? n - done : NOISE_RUN - 16;
-        sample_run(p, out + done, take, decay_per_sample);
+        const uint32_t take = n - done < longest ? n - done : longest;
+        const double disturbance_lsb = effects_disturbance(p, p->time_s + done * period_s, take * period_s);
+        sample_run(p, out + done, take, decay_per_sample, disturbance_lsb);
         done += take;
     }
     if (fault_is(p, PLANT_SIGNAL_STUCK)) {

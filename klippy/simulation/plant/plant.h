@@ -4,7 +4,8 @@
 //                         │        └──► second mass ─► air
 //                         └► LCL tank ─► error ─► ADC codes    plant_sample: one code a bridge period
 //
-// Theory, equations and their origins: klippy/simulation/plant/plant.c, plant_tank.c, plant_noise.c.
+// Theory, equations and their origins: klippy/simulation/plant/plant.c, plant_tank.c, plant_bridge.c,
+// plant_effects.c, plant_noise.c.
 //
 // Who advances what. Thermal time passes only in plant_advance. Electrical time (the tank's settling after a phase
 // step) passes with the samples taken; where nobody samples for 5 ms the tank counts as settled. Call order for an
@@ -16,12 +17,13 @@
 
 #include <stdint.h>
 
+#include "plant_effects.h"
 #include "plant_noise.h"
 #include "plant_params.h"
 #include "plant_tank.h"
 
 enum plant_param_id {
-#define PLANT_ID(name, unit, reference, strong, lo, hi, doc) PLANT_##name,
+#define PLANT_ID(name, unit, reference, strong, real, lo, hi, doc) PLANT_##name,
     PLANT_PARAM_TABLE(PLANT_ID)
 #undef PLANT_ID
         PLANT_PARAM_COUNT
@@ -39,13 +41,13 @@ enum plant_fault {
 // One row of the parameter table, for config readers and documentation.
 struct plant_param {
     const char *name, *unit, *doc;
-    double reference, strong, min, max;
+    double reference, strong, real, min, max;
 };
 extern const struct plant_param plant_params[];
 extern const int plant_param_count;
 
 struct plant_values {
-#define PLANT_FIELD(name, unit, reference, strong, lo, hi, doc) double name;
+#define PLANT_FIELD(name, unit, reference, strong, real, lo, hi, doc) double name;
     PLANT_PARAM_TABLE(PLANT_FIELD)
 #undef PLANT_FIELD
 };
@@ -57,7 +59,9 @@ struct plant {
     double flow_in, fan; // mm^3/s at the motor, 0..1
     // thermal state
     double time_s;
-    double skin_c, second_c, bore_c;
+    double mean_c;          // of the heated wall, which holds the heat
+    double skin_c, tip_c;   // above it by the heat's way through the wall; where the melt leaves the steel
+    double second_c, bore_c;
     double flow;                    // mm^3/s at the nozzle, behind flow_tau_s
     double drive_w;                 // into the metal below the Curie point, as of the last step of the drive
     double melt_w;                  // heat going into the melt now
@@ -65,6 +69,7 @@ struct plant {
     struct plant_lags {
         double dt_s, bore, flow;
     } lags; // exp(-dt/tau) of the last step length
+    struct plant_effects effects;
     // electrical
     double unsampled_s; // thermal time since the last sample
     double period_s;    // bridge period, as last seen in plant_sample
@@ -74,8 +79,10 @@ struct plant {
 };
 
 struct plant_outputs {
-    double skin_c, bore_c, melt_c,
-        second_c;        // melt_c: as it leaves the nozzle (at the bore's temperature without flow)
+    double skin_c, mean_c, bore_c, tip_c, second_c;
+    double melt_c;       // as it leaves the nozzle (at the tip's temperature without flow)
+    double coil_c;       // the heating coil's copper
+    double supply_v;     // at the bridge
     double power_w;      // into the metal
     double electrical_w; // drawn from the supply by the bridge
     double flow_mm3_s;   // through the nozzle, smoothed
@@ -91,10 +98,13 @@ void plant_set_param(struct plant *p, int index, double value); // at run time: 
 double plant_get_param(const struct plant *p, int index);
 void plant_set_phase(struct plant *p, double phase_ticks); // 0..45000, from now on; 0 = bridge off
 void plant_set_inputs(struct plant *p, double flow_mm3_s, double fan);
+void plant_set_head(struct plant *p, double place, double way_mm); // place: -1..1; way: of the motors that move it
 void plant_advance(struct plant *p, double dt_s); // sub-steps of at most 10 ms inside
 // n ADC codes at consecutive bridge periods, the first one at the present instant. About 1 to 3 ns a sample.
 void plant_sample(struct plant *p, uint16_t *out, uint32_t n, double period_s);
 void plant_read(const struct plant *p, struct plant_outputs *out);
+double plant_supply(const struct plant *p);        // at the bridge, ripple included
+double plant_loaded_supply(const struct plant *p); // what it settles to at this drive, without ripple
 // Heat balance since the start, in J: put into the metal, lost to air, carried off by melt, stored now.
 struct plant_balance {
     double metal_j, lost_j, melt_j, stored_j;

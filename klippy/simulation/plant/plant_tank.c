@@ -12,6 +12,9 @@
 // After a step the complex current and the offset fade from the old steady state to the new one with tau (27 us, 3.2
 // bridge periods): amplitude and phase move together, so a small old current is soon forgotten and a large one is not.
 //
+// On top, where a parameter asks for it (plant_bridge.c): S by a table, a curve in L1(T), R by a table over temperature
+// and current, and the turn and loss of the current by the bridge's dead time.
+//
 // The signal is limited, hence independent of the current's size, until the current is too small for the limiter
 // (limiter_a): without drive the output fades to error 0. Signal model 1 is Table 1's direct law instead of psi:
 //   error = a T exp(-b p) + c + d p.
@@ -20,18 +23,47 @@
 #include <math.h>
 
 #include "plant.h"
+#include "plant_bridge.h"
 
 #define GRID_STEP_C 0.5 // steady states are solved on this grid; between, a line (curvature there: < 1e-4 units)
 static const double pi = 3.14159265358979323846, phase_full_ticks = 45000.0;
 
 void tank_init(struct tank *t)
 {
-    *t = (struct tank){.drive = {.frequency_hz = 120e3}};
+    *t = (struct tank){.drive = {.frequency_hz = 120e3, .l1_factor = 1}};
 }
 
 void tank_changed(struct tank *t)
 {
     t->cached = 0;
+}
+
+// L1 with the nozzle in it, at coil current x (of l1_saturation_a).
+static double coil_h(const struct tank_drive *d, const struct plant_values *v, double skin_c, double x)
+{
+    const double x2 = x * x, x8 = x2 * x2 * x2 * x2;
+    double saturation = exp(-0.457 * x2 - 0.599 * x8);
+    if (v->saturation_table > 0)
+        saturation += v->saturation_table * (coil_saturation_at(x) - saturation);
+    double fall = v->l1_slope_per_k * saturation * (skin_c - v->l1_reference_c);
+    if (v->l1_curve != 0) {
+        const double u = (skin_c - 25) / 640, u2 = u * u;
+        fall += v->l1_curve * saturation * u2 * (u2 - 0.35);
+    }
+    return (v->l1_uh * (1 - fall) * d->l1_factor + d->l1_add_uh) * 1e-6;
+}
+
+static double tank_ohm(const struct tank_drive *d, const struct plant_values *v, double skin_c, double x)
+{
+    const double rise = v->r_rise_per_k > 0 ? v->r_rise_per_k / 3e-4 * coil_resistance_at(skin_c, x) : 0;
+    return v->r_ohm * (1 + rise) + d->r_add_ohm;
+}
+
+static void turn_current(struct tank_point *p, struct bridge_shift shift)
+{
+    const double size = exp(shift.log_current), angle = shift.psi_deg * (pi / 180), re = p->i_re;
+    p->i_re = size * (cos(angle) * re - sin(angle) * p->i_im);
+    p->i_im = size * (sin(angle) * re + cos(angle) * p->i_im);
 }
 
 static struct tank_point solve(const struct tank_drive *d, const struct plant_values *v, double skin_c)
@@ -41,25 +73,25 @@ static struct tank_point solve(const struct tank_drive *d, const struct plant_va
     const int direct_law = v->signal_model >= 0.5 && !d->empty;
     out.offset = direct_law ? v->law_slope * skin_c * exp(-v->law_decay * p) + v->law_zero + v->law_power * p
                             : v->offset_units * exp(-v->offset_decay * p);
+    out.offset += d->error_units;
     const double volt = d->open ? 0 : 4 / pi * d->supply_v * sin(0.5 * pi * share);
     if (volt <= 0)
         return out;
-    const double w = 2 * pi * d->frequency_hz, l2 = v->l2_uh * 1e-6, c1 = d->c1_uf * 1e-6;
+    const double w = 2 * pi * d->frequency_hz, l2 = d->l2_uh * 1e-6, c1 = d->c1_uf * 1e-6;
     const double w2l2c1 = w * w * l2 * c1;
-    const double re = (d->empty ? v->empty_r_ohm : v->r_ohm) * (1 - w2l2c1);
-    double im = w * l2, current = 0;
+    double re = 0, im = w * l2, current = 0;
     for (int round = 0; round < 6; round++) {
-        const double x2 = (current / v->l1_saturation_a) * (current / v->l1_saturation_a), x8 = x2 * x2 * x2 * x2;
-        const double saturation = exp(-0.457 * x2 - 0.599 * x8);
-        const double l1 = d->empty
-                              ? v->empty_l1_uh * 1e-6
-                              : v->l1_uh * 1e-6 * (1 - v->l1_slope_per_k * saturation * (skin_c - v->l1_reference_c));
+        const double x = current / v->l1_saturation_a;
+        const double l1 = d->empty ? v->empty_l1_uh * 1e-6 : coil_h(d, v, skin_c, x);
+        re = (d->empty ? v->empty_r_ohm : tank_ohm(d, v, skin_c, x)) * (1 - w2l2c1);
         im = w * (l2 + l1 * (1 - w2l2c1));
         current = volt / sqrt(re * re + im * im);
     }
     const double inverse = volt / (re * re + im * im);
     out.i_re = re * inverse;
     out.i_im = -im * inverse;
+    if (v->dead_time_ns > 0)
+        turn_current(&out, bridge_dead_time(v->dead_time_ns, d->phase_ticks, skin_c));
     return out;
 }
 
@@ -115,7 +147,7 @@ double tank_error(const struct tank *t, const struct plant_values *v, struct tan
     double error = p.offset;
     if (v->signal_model < 0.5 || t->drive.empty) {
         const double psi_deg = atan2(-p.i_im, -p.i_re) * (180 / pi);
-        error += v->gain_units_deg * (psi_deg + 360 * t->drive.frequency_hz * v->skew_ns * 1e-9);
+        error += v->gain_units_deg * (psi_deg + 360 * t->drive.frequency_hz * t->drive.late_ns * 1e-9);
     }
     return current > 20 * v->limiter_a ? error : error * tanh(current / v->limiter_a);
 }

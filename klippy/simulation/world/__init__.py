@@ -59,7 +59,8 @@ def get_world_ffi() -> tuple[Any, Any]:
     return ffi, ffi.dlopen(str(WORLD_LIBRARY))
 
 
-_PRESETS = {"nozzle": ("reference", "strong"), "load": ("hotend", "bed")}
+_PRESETS = {"nozzle": ("reference", "strong", "real"), "load": ("hotend", "bed")}
+_LIGHT_MASS_G = 0.46  # preset `light`: `strong` with half the steel
 
 
 @lru_cache(maxsize=1)
@@ -67,15 +68,16 @@ def parameter_tables() -> dict[str, dict[str, Parameter]]:
     """The C parameter tables: "nozzle" and "load", each name → row, in table order."""
     ffi, lib = get_world_ffi()
     text = [ffi.new("const char **") for _ in range(3)]
-    values = ffi.new("double[4]")
+    values = ffi.new("double[5]")
     tables: dict[str, dict[str, Parameter]] = {}
     for number, (table, presets) in enumerate(_PRESETS.items()):
         rows: dict[str, Parameter] = {}
         while lib.world_parameter(number, len(rows), *text, values):
             name, unit, doc = (ffi.string(t[0]).decode() for t in text)
-            rows[name] = Parameter(
-                name, unit, doc, dict(zip(presets, values[0:2], strict=True)), min=values[2], max=values[3]
-            )
+            of_presets = dict(zip(presets, values[2:5], strict=False))
+            if "strong" in of_presets:
+                of_presets["light"] = _LIGHT_MASS_G if name == "mass_g" else of_presets["strong"]
+            rows[name] = Parameter(name, unit, doc, of_presets, min=values[0], max=values[1])
         tables[table] = rows
     return tables
 
@@ -258,6 +260,16 @@ class World:
             "struct world_reference_options *", (nozzle, gain, tau_s, volt_per_k, adc_volt, 0.5)
         )
         return self._index(self.lib.world_add_reference(self.pointer, options, self.pin(pin)))
+
+    def add_supply_sensor(self, nozzle: int, pin: Pin, full_scale_v: float) -> None:
+        """The voltage of a nozzle's bridge at a pin, by a divider."""
+        self._index(self.lib.world_add_supply_sensor(self.pointer, nozzle, self.pin(pin), full_scale_v))
+
+    def add_profile(self, nozzle: int, name: str, points: Sequence[tuple[float, float]]) -> None:
+        """A parameter of a nozzle over time: (s since the start, value), straight lines between."""
+        number = list(parameter_tables()["nozzle"]).index(name)
+        times, values = zip(*points, strict=True)
+        self._index(self.lib.world_add_profile(self.pointer, nozzle, number, times, values, len(points)))
 
     # --- running ---
     def advance(self, until_s: float) -> int:

@@ -213,6 +213,11 @@ static uint16_t reference_code(struct reference *r)
     return (uint16_t)lround(fmin(fmax(code, 0.0), 4095.0));
 }
 
+static uint16_t supply_code(struct nozzle *n)
+{
+    return (uint16_t)lround(4095.0 * fmin(fmax(effects_bus_code(&n->plant, n->supply_full_scale_v), 0.0), 1.0));
+}
+
 uint16_t machine_adc_read(struct machine *m, int mcu, uint32_t number, double now_s)
 {
     (void)now_s; /* a load is at most one tick behind: far below its lag */
@@ -220,6 +225,8 @@ uint16_t machine_adc_read(struct machine *m, int mcu, uint32_t number, double no
         return chip_sensor_code(m->chip_temp_c[mcu]);
     if (number < MACHINE_PINS && m->pins[mcu][number].role == PIN_REFERENCE)
         return reference_code(&m->references[m->pins[mcu][number].target]);
+    if (number < MACHINE_PINS && m->pins[mcu][number].role == PIN_SUPPLY)
+        return supply_code(&m->nozzles[m->pins[mcu][number].target]);
     if (number >= MACHINE_PINS || m->pins[mcu][number].role != PIN_THERMISTOR)
         return ADC_OPEN;
     uint16_t code;
@@ -261,6 +268,39 @@ void machine_bridge_set(struct machine *m, int mcu, uint16_t phase, double now_s
     plant_set_phase(&n->plant, phase);
 }
 
+/* Where the cable and the motors of X and Y are. */
+static void place_head(const struct machine *m, struct plant *p)
+{
+    double place = 0.0, way_mm = 0.0;
+    for (int i = 0; i < m->axis_count; i++) {
+        const struct world_axis_options *o = &m->axes[i].options;
+        if (o->role != WORLD_AXIS_X && o->role != WORLD_AXIS_Y)
+            continue;
+        double at_mm = axis_position_mm(&m->axes[i]);
+        way_mm += at_mm;
+        if (o->role == WORLD_AXIS_X && o->limited && o->max_mm > o->min_mm)
+            place = 2.0 * (at_mm - o->min_mm) / (o->max_mm - o->min_mm) - 1.0;
+    }
+    plant_set_head(p, place, way_mm);
+}
+
+static void follow_profiles(struct nozzle *n, double now_s)
+{
+    for (int i = 0; i < n->profile_count; i++) {
+        const struct profile *p = &n->profiles[i];
+        int k = 0;
+        while (k < p->count && p->time_s[k] <= now_s - n->start_s)
+            k++;
+        double value = p->value[k < p->count ? k : k - 1];
+        if (k > 0 && k < p->count) {
+            double share = (now_s - n->start_s - p->time_s[k - 1]) / (p->time_s[k] - p->time_s[k - 1]);
+            value = p->value[k - 1] + share * (value - p->value[k - 1]);
+        }
+        if (value != plant_get_param(&n->plant, p->index))
+            plant_set_param(&n->plant, p->index, value);
+    }
+}
+
 void machine_sample(struct machine *m, int mcu, uint16_t *out, uint32_t count, double first_s, double period_s)
 {
     int index = m->nozzle_of_mcu[mcu];
@@ -270,6 +310,8 @@ void machine_sample(struct machine *m, int mcu, uint16_t *out, uint32_t count, d
     }
     struct nozzle *n = &m->nozzles[index];
     nozzle_advance(n, first_s);
+    if (n->plant.effects.moves)
+        place_head(m, &n->plant);
     plant_sample(&n->plant, out, count, period_s);
 }
 
@@ -305,6 +347,7 @@ void machine_tick(struct machine *m, double now_s, double tick_s)
     for (int i = 0; i < m->nozzle_count; i++) {
         struct nozzle *n = &m->nozzles[i];
         nozzle_advance(n, now_s);
+        follow_profiles(n, now_s);
         feed_tick(m, &n->feed, tick_s);
         plant_set_inputs(&n->plant, n->feed.flow_mm3_s, fan_speed(m, n->fan));
     }

@@ -5,6 +5,7 @@
  *   fan pin ──► mean duty ──► fan speed ───┼──► nozzle (struct plant) ◄── bridge phase,  ──► ADC samples
  *   heater pin ──► mean duty ──────────────┴──► load (struct thermal_load) ──► thermistor pin
  *   axes ──► place of the probe ──► bed's surface ──► probe pin; control pin ──► a BLTouch's pin
+ *   bridge supply, divider ──► vdc_pin
  *   a thermocouple on the nozzle's skin, for calibrating: gain and lag, amplifier ──► reference pin
  *
  * Times are world seconds. Everything here is told about pins in the order of time per MCU; machine_tick() once
@@ -27,10 +28,13 @@ enum {
     MACHINE_NOZZLES = 4,
     MACHINE_REFERENCES = 4,
     MACHINE_PROBES = 4,
+    NOZZLE_PROFILES = 16,
+    PROFILE_POINTS = 32,
     MACHINE_DUTIES = MACHINE_FANS + MACHINE_LOADS,
 };
 
-enum pin_role { PIN_UNUSED, PIN_STEP, PIN_DUTY, PIN_SWITCH, PIN_THERMISTOR, PIN_REFERENCE, PIN_PROBE, PIN_CONTROL };
+enum pin_role { PIN_UNUSED, PIN_STEP, PIN_DUTY, PIN_SWITCH, PIN_THERMISTOR, PIN_REFERENCE, PIN_PROBE, PIN_CONTROL,
+                PIN_SUPPLY };
 
 struct machine_pin {
     uint8_t role;   /* enum pin_role */
@@ -71,6 +75,12 @@ struct feed {
     double volume_mm3;
 };
 
+/* A parameter of a plant over time since the start. */
+struct profile {
+    int index, count;
+    double time_s[PROFILE_POINTS], value[PROFILE_POINTS];
+};
+
 struct nozzle {
     struct plant plant;
     struct feed feed;
@@ -78,6 +88,10 @@ struct nozzle {
     int mcu;
     double time_s; /* up to which the plant has been advanced */
     uint16_t phase;
+    double supply_full_scale_v; /* of vdc_pin */
+    double start_s;             /* of the profiles */
+    struct profile profiles[NOZZLE_PROFILES];
+    int profile_count;
 };
 
 /* A thermocouple on a nozzle, behind the skin (Table 6 of Oskolkov 2021: gain about 25 degC, first-order lag). */

@@ -155,7 +155,7 @@ int world_add_nozzle(struct world *w, int mcu, const double *parameters, struct 
     if (m->nozzle_count == MACHINE_NOZZLES || !mcu_at(w, mcu) || m->nozzle_of_mcu[mcu] >= 0)
         return world_fail(w, "nozzle: too many, no such MCU, or its bridge has a nozzle already");
     struct nozzle *n = &m->nozzles[m->nozzle_count];
-    *n = (struct nozzle){ .fan = fan < m->fan_count ? fan : -1, .mcu = mcu, .time_s = w->now_s };
+    *n = (struct nozzle){ .fan = fan < m->fan_count ? fan : -1, .mcu = mcu, .time_s = w->now_s, .start_s = w->start_s };
     n->feed = feed_from(m, feed);
     plant_init(&n->plant, parameters, world_new_seed(w));
     m->nozzle_of_mcu[mcu] = m->nozzle_count;
@@ -198,6 +198,34 @@ int world_add_reference(struct world *w, const struct world_reference_options *o
     return m->reference_count++;
 }
 
+int world_add_supply_sensor(struct world *w, int nozzle, struct world_pin pin, double full_scale_v)
+{
+    struct machine *m = &w->machine;
+    if (nozzle < 0 || nozzle >= m->nozzle_count || !(full_scale_v > 0.0))
+        return world_fail(w, "supply sensor: no such nozzle, or no full scale");
+    if (pin.mcu < 0 || pin.mcu >= MACHINE_MCUS || pin.pin < 0 || pin.pin >= MACHINE_PINS)
+        return world_fail(w, "supply sensor: its pin is out of range");
+    m->pins[pin.mcu][pin.pin].role = PIN_SUPPLY;
+    m->pins[pin.mcu][pin.pin].target = (uint8_t)nozzle;
+    m->nozzles[nozzle].supply_full_scale_v = full_scale_v;
+    return 0;
+}
+
+int world_add_profile(struct world *w, int nozzle, int index, const double *times_s, const double *values, int count)
+{
+    struct machine *m = &w->machine;
+    if (nozzle < 0 || nozzle >= m->nozzle_count || index < 0 || index >= plant_param_count)
+        return world_fail(w, "profile: no such nozzle or parameter");
+    struct nozzle *n = &m->nozzles[nozzle];
+    if (n->profile_count == NOZZLE_PROFILES || count < 1 || count > PROFILE_POINTS)
+        return world_fail(w, "profile: at most %d of a nozzle, each with 1 to %d points", NOZZLE_PROFILES, PROFILE_POINTS);
+    struct profile *p = &n->profiles[n->profile_count++];
+    *p = (struct profile){ .index = index, .count = count };
+    memcpy(p->time_s, times_s, (size_t)count * sizeof *times_s);
+    memcpy(p->value, values, (size_t)count * sizeof *values);
+    return 0;
+}
+
 int world_parameter(int table, int index, const char **name, const char **unit, const char **doc, double *values)
 {
     if (index < 0 || index >= (table ? thermal_load_param_count : plant_param_count))
@@ -205,11 +233,11 @@ int world_parameter(int table, int index, const char **name, const char **unit, 
     if (table) {
         const struct thermal_load_param *p = &thermal_load_params[index];
         *name = p->name, *unit = p->unit, *doc = p->doc;
-        values[0] = p->hotend, values[1] = p->bed, values[2] = p->min, values[3] = p->max;
+        values[0] = p->min, values[1] = p->max, values[2] = p->hotend, values[3] = p->bed;
     } else {
         const struct plant_param *p = &plant_params[index];
         *name = p->name, *unit = p->unit, *doc = p->doc;
-        values[0] = p->reference, values[1] = p->strong, values[2] = p->min, values[3] = p->max;
+        values[0] = p->min, values[1] = p->max, values[2] = p->reference, values[3] = p->strong, values[4] = p->real;
     }
     return 1;
 }

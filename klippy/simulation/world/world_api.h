@@ -123,6 +123,10 @@ int world_add_nozzle(struct world *w, int mcu, const double *parameters, struct 
 int world_add_load(struct world *w, const double *parameters, int is_bed, struct world_pin heater,
                    struct world_pin sensor, struct world_feed feed, int fan);
 int world_add_reference(struct world *w, const struct world_reference_options *options, struct world_pin pin);
+/* The bridge's supply over a divider: full_scale_v at the ADC's highest code. */
+int world_add_supply_sensor(struct world *w, int nozzle, struct world_pin pin, double full_scale_v);
+/* A parameter over time since the start: straight lines between the points, constant beyond them. */
+int world_add_profile(struct world *w, int nozzle, int index, const double *times_s, const double *values, int count);
 double world_nozzle_temperature(const struct world *w, int nozzle);
 double world_load_temperature(const struct world *w, int load);
 double world_fan_speed(const struct world *w, int fan);
@@ -132,7 +136,7 @@ void world_set_nozzle_parameter(struct world *w, int nozzle, int index, double v
 void world_set_load_parameter(struct world *w, int load, int index, double value);
 
 /* The parameters of a nozzle (table 0) and of a load (table 1): 0 when index is past the end.
- * values: preset reference or hotend, preset strong or bed, least, most. */
+ * values: min, max, then those of each preset: reference, strong, real; or hotend, bed. */
 int world_parameter(int table, int index, const char **name, const char **unit, const char **doc, double *values);
 
 /* Host side of a link: a serial queue (addresses of serialqueue, serialqueue_receive and

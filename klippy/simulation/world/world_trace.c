@@ -16,7 +16,7 @@ static const double TARGET_OFF_C = 1.0;
 
 /* What one row holds about the heater and the machine, apart from axes. */
 struct observation {
-    double true_c, bore_c, melt_c, power_w, flow_mm3_s;
+    double true_c, bore_c, mean_c, tip_c, melt_c, power_w, flow_mm3_s;
     double bed_c, fan;
     unsigned phase;
 };
@@ -34,7 +34,7 @@ int world_trace_open(struct world *w, const char *path, double rate_hz)
         return world_fail(w, "cannot write the trace %s: %s", path, strerror(errno));
     setvbuf(t->file, NULL, _IOFBF, 1 << 16);
     fputs("t_s,target_c,estimate_c,true_c,bore_c,melt_c,phase_ticks,power_w,flow_mm3_s,"
-          "x_mm,y_mm,z_mm,e_mm,bed_c,bed_target_c,fan\n", t->file);
+          "x_mm,y_mm,z_mm,e_mm,bed_c,bed_target_c,fan,mean_c,tip_c\n", t->file);
     return 0;
 }
 
@@ -53,14 +53,14 @@ int world_trace_close(struct world *w)
 static void observe(const struct world *w, struct observation *o)
 {
     const struct machine *m = &w->machine;
-    *o = (struct observation){ .true_c = NAN, .bore_c = NAN, .melt_c = NAN, .bed_c = NAN };
+    *o = (struct observation){ .true_c = NAN, .bore_c = NAN, .mean_c = NAN, .tip_c = NAN, .melt_c = NAN, .bed_c = NAN };
     for (int i = 0; i < m->load_count; i++) {
         struct thermal_load_outputs out;
         thermal_load_read(&m->loads[i].thermal, &out);
         if (m->loads[i].is_bed) {
             o->bed_c = out.body_c;
         } else if (!m->nozzle_count && isnan(o->true_c)) {
-            o->true_c = o->bore_c = out.body_c;
+            o->true_c = o->bore_c = o->mean_c = o->tip_c = out.body_c;
             o->melt_c = out.melt_c;
             o->power_w = out.power_w;
             o->flow_mm3_s = out.flow_mm3_s;
@@ -71,6 +71,8 @@ static void observe(const struct world *w, struct observation *o)
         plant_read(&m->nozzles[0].plant, &out);
         o->true_c = out.skin_c;
         o->bore_c = out.bore_c;
+        o->mean_c = out.mean_c;
+        o->tip_c = out.tip_c;
         o->melt_c = out.melt_c;
         o->power_w = out.power_w;
         o->flow_mm3_s = out.flow_mm3_s;
@@ -137,11 +139,11 @@ static double role_position_mm(const struct world *w, int role)
 static void write_row(const struct world *w, double t_s, const struct observation *o)
 {
     const double *c = w->channels;
-    fprintf(w->trace.file, "%.3f,%.2f,%.3f,%.3f,%.3f,%.3f,%u,%.3f,%.3f,%.4f,%.4f,%.4f,%.4f,%.2f,%.1f,%.3f\n", t_s,
+    fprintf(w->trace.file, "%.3f,%.2f,%.3f,%.3f,%.3f,%.3f,%u,%.3f,%.3f,%.4f,%.4f,%.4f,%.4f,%.2f,%.1f,%.3f,%.3f,%.3f\n", t_s,
             c[WORLD_TARGET_C], c[WORLD_ESTIMATE_C], o->true_c, o->bore_c, o->melt_c, o->phase, o->power_w,
             o->flow_mm3_s, role_position_mm(w, WORLD_AXIS_X), role_position_mm(w, WORLD_AXIS_Y),
             role_position_mm(w, WORLD_AXIS_Z), role_position_mm(w, WORLD_AXIS_E), o->bed_c, c[WORLD_BED_TARGET_C],
-            o->fan);
+            o->fan, o->mean_c, o->tip_c);
 }
 
 void world_trace_row(struct world *w)

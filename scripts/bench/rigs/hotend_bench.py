@@ -71,7 +71,7 @@ class HotendRig:
     """One hotend under one law."""
 
     def __init__(self, law: Any, parameters: Any, seed: int, changes: Mapping[str, float]) -> None:
-        self.ffi, self.lib = plant_library("thermal_load.h", "thermal_load.c", "plant_noise.c")
+        self.ffi, self.lib = plant_library("thermal_load.h")
         params = self.lib.thermal_load_params
         names = [self.ffi.string(params[i].name).decode() for i in range(self.lib.thermal_load_param_count)]
         values = [changes.get(name, params[i].hotend) for i, name in enumerate(names)]

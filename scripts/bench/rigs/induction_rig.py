@@ -53,15 +53,16 @@ DATA_SIZE_MAX = 48  # of records in a message
 
 
 @functools.cache
-def plant_library(header: str, *sources: str) -> tuple[Any, Any]:
+def plant_library(header: str) -> tuple[Any, Any]:
     """(ffi, lib) of C files of the plant's folder, built once per content of it."""
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(PLANT.glob("*.[ch]"))))
     target = ROOT / "out" / "test" / f"{Path(header).stem}-{digest.hexdigest()[:16]}.so"
     if not target.exists():
         target.parent.mkdir(parents=True, exist_ok=True)
         part = target.with_suffix(f".{os.getpid()}")
-        files = [str(PLANT / name) for name in sources]
-        run_compiler(["-O2", "-shared", "-fPIC", "-o", str(part), *files, "-lm"], "The plant")
+        run_compiler(
+            ["-O2", "-shared", "-fPIC", "-o", str(part), *map(str, PLANT.glob("*.c")), "-lm"], "The plant"
+        )
         part.rename(target)
     ffi = cffi.FFI()
     ffi.cdef(read_headers([PLANT / header]))
@@ -72,7 +73,7 @@ class Plant:
     """The C plant with parameters by name."""
 
     def __init__(self, seed: int, preset: str = "reference", **values: float) -> None:
-        self.ffi, self.lib = plant_library("plant.h", "plant.c", "plant_tank.c", "plant_noise.c")
+        self.ffi, self.lib = plant_library("plant.h")
         count = self.lib.plant_param_count
         self.index = {self.ffi.string(self.lib.plant_params[i].name).decode(): i for i in range(count)}
         table = [getattr(self.lib.plant_params[i], preset) for i in range(count)]
