@@ -27,13 +27,13 @@ NETLIST = ROOT / "test" / "data" / "bridge_circuit.cir"
 TABLE = NETLIST.with_suffix(".csv")
 HEADER = ROOT / "klippy" / "simulation" / "plant" / "bridge_table.h"
 PHASE_FULL = 45000
-STEPS, PERIODS = 8192, 44  # a step of 1 ns; 44 periods are 13.6 time constants of the tank
+STEPS, PERIODS = 8192, 36  # a step of 1 ns; 36 periods are 11 time constants of the tank
 
 DEAD_TIMES_NS = (0.0, 60.0, 200.0)
-DRIVES = tuple(range(2250, PHASE_FULL + 1, 2250))
+DRIVES = tuple(range(1500, PHASE_FULL + 1, 1500))
 TEMPS_C = (25.0, 150.0, 275.0, 400.0, 525.0)
 # Components of the coil, assumed: effect of temperature on L1 over x = |I1| / 39.7 A in steps of 0.1. It differs from
-# the fit to Table 1 of Oskolkov 2021 by up to 0.01.
+# the fit to Table 1 of Oskolkov 2021 by up to 0.03.
 SATURATION = (1.0, 0.9998, 0.991, 0.968, 0.931, 0.882, 0.821, 0.745, 0.643, 0.504, 0.337, 0.171, 0.06)
 # Relative change of the tank's resistance: rows at TEMPS_C, columns at x = 0, 0.25 ... 1. 3e-4/K at small current about
 # 250 degC, less in saturated steel.
@@ -56,22 +56,30 @@ def parameters() -> dict[str, float]:
 class Circuit:
     """All combinations at once: arrays over (dead time, temperature, drive), flat."""
 
-    def __init__(self) -> None:
-        self.p = parameters()
-        grid = np.meshgrid(DEAD_TIMES_NS, TEMPS_C, DRIVES, indexing="ij")
+    def __init__(
+        self,
+        dead_times_ns: Sequence[float] = DEAD_TIMES_NS,
+        temps_c: Sequence[float] = TEMPS_C,
+        drives: Sequence[int] = DRIVES,
+        steps: int = STEPS,
+        **changes: float,
+    ) -> None:
+        self.p, self.steps = parameters() | changes, steps
+        grid = np.meshgrid(dead_times_ns, temps_c, drives, indexing="ij")
+        self.shape = grid[0].shape
         self.dead_s, self.temp_c, self.ticks = (axis.ravel() for axis in grid)
         self.dead_s = self.dead_s * 1e-9
         self.period_s = 1.0 / self.p["fsw"]
-        self.dt = self.period_s / STEPS
+        self.dt = self.period_s / steps
         self.shift_s = 0.5 * self.period_s * self.ticks / PHASE_FULL
         self.legs = [self._schedule(np.zeros_like(self.shift_s)), self._schedule(self.shift_s)]
-        self.state = np.zeros((3, self.ticks.size))  # current of L2, voltage of C1, current of L1
         self.node_v = np.zeros((2, self.ticks.size))
         self.amplitude = np.zeros(self.ticks.size)
+        self.state = self._first_harmonic()  # current of L2, voltage of C1, current of L1
 
     def _schedule(self, shift_s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Of each step: state at its begin and end (1 high, -1 low, 0 open), and the share before the change."""
-        half, t = 0.5 * self.period_s, np.arange(STEPS)[:, None] * self.dt
+        half, t = 0.5 * self.period_s, np.arange(self.steps)[:, None] * self.dt
         local = (t - shift_s) % self.period_s
 
         def level(x: np.ndarray) -> np.ndarray:
@@ -88,26 +96,41 @@ class Circuit:
         share = np.where(before != after, np.clip(next_s / self.dt, 0.0, 1.0), 1.0)
         return before, after, share
 
+    def _first_harmonic(self) -> np.ndarray:
+        """The state at the begin of a period if the bridge gave a sine: where the simulation begins."""
+        p, w = self.p, 2.0 * np.pi * self.p["fsw"]
+        for _ in range(10):
+            l1, r = self.coil()
+            coil_ohm, c1_s = r + 1j * w * l1, 1j * w * p["c1"]
+            angle = np.pi * self.shift_s / self.period_s
+            volt = 4.0 / np.pi * p["vdc"] * np.sin(angle) * np.exp(-1j * angle)
+            current = volt / (coil_ohm + 1j * w * p["l2"] * (1.0 + coil_ohm * c1_s))
+            self.amplitude = np.abs(current)
+        return np.array([current * (1.0 + coil_ohm * c1_s), current * coil_ohm, current]).real
+
     def _part(self, leg: int, level: np.ndarray, out_a: np.ndarray, span_s: np.ndarray) -> np.ndarray:
         """One leg for part of a step; returns the integral of its voltage."""
         p, v = self.p, self.node_v[leg]
         tied = np.where(level > 0, p["vdc"], 0.0) - out_a * p["ron"]
-        free = np.clip(v - out_a * span_s / p["coss"], -p["vf"], p["vdc"] + p["vf"])
+        free = np.minimum(np.maximum(v - out_a * span_s / p["coss"], -p["vf"]), p["vdc"] + p["vf"])
         end = np.where(level == 0, free, tied)
         area = np.where(level == 0, 0.5 * (v + end), end) * span_s
         self.node_v[leg] = np.where(span_s > 0.0, end, v)
         return area
 
-    def _tank(self) -> tuple[np.ndarray, np.ndarray]:
-        """Exact step of the tank under a constant voltage, a matrix for each combination."""
+    def coil(self) -> tuple[np.ndarray, np.ndarray]:
+        """Inductance and resistance at the present amplitude."""
         p, x = self.p, self.amplitude / self.p["isat"]
         effect = np.interp(x, 0.1 * np.arange(len(SATURATION)), SATURATION)
         l1 = p["l1"] * (1.0 - p["l1slope"] * effect * (self.temp_c - p["l1ref"]))
         column = np.clip(x / 0.25, 0.0, 3.9999)
         low, share = column.astype(int), column % 1.0
-        row = np.searchsorted(TEMPS_C, self.temp_c)
-        table = np.array(RESISTANCE)
-        r = p["r"] * (1.0 + table[row, low] * (1.0 - share) + table[row, low + 1] * share)
+        row, table = np.searchsorted(TEMPS_C, self.temp_c), np.array(RESISTANCE)
+        return l1, p["r"] * (1.0 + table[row, low] * (1.0 - share) + table[row, low + 1] * share)
+
+    def _tank(self) -> tuple[np.ndarray, np.ndarray]:
+        """Exact step of the tank under a constant voltage, a matrix for each combination."""
+        p, (l1, r) = self.p, self.coil()
         m = np.zeros((self.ticks.size, 4, 4))
         m[:, 0, 1], m[:, 0, 3] = -1.0 / p["l2"], 1.0 / p["l2"]
         m[:, 1, 0], m[:, 1, 2] = 1.0 / p["c1"], -1.0 / p["c1"]
@@ -119,30 +142,29 @@ class Circuit:
         """One period; returns the first harmonic of the coil's current, against the centre of the commanded pulse."""
         step, drive = self._tank()
         total = np.zeros(self.ticks.size, dtype=complex)
-        turn = np.exp(-2j * np.pi * np.arange(STEPS) / STEPS)
-        for n in range(STEPS):
+        turn = np.exp(-2j * np.pi * np.arange(self.steps) / self.steps)
+        changes = [(share < 1.0).any(axis=1) for _, _, share in self.legs]
+        for n in range(self.steps):
             areas = []
             for leg, (before, after, share) in enumerate(self.legs):
                 out_a = self.state[0] if leg == 0 else -self.state[0]
                 span_s = share[n] * self.dt
-                first = self._part(leg, before[n], out_a, span_s)
-                areas.append(first + self._part(leg, after[n], out_a, self.dt - span_s))
+                area = self._part(leg, before[n], out_a, span_s)
+                if changes[leg][n]:
+                    area = area + self._part(leg, after[n], out_a, self.dt - span_s)
+                areas.append(area)
             total += turn[n] * self.state[2]
             volt = (areas[0] - areas[1]) / self.dt
             self.state = np.einsum("kij,jk->ik", step, self.state) + drive * volt
-        harmonic = 2.0 / STEPS * total
+        harmonic = 2.0 / self.steps * total
         self.amplitude = np.abs(harmonic)
-        # sin reference: the pulse's centre is the crest of the voltage, a quarter period after its zero
         return harmonic * np.exp(1j * np.pi * self.shift_s / self.period_s)
 
-    def run(self) -> tuple[np.ndarray, np.ndarray]:
+    def run(self, periods: int = PERIODS) -> tuple[np.ndarray, np.ndarray]:
         """Current phase psi (degrees) and amplitude (A) in the steady state, by (dead time, temperature, drive)."""
-        for number in range(PERIODS):
+        for _ in range(periods):
             current = self.period()
-            print(f"\rperiod {number + 1} of {PERIODS}", end="", file=sys.stderr)
-        print(file=sys.stderr)
-        shape = len(DEAD_TIMES_NS), len(TEMPS_C), len(DRIVES)
-        return np.degrees(np.angle(-current)).reshape(shape), np.abs(current).reshape(shape)
+        return np.degrees(np.angle(-current)).reshape(self.shape), np.abs(current).reshape(self.shape)
 
 
 def write_table(psi_deg: np.ndarray, current_a: np.ndarray) -> None:

@@ -2,7 +2,8 @@
 //
 // No equation here is one of plant_tank.c or of a sensing law. The circuit is test/data/bridge_circuit.cir: half bridges
 // with dead time, output capacitance and diodes on the tank, simulated in time. Its results are in
-// test/data/bridge_circuit.csv. Between the points of a table runs a cubic (Catmull-Rom); beyond its ends, a line.
+// test/data/bridge_circuit.csv. Between the points of a table runs a cubic (Catmull-Rom); beyond its ends, a line (below
+// the smallest drive, its value).
 #include "plant_bridge.h"
 
 #include <math.h>
@@ -39,7 +40,7 @@ static double over_drive_and_temperature(const double table[BRIDGE_TEMPS][BRIDGE
 
 struct bridge_shift bridge_dead_time(double dead_ns, double phase_ticks, double steel_c)
 {
-    const double drive_u = phase_ticks / bridge_drive_step_ticks - 1;
+    const double drive_u = fmax(phase_ticks / bridge_drive_step_ticks - 1, 0);
     const double temp_u = (steel_c - bridge_temp_low_c) / bridge_temp_step_k;
     // Between 0 (no effect) and the dead times of the table, a line.
     const int upper = dead_ns > bridge_dead_ns[1];
