@@ -143,7 +143,7 @@ class Circuit:
         step, drive = self._tank()
         total = np.zeros(self.ticks.size, dtype=complex)
         turn = np.exp(-2j * np.pi * np.arange(self.steps) / self.steps)
-        changes = [(share < 1.0).any(axis=1) for _, _, share in self.legs]
+        changes = [share.min(axis=1) < 1.0 for _, _, share in self.legs]
         for n in range(self.steps):
             areas = []
             for leg, (before, after, share) in enumerate(self.legs):

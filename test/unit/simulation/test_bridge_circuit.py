@@ -30,7 +30,7 @@ def at_power(row: np.ndarray, percent: float) -> float:
 def test_without_dead_time_and_losses_the_circuit_is_the_phasor() -> None:
     """To 0.1 units in phase and 0.1 % in current, with components as the circuit has them; third harmonic aside."""
     circuit = Circuit((0.0,), (25.0, 400.0), (3182, 20125, 45000), steps=256, ron=0.0)
-    psi_deg, current_a = circuit.run(24)
+    psi_deg, current_a = circuit.run(40)
     l1, r = (part.reshape(circuit.shape) for part in circuit.coil())
     w, p = 2.0 * math.pi * circuit.p["fsw"], circuit.p
     k = 1.0 - w * w * p["l2"] * p["c1"]
