@@ -43,6 +43,11 @@ def test_missing_files_are_named(simulate: Simulate, tmp_path: Path) -> None:
         ("simulator nozzle nozzle.mass=1", ("mass", "mass_g")),
         ("simulator nozzle nozzle.mass_g=900", ("mass_g", "20")),
         ("simulator nozzle nozzle.fan=none_such", ("none_such",)),
+        ("simulator nozzle nozzle.vdc_pin=PA7", ("vdc_scale",)),
+        ("simulator nozzle nozzle.supply_v=0:24, 5", ("supply_v", "TIME:VALUE")),
+        ("simulator nozzle nozzle.supply_v=5:24, 5:25", ("supply_v", "rise")),
+        ("simulator nozzle nozzle.supply_v=0:24, 5:240", ("supply_v", "240", "100")),
+        ("simulator load bed.heater_w=0:100, 5:200", ("heater_w", "nozzle")),
         ("no_dot", ("SECTION.OPTION=VALUE",)),
     ],
 )

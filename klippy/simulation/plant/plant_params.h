@@ -66,10 +66,10 @@
   X(frequency_ppm,        "1e-6",   0.0,      0.0,      20.0,     -1e5, 1e5,  "bridge frequency off what the period says")     \
   X(tank_tau_us,          "us",     27.0,     27.0,     27.0,     0.1,  1000, "settling of the tank after a phase step")       \
   X(skew_ns,              "ns",     0.0,      0.0,      0.0,      -500, 500,  "sampling instant late against the bridge (1 ns: 1.1 degC)") \
-  X(gain_units_deg,       "1/deg",  20.136,   20.136,   20.136,   -1e3, 1e3,  "error units per degree of current phase [T1]")  \
+  X(gain_units_deg,       "1/deg",  20.136,   20.136,   20.136,   -1e3, 1e3,  "signal units per degree of current phase [T1]")  \
   X(offset_units,         "",       313.9,    313.9,    313.9,    -1e4, 1e4,  "error at current phase 0 and power 0 [T1]")     \
   X(offset_decay,         "",       1.003,    1.003,    1.003,    0,    5,    "fall of that offset with power p: exp(-decay p) [T1]") \
-  X(limiter_a,            "A",      0.02,     0.02,     0.02,     1e-6, 10,   "coil current below which the limiter's output fades [assumed]") \
+  X(limiter_a,            "A",      0.02,     0.02,     0.02,     1e-6, 10,   "coil current below which the limiter's output falls [assumed]") \
   X(law_slope,            "1/degC", 0.801361, 0.801361, 0.801361, -10,  10,   "direct law: a in a T exp(-b p) + c + d p [T1]") \
   X(law_decay,            "",       1.058014, 1.058014, 1.058014, 0,    5,    "direct law: b")                                 \
   X(law_zero,             "",       1.397019, 1.397019, 1.397019, -1e3, 1e3,  "direct law: c")                                 \
@@ -110,7 +110,7 @@
   X(move_random_hz,       "Hz",     40.0,     40.0,     40.0,     0.01, 5e3,  "its bandwidth [assumed]")                       \
   /* --- ADC -------------------------------------------------------------------------------------------------------------- */ \
   X(adc_zero,             "LSB",    256.0,    256.0,    256.0,    0,    4095, "code at error 0 [assumed]")                     \
-  X(units_per_lsb,        "",       1.0,      1.0,      1.0,      0.01, 100,  "error units an LSB is worth (6.4: 8 degC native, the paper's claim)") \
+  X(units_per_lsb,        "",       1.0,      1.0,      1.0,      0.01, 100,  "signal units an LSB is worth (6.4: 8 degC native, the paper's claim)") \
   X(noise_lsb,            "LSB",    1.0,      1.0,      1.0,      0,    1000, "Gaussian noise at the ADC, rms [assumed]")      \
   X(coloured_lsb,         "LSB",    0.0,      0.0,      0.2,      0,    1e3,  "coloured noise at the ADC, rms [assumed]")      \
   X(coloured_hz,          "Hz",     20.0,     20.0,     20.0,     1e-3, 2e3,  "its bandwidth [assumed]")                       \

@@ -153,6 +153,52 @@ def test_samples_tell_the_temperature_and_the_same_seed_the_same_noise(fake: Pat
     assert codes(5) != codes(6)
 
 
+def test_supply_sensor_reads_the_voltage_at_the_bridge(rig: Rig) -> None:
+    values = {"supply_v": 24.5, "vdc_gain": 1.01}
+    nozzle = rig.world.add_nozzle(0, parameter_values("nozzle", "reference", values))
+    rig.world.add_supply_sensor(nozzle, SENSOR, 36.0)
+    rig.start()
+    assert rig.adc(SENSOR) == pytest.approx(24.5 * 1.01 / 36.0 * 4095, abs=0.5)
+
+
+def test_parameter_follows_its_profile(rig: Rig) -> None:
+    """Constant before the first point and after the last, a straight line between; a tick of 1 ms late."""
+    nozzle = rig.world.add_nozzle(0, parameter_values("nozzle", "reference", {}))
+    rig.world.add_supply_sensor(nozzle, SENSOR, 40.95)
+    rig.world.add_profile(nozzle, "supply_v", ((1.0, 20.0), (3.0, 24.0), (4.0, 22.0)))
+    rig.start()
+    started = rig.world.start_s
+    for t_s, volt in ((0.5, 20.0), (2.0, 22.0), (2.5, 23.0), (3.5, 23.0), (5.0, 22.0)):
+        rig.run(started + t_s - rig.world.now)
+        assert rig.adc(SENSOR) == pytest.approx(100.0 * volt, abs=1.0), t_s
+
+
+def test_profile_that_cannot_be_is_refused(rig: Rig) -> None:
+    nozzle = rig.world.add_nozzle(0, parameter_values("nozzle", "reference", {}))
+    with pytest.raises(WorldError, match="32 points"):
+        rig.world.add_profile(nozzle, "supply_v", [(float(t), 24.0) for t in range(33)])
+    with pytest.raises(WorldError, match="no such nozzle"):
+        rig.world.add_supply_sensor(nozzle + 1, SENSOR, 36.0)
+
+
+def test_place_of_the_head_reaches_the_cable(rig: Rig) -> None:
+    """The travel from -1 to 20 mm is -1 to 1. 20 nH at its end are 0.55 % of L1, each 0.1 % of it -8.1 units."""
+    axis = add_axis(rig, start_mm=9.5)
+    nozzle = {"cable_l1_nh": 20.0, "noise_lsb": 0.0, "start_c": 250.0, "ambient_c": 250.0, "adc_zero": 1000.0}
+    rig.world.add_nozzle(0, parameter_values("nozzle", "reference", nozzle))
+    rig.start()
+    rig.order(bytes([ord("b"), 2012 & 255, 2012 >> 8]))
+
+    def code() -> int:
+        rig.run(0.01)
+        return int.from_bytes(rig.order(bytes([ord("s"), 1]), reply=2), "little")
+
+    middle = code()
+    rig.steps(STEP, DIR, 525, forward=True)
+    assert rig.world.axis(axis)["position_mm"] == pytest.approx(14.75)
+    assert code() - middle == pytest.approx(-0.5 * 20.0 / 3.6 / 1.014 * 8.1, abs=2.0)
+
+
 def test_retracted_filament_comes_back_without_new_melt(rig: Rig) -> None:
     axis = rig.world.add_axis("E", STEP, DIR, 0.01)
     rig.world.add_nozzle(0, parameter_values("nozzle", "reference", {}), axis, filament_area_mm2=2.0)
