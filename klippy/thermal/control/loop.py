@@ -208,7 +208,13 @@ class InductionLoop:
     def use(self, parameters: LoopParameters) -> None:
         """Go on with other parameters; another law begins with the heat that holds the nozzle as it is now."""
         state, before = self.state, self._parameters.control
+        other_sensing = (parameters.estimator, parameters.front) != (
+            self._parameters.estimator,
+            self._parameters.front,
+        )
         chosen, self.parameters = parameters.control, parameters
+        if other_sensing:
+            state.estimate = NOT_MEASURED  # reported by another sensing law
         if chosen.law is before.law:
             return
         self.chain.samples()  # what was to be told to the law before
