@@ -54,7 +54,8 @@ def row(name: str, run: rerun.Rerun, guard: replay.Guard) -> list[str]:
     found = run.figures()
     numbers = (f"{found['temp_max_c']:.3g}", f"{found['temp_rms_c']:.3g}", f"{found['power_max_w']:.3g}")
     faults = (text[:40] or "-" for text in run.fault)
-    return [name, str(found["answers"]), str(found["changed"]), *numbers, *faults, guard.trip or "-"]
+    judged = guard.trip or (f"{guard.bad_blocks} bad blocks at the end" if guard.bad_blocks else "-")
+    return [name, str(found["answers"]), str(found["changed"]), *numbers, *faults, judged]
 
 
 def table(rows: list[list[str]]) -> str:

@@ -41,7 +41,8 @@ def _library() -> tuple[cffi.FFI, Any]:
 
 
 class Guard:
-    """Judges blocks as the MCU does. `trip`: what it found first, with the print time of that block."""
+    """Judges blocks as the MCU does. `trip`: what it found first, with the print time of that block. The blocks of a
+    trip often do not reach the host any more: `bad_blocks` are those in a row at the end."""
 
     def __init__(self, header: dict[str, Any]) -> None:
         ffi, self._lib = _library()
@@ -51,6 +52,10 @@ class Guard:
             row = {"phase": phase, "low": low, "high": high, "trip_blocks": header["trip_blocks"]}
             self._lib.guard_add_row(self._guard, ffi.new("struct guard_row *", row)[0])
         self.trip, self.trip_s = "", float("nan")
+
+    @property
+    def bad_blocks(self) -> int:
+        return int(self._guard.bad_blocks)
 
     def take(self, blocks: Blocks) -> None:
         for block in blocks:

@@ -20,6 +20,7 @@ from thermal.recording import recorder, stored
 from ..heater import tuning as heater_tuning
 from ..outputs import output_file
 
+KEPT_S = 20.0
 SECONDS_MAX = 120.0
 
 
@@ -32,7 +33,8 @@ class InductionRecord:
         self._rows = rows
         self._folder = Path(folder).expanduser()
         self._file_name = config.get("record_file", None)
-        keep_s = config.getfloat("record_seconds", 20.0, minval=0.0, maxval=SECONDS_MAX)
+        usual_s = 0.0 if self.printer.get_start_args().get("is_simulated") else KEPT_S
+        keep_s = config.getfloat("record_seconds", usual_s, minval=0.0, maxval=SECONDS_MAX)
         self._ring = recorder.Ring(keep_s, lambda: recorder.state_frame(heater.loop)) if keep_s else None
         self._writer: stored.Writer | None = None
         self._name = ""
