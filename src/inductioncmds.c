@@ -3,8 +3,7 @@
  *   queue_induction_plan, _phase ─► pending phases ─► timer at their clock ─► bridge_pwm      (phase.h)
  *                                                  │ sample index of each step
  *   induction_block  ◄─ task ◄─ ring of blocks ◄─ ADC interrupt ◄─ half buffers        (oversample.h)
- *                                                  ├► guard ─► bridge off, shutdown    (guard.h)
- *   induction_stray  ◄─ task ◄─────────────────────┴► attention                         (attention.h)
+ *                                                  └► guard ─► bridge off, shutdown    (guard.h)
  *
  * Who calls what:
  *   task    command handlers; induction_task (sends reports)
@@ -23,7 +22,6 @@
  */
 #include <string.h>
 
-#include "attention.h"
 #include "basecmd.h"
 #include "board/bridge_pwm.h"
 #include "board/irq.h"
@@ -66,7 +64,6 @@ DECL_ENUMERATION("induction_trip", "timeout", GUARD_TRIP_TIMEOUT);
 
 DECL_RESPONSE(response_induction_state, "induction_state oid=%c clock=%u phase=%hu trip=%c value=%u");
 DECL_RESPONSE(response_induction_block, "induction_block oid=%c sequence=%hu clock=%u data=%*s");
-DECL_RESPONSE(response_induction_stray, "induction_stray oid=%c");
 
 struct induction {
     struct timer timer;
@@ -76,12 +73,10 @@ struct induction {
     uint32_t next_index;    /* first sample not yet accounted for */
     uint32_t hold_samples;  /* how long a lone record waits */
     uint8_t oid, sampling, reporting, resync;
-    uint8_t records, records_usual; /* sent together */
-    uint8_t strayed;        /* the host is to be told */
+    uint8_t records;        /* sent together */
     struct phase_track track;
     struct oversample oversample;
     struct guard guard;
-    struct attention attention;
     /* finished blocks, irq to task: numbers run, places are modulo the length */
     struct oversample_block waiting[BLOCKS_WAITING_MAX];
     struct oversample_block surplus;  /* one that finds no place */
@@ -198,10 +193,6 @@ take_block(struct induction *u, const struct oversample_block *b)
         oversample_drop(&u->oversample, b);
     else
         u->block_head++;
-    if (b->count == u->oversample.block_len && attention_block(&u->attention, b->phase, b->sum)) {
-        u->strayed = 1;
-        u->records = u->records_usual;
-    }
 }
 
 static void
@@ -231,8 +222,6 @@ static uint8_t
 records_to_send(const struct induction *u)
 {
     uint8_t waiting = blocks_waiting(u);
-    if (u->strayed)
-        return waiting;
     if (waiting >= u->records)
         return u->records;
     if (!waiting || u->oversample.block_len > u->hold_samples)
@@ -366,13 +355,8 @@ induction_task(void)
     struct induction *u = unit;
     if (!sched_check_wake(&report_wake) || !u)
         return;
-    uint8_t strayed = u->strayed;
     while (send_report(u))
         ;
-    if (strayed) {
-        u->strayed = 0;
-        respond(&response_induction_stray, u->oid);
-    }
 }
 DECL_TASK(induction_task);
 
@@ -393,7 +377,7 @@ command_config_induction(const struct command_args *args)
     u->adc = sync_adc_setup(args->val[2], u->bridge, HALF_LEN, samples_ready);
     u->period_ticks = period_ticks;
     u->hold_samples = timer_from_us(LONE_RECORD_US) / period_ticks;
-    u->records = u->records_usual = RECORDS_DEFAULT;
+    u->records = RECORDS_DEFAULT;
     u->timer.func = phase_timer;
     phase_init(&u->track, (uint16_t)phase_max);
     guard_init(&u->guard, SYNC_ADC_MAX, max_duration);
@@ -419,7 +403,7 @@ command_config_induction_sense(const struct command_args *args)
 DECL_COMMAND(command_config_induction_sense,
              "config_induction_sense oid=%c oversample=%c settle_samples=%hu ema_shift=%c");
 
-/* Shorter blocks than 4^oversample samples, and how many records go together at first; after config_induction_sense. */
+/* Shorter blocks than 4^oversample samples, and how many records go together; after config_induction_sense. */
 void
 command_config_induction_block(const struct command_args *args)
 {
@@ -429,7 +413,7 @@ command_config_induction_block(const struct command_args *args)
     uint8_t records = (uint8_t)args->val[2];
     if (u->sampling || !records || records > RECORDS_MAX || !oversample_init(&u->oversample, config))
         shutdown(SHUTDOWN_INDUCTION_CONFIG);
-    u->records = u->records_usual = records;
+    u->records = records;
 }
 DECL_COMMAND(command_config_induction_block, "config_induction_block oid=%c samples=%hu records=%c");
 
@@ -448,24 +432,6 @@ command_config_induction_limit(const struct command_args *args)
 }
 DECL_COMMAND(command_config_induction_limit,
              "config_induction_limit oid=%c phase=%hu low=%hu high=%hu trip_blocks=%c");
-
-/* Other batches from now on: long ones while nothing happens save the host's time, short ones the controller's.  With a
- * limit blocks at `phase` are expected to have the sum `expected`, as whole blocks: when they stray from it by more (attention.h)
- * all that waits is sent at once, then induction_stray, and batches are as configured again. */
-void
-command_induction_calm(const struct command_args *args)
-{
-    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
-    uint8_t records = (uint8_t)args->val[1];
-    if (!records || records > RECORDS_MAX)
-        shutdown(SHUTDOWN_INDUCTION_CONFIG);
-    irqstatus_t flag = irq_save();
-    u->records = records;
-    attention_expect(&u->attention, (uint16_t)args->val[2], args->val[3], args->val[4]);
-    irq_restore(flag);
-    sched_wake_task(&report_wake);
-}
-DECL_COMMAND(command_induction_calm, "induction_calm oid=%c records=%c phase=%hu expected=%u limit=%u");
 
 /* Sampling starts before the first heat and never stops: the guard judges also when nobody wants reports. */
 static void
@@ -550,8 +516,6 @@ command_induction_report(const struct command_args *args)
     irqstatus_t flag = irq_save();
     uint8_t enable = args->val[1] != 0;
     if (enable != u->reporting) {
-        attention_expect(&u->attention, 0, 0, 0);
-        u->records = u->records_usual;
         u->block_tail = u->block_head;
         u->sequence = 0;
         u->resync = 1;
@@ -592,7 +556,7 @@ induction_shutdown(void)
         return;
     switch_off(u);
     phase_forget(&u->track);
-    u->reporting = u->strayed = 0;
+    u->reporting = 0;
     u->block_tail = u->block_head;
     u->resync = 1;
 }

@@ -107,7 +107,7 @@ class InductionHeater:
         self._running = False
         self._smoothed_c = 0.0
         self._smoothed_s = -math.inf
-        unit.setup_callback(self._on_blocks, self._on_stray)
+        unit.setup_callback(self._on_blocks)
 
     def register(self) -> None:
         printer = self.printer
@@ -171,9 +171,6 @@ class InductionHeater:
     def _now_s(self) -> float:
         return self.unit.print_time_now(self._reactor.monotonic())
 
-    def _on_stray(self) -> None:
-        self.loop.on_stray(self._now_s())
-
     def _on_blocks(self, blocks: Blocks) -> None:
         if not self._running:
             return
@@ -188,7 +185,7 @@ class InductionHeater:
         if (
             self._running and eventtime - self._quiet_s < QUIET_S
         ):  # while blocks come there is nothing to watch
-            self._reactor.update_timer(self._timer, eventtime + self.loop.watch_s(now_s))
+            self._reactor.update_timer(self._timer, eventtime + self.parameters.timing.refresh_s)
 
     def _sweep(self, view: SweepView, blocks: Blocks, now_s: float) -> None:
         """The run decides; what it does is shown."""
@@ -213,7 +210,7 @@ class InductionHeater:
     def _on_timer(self, eventtime: float) -> float:
         """Watch, and a command if the newest one ages; control itself runs on the arrival of blocks."""
         now_s = self.unit.print_time_now(eventtime)
-        period_s = self.loop.watch_s(now_s)
+        period_s = self.parameters.timing.refresh_s
         if self._view is not None:
             self._send(self._view.run.on_timer(now_s), now_s)
             return eventtime + min(period_s, 0.020)
@@ -230,21 +227,14 @@ class InductionHeater:
             self.unit.queue_plan(commands)
             if self._view is not None:
                 self._view.note(commands)
-        self._tell_calm(now_s)
+        # a calibration or a dump gets each message at once
+        watched = self._view is not None or bool(self.loop.listeners)
+        self.unit.set_batched(not watched and self.loop.is_steady())
         if self.loop.fault and self._running:
             self._running = False
             text = f"Induction heater '{self.section_name}': {self.loop.fault}"
             logging.error("%s", text)
             self.printer.invoke_shutdown(text)
-
-    def _tell_calm(self, now_s: float) -> None:
-        watched = self._view is not None or bool(self.loop.listeners)  # a sweep, a dump
-        self.unit.set_calm(None if watched else self.loop.calm(now_s))
-
-    def listen(self, listener: loop.BlockListener) -> None:
-        """Give `listener` every block, as soon as may be. It leaves by itself: loop.listeners."""
-        self.loop.listeners.append(listener)
-        self._tell_calm(self._now_s())
 
     def _on_listener_error(self, problem: Exception) -> None:
         text = (

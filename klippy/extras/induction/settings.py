@@ -39,8 +39,6 @@ DEFAULT_LEAD_S = 0.015
 # So far a nozzle warms on once a law that swings has cut the power; supervision leaves as much again.
 LATE_C = 5.0
 DEFAULT_BLOCK_SAMPLES = 192  # 1.6 ms at 120 kHz
-RECORDS_MOST = 7  # of 6 bytes fit one message
-CALM_MESSAGE_S = 0.0115  # while nothing happens: a message each 11.2 ms
 DEFAULT_RECORDS = 3  # a message each 4.8 ms: 7.5 kB/s of a 25 kB/s line
 DEFAULT_CONTROL_S = 0.008  # a phase step costs 20 samples of settling: 2 % of the signal
 
@@ -80,7 +78,6 @@ def read_unit(config: ConfigWrapper) -> UnitSettings:
         maxval=longest,
     )
     records = config.getint("records_per_message", DEFAULT_RECORDS, minval=1, maxval=3)
-    calm_records = min(RECORDS_MOST, int(CALM_MESSAGE_S * frequency_hz / block_samples))
     return UnitSettings(
         config.getint("bridge", 0, minval=0, maxval=255),
         frequency_hz,
@@ -91,7 +88,6 @@ def read_unit(config: ConfigWrapper) -> UnitSettings:
         config.getint("guard_trip_blocks", 12, minval=1, maxval=255),
         block_samples,
         records,
-        max(records, calm_records),
     )
 
 

@@ -32,16 +32,14 @@ from thermal.sensing import block_temperature, features, heat_balance_monitor, s
 from thermal.sensing.blocks import Blocks
 from thermal.sensing.pipeline import Chain
 
-from . import actuator, control_api, steady
+from . import actuator, control_api
 from .timeline import NOT_COMMANDED, TIME_SLACK_S, Timeline, Timing
 
 __all__ = ["NOT_COMMANDED", "Approach", "Control", "InductionLoop", "LoopParameters", "LoopState", "Timing"]
 
 BALANCE_S = 0.1
-HEARD_S = 0.15  # from a pulse to what it says: its blocks, a lot of messages in a calm
+HEARD_S = 0.15  # delay from a sensing pulse until its blocks reach the host, one batch of messages included
 PROMPT_S = 0.005  # to the MCU, when it matters more that a command comes soon than that it comes in time
-QUIET_C = 1.0  # nearer than this to the target a step of the model may wait for the next command's turn
-SAMPLES_MOST = 15  # 25 ms
 RESAY_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
 
 
@@ -112,7 +110,6 @@ class LoopState:
     line: Timeline = field(default_factory=Timeline)  # commands sent
     horizon: tuple[Planned, ...] = ()  # what the law means to do after its request
     decided_s: float = -math.inf  # last control step
-    restless_s: float = -math.inf  # when something happened last that wants a quick host
     settled_s: float = math.inf  # since when the estimate has been near the target
     arriving: bool = False  # near the target, power limited
     law: Any = None  # memory of the control law
@@ -177,7 +174,6 @@ class InductionLoop:
             state.law = self._parameters.control.law.start
         state.target_c = target_c
         self.reference = None
-        state.restless_s = now_s
         state.settled_s = math.inf
         state.arriving = False
         if state.estimate.valid:
@@ -284,50 +280,13 @@ class InductionLoop:
         self.state.plausible = heat_balance_monitor.PlausibleState()
         self.state.warning = ""
 
-    def is_calm(self, now_s: float) -> bool:
-        """Nothing has happened for a while: off, or held by a law with a model. Reports may come in bulk."""
-        return now_s - self.state.restless_s >= steady.CALM_S
-
-    def calm(self, now_s: float) -> steady.Calm | None:
-        """What the MCU may expect while nothing happens; None while something does."""
-        if not self.is_calm(now_s):
-            return None
-        state, parameters = self.state, self._parameters
-        if state.target_c <= 0.0:
-            return steady.NOTHING_EXPECTED
-        front, sensing, phase = parameters.front, parameters.estimator, state.line.head.phase_ticks
-        error = sensing.law.error(state.target_c, phase, sensing.supply)
-        noise_lsb = self.chain.noise_lsb() or front.noise_lsb
-        limit_raw = steady.limit_raw(
-            1.0 / abs(state.estimate.dtemp_derror * front.units_per_lsb),
-            math.sqrt((noise_lsb**2 + 1.0 / 12.0) / front.block_samples),
-        )
-        return steady.Calm(phase, front.adc_zero_raw + error / front.units_per_lsb, limit_raw)
-
-    def watch_s(self, now_s: float) -> float:
-        """Silence for longer than this is worth a look."""
-        refresh_s = self._parameters.timing.refresh_s
-        return refresh_s + steady.LOT_S if self.is_calm(now_s) else refresh_s
-
-    def on_stray(self, now_s: float) -> None:
-        """The MCU says that blocks stray from what was expected: for a while nothing is taken for granted."""
-        self.state.restless_s = max(self.state.restless_s, now_s - steady.CALM_S + steady.STRAY_S)
-
-    def _note_restless(self, now_s: float) -> None:
-        state, reference = self.state, self.reference
-        if state.target_c <= 0.0:
-            if not self._is_heard(now_s):  # on a line that loses some, short messages get through sooner
-                state.restless_s = now_s
-            return
-        moving = (reference is not None and now_s < reference.end_s) or any(self.flow.values)
-        if moving or not self._is_held():
-            state.restless_s = now_s
-
-    def _is_held(self) -> bool:
-        """At the target by a steady drive, and the law means to leave it so."""
+    def is_steady(self) -> bool:
+        """Off, or held by a law that plans no change: messages of blocks may come in batches."""
         state = self.state
-        near = abs(state.estimate.temp_c - state.target_c) < steady.CALM_C
-        return near and state.actuator.driving and not state.horizon and self._parameters.control.models
+        if state.target_c <= 0.0:
+            return True
+        driven = state.actuator.driving and not state.horizon
+        return driven and self._parameters.control.models and self.is_settled()
 
     def is_settled(self) -> bool:
         """At the target, and has been for a little while."""
@@ -378,8 +337,6 @@ class InductionLoop:
             state.request = PowerRequest(now_s, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
             return
         if parameters.control.models:
-            if apart_s > 0.0 and self._can_wait(news, now_s):
-                return
             inputs = self._model_input(news, now_s, apart_s)
         else:
             inputs = self._plain_input(news, phase_before)
@@ -408,20 +365,6 @@ class InductionLoop:
             abs(step) > parameters.approach.rebase_fraction,
         )
 
-    def _can_wait(self, news: TempEstimate, now_s: float) -> bool:
-        """The next command is said already and nothing is amiss: the blocks are kept for the next step."""
-        state = self.state
-        off = state.target_c <= 0.0
-        quiet = off or abs(news.temp_c - state.target_c) < QUIET_C
-        if not quiet or state.horizon or self.chain.waiting > SAMPLES_MOST:
-            return False
-        if off:
-            return True
-        if self.reference is not None:
-            return False
-        at_s = self._slot(now_s, math.inf)
-        return at_s is not None and state.line.at(at_s) is not None
-
     def _model_input(self, news: TempEstimate, now_s: float, apart_s: float) -> control_api.ControlInput:
         """For the model law: all that was measured since the step before, what is pending, what lies ahead."""
         state, timing = self.state, self._parameters.timing
@@ -435,7 +378,6 @@ class InductionLoop:
             limit=limit_w,
             applied=samples.output if samples else state.line.last_before(since_s).power_w,
             apply_s=apply_s,
-            hold_s=steady.LOT_S if self.is_calm(now_s) else timing.stride_s,
             samples=samples,
             pending=state.line.pending(since_s - TIME_SLACK_S, apply_s - TIME_SLACK_S),
             reference=self.reference,
@@ -454,7 +396,6 @@ class InductionLoop:
         if fault:
             state.target_c = 0.0
             return self._off(now_s)
-        self._note_restless(now_s)
         return self._command(now_s)
 
     def _off(self, now_s: float) -> list[PhaseCommand]:
@@ -487,8 +428,6 @@ class InductionLoop:
         if len(commands) == 1 and horizon:
             commands += actuator.ahead(parameters.actuator, commands[0], horizon)
         state.line.note(commands, now_s)
-        if len(commands) == 1 and self._is_held():
-            return commands + steady.feedings(commands[0], timing.max_duration_s)
         return commands
 
     def _is_heard(self, now_s: float) -> bool:

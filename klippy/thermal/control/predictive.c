@@ -61,26 +61,15 @@ go_through(struct future *f, const struct model_planned *decided, int count, dou
     hold(f, output, until_s - f->time_s);
 }
 
-// How far one output brings the nodes within a horizon: none, and the most.
-static void
-reach(struct future *f, double most, double horizon_s)
-{
-    f->without = f->reached = f->nodes;
-    run_on(f, &f->without, 0.0, f->time_s, horizon_s);
-    run_on(f, &f->reached, most, f->time_s, horizon_s);
-}
-
-// Unlimited output from now on, which will stay for `hold_s`: that long it looks ahead, or as far as the model says.
+// Unlimited output from now on: how far no output and the most bring the nodes within the horizon, and between them.
 static double
-choose(struct future *f, double most, double hold_s)
+choose(struct future *f, double most)
 {
     const struct model_params *p = f->p;
-    int is_long = hold_s > p->aim_s;
-    double horizon_s = is_long ? hold_s : p->aim_s, fade = p->fade;
-    if (is_long)
-        fade = p->fade_s ? exp(-horizon_s / p->fade_s) : 0.0;
-    double aim_c = aim(p, f->in, f->nodes.temp_c, f->time_s, horizon_s, fade);
-    reach(f, most, horizon_s);
+    double aim_c = aim(p, f->in, f->nodes.temp_c, f->time_s, p->aim_s, p->fade);
+    f->without = f->reached = f->nodes;
+    run_on(f, &f->without, 0.0, f->time_s, p->aim_s);
+    run_on(f, &f->reached, most, f->time_s, p->aim_s);
     double reach_c = f->reached.temp_c - f->without.temp_c;
     return reach_c > 1e-9 ? most * (aim_c - f->without.temp_c) / reach_c : 0.0;
 }
@@ -220,9 +209,8 @@ decide(const struct model_params *p, const struct model_state *s, const struct m
     else
         go_through(&f, in->pending, in->pending_count, before, apply_s);
     double at_c = out->predicted_c = f.nodes.temp_c;
-    double hold_s = in->hold_s == in->hold_s ? in->hold_s : p->hold_s;
-    out->unlimited = choose(&f, p->output_high, hold_s);
-    out->value = limited(p, in, out->unlimited, s->output, hold_s);
+    out->unlimited = choose(&f, p->output_high);
+    out->value = limited(p, in, out->unlimited, s->output, p->hold_s);
     double per_output_w = model_heat_per_output_w(p, at_c) * s->gain;
     double lost_w = model_hold_w(p, at_c, model_line_step(in->flow, apply_s), model_line_step(in->fan, apply_s));
     out->feedforward = lost_w / per_output_w;
@@ -230,8 +218,6 @@ decide(const struct model_params *p, const struct model_state *s, const struct m
     out->proportional = out->unlimited - out->feedforward - out->integral;
     if (!p->ahead || is_calm(&f))
         return;
-    if (hold_s > p->aim_s)
-        reach(&f, p->output_high, p->aim_s); // a plan goes in strides of that
     plan(&f, out->value, out);
 }
 

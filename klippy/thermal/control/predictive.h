@@ -18,7 +18,7 @@ enum { MODEL_HORIZON = 64 };
 
 // control_api.ControlInput; NaN and NULL where that has NaN and None
 struct model_inputs {
-    double time_s, reference_c, measured_c, limit, sigma_c, applied, apply_s, hold_s;
+    double time_s, reference_c, measured_c, limit, sigma_c, applied, apply_s;
     int32_t is_rebased;
     int32_t is_alone;                           // nobody tells what is pending: it is what the law remembers
     int32_t sample_count, pending_count;

@@ -41,7 +41,7 @@ __all__ = ["MODEL", "ModelParameters", "ModelState", "model_follow", "model_step
 
 PENDING_ROOM = 32  # decided before and not in force yet; more are taken, too
 
-_FIGURES = struct.Struct("=8d4i")  # head of struct model_inputs
+_FIGURES = struct.Struct("=7d4i")  # head of struct model_inputs
 _OUTPUT = struct.Struct("=7di4x")  # head of struct model_output
 _PLANNED = struct.Struct("=2d")
 _new_output = partial(tuple.__new__, ControlOutput)
@@ -85,7 +85,6 @@ class _Desk:
             inputs.sigma_c,
             inputs.applied,
             inputs.apply_s,
-            inputs.hold_s,
             inputs.rebased,
             inputs.pending is None,
             samples.size,

@@ -9,7 +9,7 @@
 
 #define GAIN_LEAST 0.1
 #define GAIN_MOST 10.0
-// Samples of one innovation at most, about those of a message: one of a long lot would dilute what the newest say.
+// Samples of one innovation at most, some messages: one of a long batch would dilute what the newest say.
 #define TOGETHER_MOST 7
 // An innovation whose square is so many times its variance: the disturbance is taken to have changed ...
 #define SURPRISE 14.0

@@ -24,7 +24,7 @@ import chelper
 
 from .blocks import Blocks
 
-LOT_MESSAGES = 32  # unpacked at a time, 0.36 s of a calm; more wait for the next time
+LOT_MESSAGES = 32  # unpacked at a time, 0.15 s; more wait for the next time
 
 # By thermal/sensing/convert.h's enum blockwire_error.
 _COMPLAINTS = {
