@@ -1,6 +1,6 @@
 /* The induction heater: bridge, synchronous ADC and guard behind messages.
  *
- *   queue_induction_plan, _phase ─► pending phases ─► timer at their clock ─► bridge_pwm      (phase.h)
+ *   queue_induction_plan ─► pending phases ─► timer at their clock ─► bridge_pwm             (phase.h)
  *                                                  │ sample index of each step
  *   induction_block  ◄─ task ◄─ ring of blocks ◄─ ADC interrupt ◄─ half buffers        (oversample.h)
  *                                                  └► guard ─► bridge off, shutdown    (guard.h)
@@ -472,17 +472,9 @@ queue_step(struct induction *u, uint32_t at, uint32_t phase)
     irq_restore(flag);
 }
 
-void
-command_queue_induction_phase(const struct command_args *args)
-{
-    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
-    queue_step(u, args->val[1], args->val[2]);
-}
-DECL_COMMAND(command_queue_induction_phase, "queue_induction_phase oid=%c clock=%u phase=%hu");
-
 /* What the host means to do from `clock` on, in place of all that was pending from there on: a host that comes late has
  * said before what to do meanwhile.  steps: u16 bridge periods after the step before (the first: after `clock`) · u16
- * phase, little endian.  The watchdog counts from the last step applied, as with single commands. */
+ * phase, little endian.  The watchdog counts from the last step applied. */
 enum { PLAN_STEP_SIZE = 4 };
 
 void

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from block_codec import unpack
+from block_codec import one_step, unpack
 from mcu_harness import FREQ, Mcu
 from pure_harness import Plant
 
@@ -66,7 +66,7 @@ class Unit:
 
     def phase(self, phase: int, delay_s: float = 0.001) -> int:
         clock = self.mcu.now + round(delay_s * FREQ)
-        self.mcu.send("queue_induction_phase", oid=0, clock=clock & 0xFFFFFFFF, phase=phase)
+        self.mcu.send("queue_induction_plan", oid=0, clock=clock & 0xFFFFFFFF, steps=one_step(phase))
         return clock
 
     def hold(self, phase: int, seconds: float) -> None:
@@ -407,7 +407,7 @@ def test_without_limits_a_dead_sensor_does_not_trip():
 @pytest.mark.parametrize(
     ("name", "values", "reason"),
     [
-        ("queue_induction_phase", {"clock": 10**6, "phase": 45001}, "Induction phase out of range"),
+        ("queue_induction_plan", {"clock": 10**6, "steps": one_step(45001)}, "Induction phase out of range"),
         ("config_induction_sense", {"oversample": 8, "settle_samples": 0, "ema_shift": 0}, None),
         ("config_induction_limit", {"phase": 1, "low": 9, "high": 3, "trip_blocks": 1}, None),
     ],
@@ -419,10 +419,10 @@ def test_values_out_of_range_shut_down_with_a_reason(name, values, reason):
     assert unit.mcu.shutdown_reason() == (reason or "Invalid induction configuration")
 
 
-def test_phases_out_of_order_are_refused():
-    unit = Unit()
-    unit.phase(1000, 0.02)
-    unit.phase(2000, 0.01)
+def test_a_step_more_than_half_the_clock_after_the_one_before_is_refused():
+    unit = Unit(period_ticks=40000)
+    steps = one_step(1000) + struct.pack("<HH", 65535, 2000)
+    unit.mcu.send("queue_induction_plan", oid=0, clock=unit.mcu.now + FREQ // 100, steps=steps)
     unit.mcu.run(0.03)
     assert unit.mcu.shutdown_reason() == "Induction phase commands out of order"
     assert unit.mcu.bridge_sets[-1][1] == 0

@@ -61,7 +61,6 @@ class InductionUnit:
         self._on_blocks: OnBlocks = lambda blocks: None
         self._queue_plan: Any = None
         self._period_s, self._second_ticks = math.inf, 1
-        self._report: Any = None
         self._batched = False
         self._stream: convert.Stream | None = None
         mcu.register_config_callback(self._build_config)
@@ -103,7 +102,6 @@ class InductionUnit:
         self._period_s = period_ticks / clock_hz
         self._second_ticks = round(clock_hz)
         mcu.register_lot(self._take_lot, BLOCK_FORMAT)
-        self._report = mcu.lookup_command("induction_report oid=%c enable=%c", cq=queue)
 
     # Samples up
 
@@ -143,12 +141,6 @@ class InductionUnit:
             steps += PLAN_STEP.pack(min(0xFFFF, at - periods), command.phase_ticks)
             periods = at
         self._queue_plan.send([self._oid, clock, steps], minclock=0, reqclock=clock)
-
-    def set_report(self, enable: bool) -> None:
-        """Start or stop sampling and reports."""
-        self._report.send([self._oid, int(enable)])
-        if self._stream is not None:
-            self._stream.restart()
 
     def print_time_now(self, eventtime: float) -> float:
         """Estimated present print time of this MCU."""

@@ -28,18 +28,9 @@ from thermal.sensing.pipeline import Chain
 from . import actuator, control_api
 from .bridge_driver import driver_for
 from .loop_records import NO_REQUEST, NOT_MEASURED, Ahead, Approach, Control, LoopParameters, LoopState
-from .timeline import NOT_COMMANDED, Timing
+from .timeline import Timing
 
-__all__ = [
-    "NOT_COMMANDED",
-    "NOT_MEASURED",
-    "Approach",
-    "Control",
-    "InductionLoop",
-    "LoopParameters",
-    "LoopState",
-    "Timing",
-]
+__all__ = ["NOT_MEASURED", "Approach", "Control", "InductionLoop", "LoopParameters", "LoopState", "Timing"]
 
 BALANCE_S = 0.1  # ten times a second is enough for a balance over half a minute
 

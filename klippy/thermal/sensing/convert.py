@@ -65,10 +65,6 @@ class Stream:
         )
         self._blocks = Blocks()
         self._near = ffi.new("struct clock_point *")
-        self.restart()
-
-    def restart(self) -> None:
-        """The MCU counts from 0 again."""
         self.counters.next_sequence = -1
 
     def take(self, messages: Any, count: int, clock: int, time_s: float, tick_s: float) -> Blocks:
