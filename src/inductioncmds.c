@@ -74,7 +74,7 @@ struct induction {
     uint32_t hold_samples;  /* how long a lone record waits */
     uint8_t oid, sampling, reporting, resync;
     uint8_t records;        /* sent together */
-    struct phase_track track;
+    struct phase_schedule schedule;
     struct oversample oversample;
     struct guard guard;
     /* finished blocks, irq to task: numbers run, places are modulo the length */
@@ -86,7 +86,7 @@ struct induction {
     uint8_t block_head, block_tail;
 };
 
-static struct induction *unit;  /* the one induction heater of this MCU; samples_ready is told no object */
+static struct induction *unit;  /* the one induction heater of this MCU; samples_ready gets no object */
 static struct task_wake report_wake;
 
 void
@@ -105,7 +105,7 @@ static void
 apply_phase(struct induction *u, uint16_t phase, uint32_t clock)
 {
     bridge_pwm_set_phase(u->bridge, phase);
-    phase_applied(&u->track, sync_adc_position(u->adc), phase);
+    phase_applied(&u->schedule, sync_adc_position(u->adc), phase);
     guard_fed(&u->guard, clock, phase);
 }
 
@@ -114,7 +114,7 @@ static void
 switch_off(struct induction *u)
 {
     bridge_pwm_off(u->bridge);
-    phase_applied(&u->track, sync_adc_position(u->adc), 0);
+    phase_applied(&u->schedule, sync_adc_position(u->adc), 0);
     u->guard.powered = 0;
 }
 
@@ -134,7 +134,7 @@ trip(struct induction *u, enum guard_trip reason)
 static uint8_t
 next_event(const struct induction *u, uint32_t *clock)
 {
-    const struct phase_node *pending = u->track.first;
+    const struct phase_node *pending = u->schedule.first;
     if (!pending && !u->guard.powered)
         return 0;
     *clock = pending ? pending->due : guard_deadline(&u->guard);
@@ -148,7 +148,7 @@ phase_timer(struct timer *t)
 {
     struct induction *u = container_of(t, struct induction, timer);
     uint32_t now = timer_read_time();
-    for (struct phase_node *node; (node = phase_pop_due(&u->track, now));) {
+    for (struct phase_node *node; (node = phase_pop_due(&u->schedule, now));) {
         apply_phase(u, node->phase, now);
         move_free(node);
     }
@@ -201,7 +201,7 @@ take_samples(struct induction *u, const uint16_t *samples, uint16_t count)
     struct oversample_block *b = next_block(u);
     while (count) {
         uint16_t run, taken;
-        uint16_t phase = phase_run(&u->track, u->next_index, count, &run);
+        uint16_t phase = phase_run(&u->schedule, u->next_index, count, &run);
         if (oversample_step(&u->oversample, phase, b)) {
             take_block(u, b);
             b = next_block(u);
@@ -251,7 +251,7 @@ samples_ready(const uint16_t *samples, uint16_t count)
     }
     uint32_t ahead = position - u->next_index;
     if (ahead < count)
-        return;  /* part of a gap already told */
+        return;  /* part of a gap already reported */
     if (ahead > 2u * HALF_LEN) {
         struct oversample_block *b = next_block(u);
         uint32_t lost = newest_end(position) - u->next_index;
@@ -278,7 +278,7 @@ samples_ready(const uint16_t *samples, uint16_t count)
  *     WIDE  u16 highest sample (the u8 is then 255)
  *
  * 6 bytes for a whole block under an unchanged phase, 16 at most.  The message's clock is that of its first record's first
- * sample; the next record's lies count periods on, and discarded + lost more, because every sample is told of.  Only
+ * sample; the next record's lies count periods on, and discarded + lost more, because every sample is accounted for.  Only
  * where those two saturate that would not hold: such a record begins a message.
  */
 enum { RECORD_PHASE = 0x1000, RECORD_CUT = 0x2000, RECORD_GAP = 0x4000, RECORD_WIDE = 0x8000, WIDE_SPAN = 255 };
@@ -379,7 +379,7 @@ command_config_induction(const struct command_args *args)
     u->hold_samples = timer_from_us(LONE_RECORD_US) / period_ticks;
     u->records = RECORDS_DEFAULT;
     u->timer.func = phase_timer;
-    phase_init(&u->track, (uint16_t)phase_max);
+    phase_init(&u->schedule, (uint16_t)phase_max);
     guard_init(&u->guard, SYNC_ADC_MAX, max_duration);
     oversample_init(&u->oversample, (struct oversample_config){.y = DEFAULT_Y, .settle_samples = DEFAULT_SETTLE});
     move_request_size(sizeof(struct phase_node));
@@ -460,11 +460,11 @@ queue_step(struct induction *u, uint32_t at, uint32_t phase)
     node->phase = (uint16_t)phase;
     irqstatus_t flag = irq_save();
     uint32_t clock, earliest = timer_read_time() + timer_from_us(LATE_MARGIN_US);
-    if (!phase_push(&u->track, node, earliest)) {
+    if (!phase_push(&u->schedule, node, earliest)) {
         move_free(node);
         shutdown(SHUTDOWN_INDUCTION_ORDER);
     }
-    if (u->track.first == node && next_event(u, &clock)) {
+    if (u->schedule.first == node && next_event(u, &clock)) {
         sched_del_timer(&u->timer);
         u->timer.waketime = timer_is_before(clock, earliest) ? earliest : clock;
         sched_add_timer(&u->timer);
@@ -486,7 +486,7 @@ command_queue_induction_plan(const struct command_args *args)
     if (args->data_len % PLAN_STEP_SIZE)
         shutdown(SHUTDOWN_INDUCTION_PHASE);
     irqstatus_t flag = irq_save();
-    struct phase_node *stale = phase_cut(&u->track, clock);
+    struct phase_node *stale = phase_cut(&u->schedule, clock);
     irq_restore(flag);
     while (stale) {
         struct phase_node *node = stale;
@@ -533,7 +533,7 @@ command_induction_query(const struct command_args *args)
     irqstatus_t flag = irq_save();
     uint8_t tripped = u->guard.trip;
     uint32_t sum = tripped ? u->guard.trip_value : u->newest_sum;
-    uint16_t count = tripped ? u->guard.trip_count : u->newest_count, phase = u->track.commanded;
+    uint16_t count = tripped ? u->guard.trip_count : u->newest_count, phase = u->schedule.commanded;
     irq_restore(flag);
     respond(&response_induction_state, u->oid, timer_read_time(), phase, tripped, scaled_mean(u, sum, count));
 }
@@ -547,7 +547,7 @@ induction_shutdown(void)
     if (!u)
         return;
     switch_off(u);
-    phase_forget(&u->track);
+    phase_forget(&u->schedule);
     u->reporting = 0;
     u->block_tail = u->block_head;
     u->resync = 1;

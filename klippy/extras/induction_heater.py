@@ -1,4 +1,4 @@
-"""[induction_heater NAME]: an induction-heated nozzle whose own coil current tells its temperature.
+"""[induction_heater NAME]: an induction-heated nozzle whose temperature is computed from its coil current.
 
 The joint of the thermal chain (thermal/control/loop.py, which decides) with the printer (which acts): blocks from the
 induction unit go in, phase commands come out and are sent ahead by clock. Outward it is a heater like any
@@ -52,7 +52,7 @@ class SweepView:
     def __init__(self, run: Sweep, p: loop.LoopParameters, now_s: float) -> None:
         self.run = run
         self._chain = Chain()  # the loop's own must not remember what the calibration does
-        self._chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.track)
+        self._chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.filter)
         self.command = PhaseCommand(now_s, 0, 0.0)
         self.power_w = 0.0
         self.reference_c: float | None = None  # newest reading
@@ -189,7 +189,7 @@ class InductionHeater:
 
     def _sweep(self, view: SweepView, blocks: Blocks, now_s: float) -> None:
         """The run decides; what it does is shown."""
-        self.loop.tell(blocks, now_s, measured=False)
+        self.loop.publish(blocks, now_s, measured=False)
         self._send(view.run.on_blocks(blocks, now_s), now_s)
         news = view.take(blocks)
         if news is not None:
@@ -334,7 +334,7 @@ class InductionHeater:
         if self.planner is not None and parameters.melt != before.melt:
             self.planner.renew()
         if (parameters.estimator, parameters.front) != (before.estimator, before.front):
-            self.loop.state.estimate = loop.NOT_MEASURED  # told by another sensing law
+            self.loop.state.estimate = loop.NOT_MEASURED  # another sensing law's
 
     def _smooth(self) -> None:
         """The displayed temperature: first-order, over `smooth_time`."""
@@ -458,7 +458,9 @@ class InductionHeater:
             "warning": self.warning() or None,
             "control": self.parameters.control.law.name,
             "flow": round(self.loop.flow.at(now_s), 3),
-            "disturbance_w": _rounded(getattr(state.law, "disturbance_w", None)),  # the model law's only
+            "disturbance_w": _rounded(
+                getattr(state.law, "disturbance_w", None)
+            ),  # of the predictive law only
             "guard": "armed" if self._running else "off",
             "law": laws.coefficients_of(self.parameters.estimator.law)[0],
             "law_residual": self.parameters.estimator.law.residual_units,
@@ -466,8 +468,8 @@ class InductionHeater:
             "calibrating": self._running and self.in_calibration,
             "latency": round(state.latency_s, 4),
             "noise_lsb": _rounded(self.loop.chain.noise_lsb()),
-            "drift": _rounded(state.plausible.drift_c),
-            "capacity_ratio": _rounded(state.plausible.capacity_ratio),
+            "drift": _rounded(state.heat_balance.drift_c),
+            "capacity_ratio": _rounded(state.heat_balance.capacity_ratio),
             "supply": round(self.parameters.estimator.supply, 4),
             **self.unit.get_status(),
         }

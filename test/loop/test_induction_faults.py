@@ -57,7 +57,7 @@ def test_a_nozzle_of_another_mass_is_named(factor: float) -> None:
     rig = Rig(Plant(3, mass_factor=factor), default_parameters(law=TANK), 5)
     hold(rig, 4.0)
     assert "wrong nozzle" in rig.loop.state.warning
-    assert rig.loop.state.plausible.capacity_ratio == pytest.approx(factor, rel=0.1)
+    assert rig.loop.state.heat_balance.capacity_ratio == pytest.approx(factor, rel=0.1)
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,7 @@ def _lengths(ahead: int) -> tuple[int, ...]:
     return (1,) * (ahead - 2 * doubles) + (2,) * doubles
 
 
-def _is_calm(p: ModelParameters, future: _Future) -> bool:
+def _is_unchanging(p: ModelParameters, future: _Future) -> bool:
     """Nothing is going to happen within the horizon that a single output does not do."""
     inputs = future.inputs
     now_s, end_s = future.time_s, future.time_s + (p.ahead + 1) * p.aim_s
@@ -199,7 +199,7 @@ def model_step(
     at = future.nodes
     unlimited = future.choose(p.output_high)
     value = _limited(p, inputs, unlimited, state.output, p.hold_s)
-    calm = not p.ahead or _is_calm(p, future)
+    calm = not p.ahead or _is_unchanging(p, future)
     horizon = () if calm else _plan(p, future, value)
     per_output_w = heat_per_output_w(p, at.temp_c) * state.gain
     flow, fan = schedule_at(inputs.flow_mm3_s, apply_s), schedule_at(inputs.fan, apply_s)

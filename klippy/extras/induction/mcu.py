@@ -101,11 +101,11 @@ class InductionUnit:
         self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
         self._period_s = period_ticks / clock_hz
         self._second_ticks = round(clock_hz)
-        mcu.register_lot(self._take_lot, BLOCK_FORMAT)
+        mcu.register_lot(self._take_batch, BLOCK_FORMAT)
 
     # Samples up
 
-    def _take_lot(self, messages: Any, count: int) -> None:
+    def _take_batch(self, messages: Any, count: int) -> None:
         stream, mcu = self._stream, self.mcu
         if stream is None:
             return
@@ -125,8 +125,8 @@ class InductionUnit:
             return
         self._batched = batched
         message_s = self.settings.records * self.settings.block_samples / self.settings.frequency_hz
-        most = max(1, int(BATCH_S / message_s)) if batched else 0
-        self.mcu.register_lot(self._take_lot, BLOCK_FORMAT, most * message_s + BATCH_SLACK_S, most)
+        count = max(1, int(BATCH_S / message_s)) if batched else 0
+        self.mcu.register_lot(self._take_batch, BLOCK_FORMAT, count * message_s + BATCH_SLACK_S, count)
 
     # Phases down
 

@@ -24,13 +24,15 @@ from . import actuator, control_api
 from .loop_records import Ahead, LoopParameters, LoopState
 from .timeline import TIME_SLACK_S
 
-HEARD_S = 0.15  # delay from a sensing pulse until its blocks reach the host, one batch of messages included
+PULSE_DELAY_S = (
+    0.15  # delay from a sensing pulse until its blocks reach the host, one batch of messages included
+)
 PROMPT_S = 0.005  # to the MCU, when it matters more that a command comes soon than that it comes in time
 RESAY_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
 
 
 class BridgeDriver:
-    """What both kinds have in common. `apart_s`: least time after the last command; 0 for a new target."""
+    """What both kinds have in common. `apart_s`: minimum time after the last command; 0 for a new target."""
 
     def __init__(self, parameters: LoopParameters, state: LoopState, chain: Chain) -> None:
         self.parameters, self.state, self.chain = parameters, state, chain
@@ -86,7 +88,7 @@ class BridgeDriver:
         taken = state.line.at(at_s)
         if taken is not None and apart_s > 0.0 and not self.improves(taken, power_w, horizon):
             return []
-        idle = state.target_c <= 0.0 and self._is_heard(now_s)
+        idle = state.target_c <= 0.0 and self._pulses_arrive(now_s)
         # A horizon may turn on again a bridge that is off; a booked pulse ends by itself and stays.
         is_on = state.line.is_on_from(max(at_s, state.actuator.last_excited_s))
         commands = actuator.actuate(parameters.actuator, state.actuator, power_w, at_s, is_on, idle)
@@ -108,23 +110,23 @@ class BridgeDriver:
     def take_over(self, ahead: Ahead) -> None:
         """Another law was in force: begin with the heat that holds the nozzle as it is now."""
         state, parameters, chosen = self.state, self.parameters, self.parameters.control
-        self.chain.samples()  # what was to be told to the law before
+        self.chain.samples()  # meant for the law before
         state.law, state.horizon = chosen.law.start, ()
         news = state.estimate
         if state.target_c <= 0.0 or not news.valid:
             return
         # What the filter does not explain is whatever the law before had learned: melt, fan, a cold second mass.
         loss_w = heat_loss.loss_w(parameters.loss, news.temp_c)
-        holding_w = loss_w - parameters.track.heat.at(news.temp_c) * self.chain.state.track.rate_k_s
+        holding_w = loss_w - parameters.filter.heat.at(news.temp_c) * self.chain.state.filter.rate_k_s
         seen = Sample(news.time_s, news.time_s, news.temp_c, 0.0, state.request.power_w)
         inputs = control_api.ControlInput(
             news.temp_c, news.temp_c, loss_w, samples=(seen,), flow_mm3_s=ahead.flow, fan=ahead.fan
         )
         state.law = chosen.law.follow(chosen.parameters, state.law, inputs, holding_w)
 
-    def _is_heard(self, now_s: float) -> bool:
-        """The pulses of an idle bridge are heard. On a line that loses some the next one is not waited for so long."""
-        return now_s - self.state.estimate.time_s <= self.parameters.actuator.idle_interval_s + HEARD_S
+    def _pulses_arrive(self, now_s: float) -> bool:
+        """Do blocks of the idle bridge's pulses arrive? On a line that loses some the next pulse comes sooner."""
+        return now_s - self.state.estimate.time_s <= self.parameters.actuator.idle_interval_s + PULSE_DELAY_S
 
     def _stale_s(self) -> float:
         """A temperature older than this is none, in the present mode of the actuator."""
@@ -182,7 +184,7 @@ class PredictiveDriver(BridgeDriver):
     def decide(
         self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf
     ) -> None:
-        """Blocks without a temperature, too, tell the model what heat went in."""
+        """Blocks without a temperature carry the heat that went in."""
         state, samples = self.state, self.chain.samples()
         apply_s = self.slot(now_s, apart_s)
         since_s = samples.end_s if samples else state.line.edge_s
@@ -214,7 +216,7 @@ class PredictiveDriver(BridgeDriver):
         if not driving or not taken.phase_ticks:
             return False
         plan = (Planned(taken.time_s, power_w), *horizon)
-        return self.state.line.strays(plan, RESAY_SHARE * parameters.control.power_max_w)
+        return self.state.line.differs(plan, RESAY_SHARE * parameters.control.power_max_w)
 
 
 def driver_for(parameters: LoopParameters, state: LoopState, chain: Chain) -> BridgeDriver:

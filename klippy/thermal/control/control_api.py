@@ -12,7 +12,7 @@ is known (induction), duty 0..1 elsewhere.
                `applied`: mean output in force since the step before (NaN: what was returned before)
 
 A law uses what it understands and leaves the rest: a PID looks at `reference_c` and `measured_c` only, the
-model law also at sigma, times, reference ahead, flow and fan.
+predictive law also at sigma, times, reference ahead, flow and fan.
 """
 
 from __future__ import annotations

@@ -1,18 +1,15 @@
 """The whole chain of one induction nozzle, without a printer: blocks in, phase commands out.
 
     on_blocks(blocks, now) ─ sense ─ watch ─ law ─ actuator ─> [PhaseCommand]
-    on_timer(now)          ─ the same without news: keeps the bridge's watchdog fed, or steps back to sensing
+    on_timer(now)          ─ the same without new blocks: feeds the bridge's watchdog, or goes back to sensing
 
-When: a message brings the blocks of about 5 ms, in steady state a batch of four messages; each makes a control
-step. The new phase is to start on the edge between two blocks, so that no block is cut: the first edge that lies at
-least `lead_s` ahead (time for the command to reach the MCU and for a busy host). A misjudged edge costs one short
-block, nothing else. The commands a verb returns replace all that was sent before for times from the first of them on.
+Each message of blocks (5 ms; while holding, a batch of four) makes one control step. A new phase starts on an edge
+between two blocks, so that no block is cut. It is the first edge at least `lead_s` ahead: time for a busy host and for
+the link. A misjudged edge costs one short block. The returned commands replace all that was sent before for times from
+the first of them on. bridge_driver.py runs the control law (`LoopParameters.control`).
 
-Which law: any of control_api's (`LoopParameters.control`); bridge_driver.py runs it.
-
-The bridge turns itself off when it hears nothing for `max_duration`; `refresh_s` is a third of that. A loop
-that has not seen a temperature for `stale_s` does not heat on blindly: it falls back to the least phase that
-still measures.
+The bridge turns itself off after `max_duration` without a command; `refresh_s` is a third of that. Without a
+temperature for `stale_s` the loop does not heat: it goes back to the smallest phase that still measures.
 """
 
 from __future__ import annotations
@@ -50,20 +47,20 @@ class InductionLoop:
         self.parameters = parameters
         self.listeners: list[BlockListener] = []  # given every block, in order
         self.on_listener_error: Callable[[Exception], None] = lambda problem: None
-        self.quiet = True  # told from outside: neither melt nor fan takes heat
-        self.flow = control_api.IDLE  # told from outside: planned extrusion, mm^3/s
-        self.fan = control_api.IDLE  # told from outside: part fan, 0..1
+        self.quiet = True  # set from outside: neither melt nor fan takes heat
+        self.flow = control_api.IDLE  # set from outside: planned extrusion, mm^3/s
+        self.fan = control_api.IDLE  # set from outside: part fan, 0..1
         self.reference: control_api.Reference | None = None
 
     @property
     def parameters(self) -> LoopParameters:
-        """In force; setting them tells the chain, too."""
+        """In force; setting them configures the chain, too."""
         return self._parameters
 
     @parameters.setter
     def parameters(self, p: LoopParameters) -> None:
         self._parameters = p
-        self.chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.track)
+        self.chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.filter)
         self._driver = driver_for(p, self.state, self.chain)
 
     @property
@@ -79,7 +76,7 @@ class InductionLoop:
         news = self.chain.take(blocks)
         if blocks.count:
             state.line.edge_s = blocks.end_s
-        self.tell(blocks, now_s)
+        self.publish(blocks, now_s)
         if news is not None:
             before, state.estimate = state.estimate, news
             state.latency_s = now_s - news.time_s
@@ -111,7 +108,7 @@ class InductionLoop:
             p.supervise, state.supervise, self.chain.watch, now_s, temp_c, target_c, fraction
         )
 
-    # What is wanted
+    # Targets and parameters
 
     def start(self, now_s: float) -> None:
         """The bridge is off and blocks are about to come."""
@@ -162,7 +159,7 @@ class InductionLoop:
             self._driver.take_over(self._ahead())
 
     def resume(self, now_s: float) -> None:
-        """Somebody else was at the bridge for a while: nothing remembered of the nozzle holds any more."""
+        """A calibration had the bridge: nothing remembered of the nozzle is valid."""
         self.start(now_s)
         self.restart_filter()
         self.state.estimate = NOT_MEASURED
@@ -172,15 +169,15 @@ class InductionLoop:
         self.state.request = NO_REQUEST
 
     def restart_filter(self) -> None:
-        """The law changed: what the filter and the balance remember was told by another one."""
-        self.chain.restart_track()
+        """The sensing law changed: what the filter and the balance remember is of no use."""
+        self.chain.restart_filter()
         self.state.law = self._parameters.control.law.start
-        self.state.plausible = heat_balance_monitor.PlausibleState()
+        self.state.heat_balance = heat_balance_monitor.HeatBalanceState()
         self.state.warning = ""
 
-    # Who looks on
+    # Listeners and state
 
-    def tell(self, blocks: Blocks, now_s: float, measured: bool = True) -> None:
+    def publish(self, blocks: Blocks, now_s: float, measured: bool = True) -> None:
         """Give blocks to the listeners; `measured`: with the estimates of the chain they went through.
 
         A listener that fails is removed and its error reported once: control goes on without it.
@@ -221,7 +218,7 @@ class InductionLoop:
             return
         heat_j = self.chain.take_heat_j()
         heat_balance_monitor.observe(
-            p.plausible, state.plausible, news.time_s, news.temp_c, heat_j, self.quiet
+            p.heat_balance, state.heat_balance, news.time_s, news.temp_c, heat_j, self.quiet
         )
         state.balanced_s = news.time_s
-        state.warning = heat_balance_monitor.warning(p.plausible, state.plausible)
+        state.warning = heat_balance_monitor.warning(p.heat_balance, state.heat_balance)

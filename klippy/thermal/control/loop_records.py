@@ -52,7 +52,7 @@ class Control:
 
 @dataclass(frozen=True, slots=True)
 class LoopParameters:
-    """Everything one nozzle's chain is told."""
+    """All parameters of one nozzle's chain."""
 
     front: features.FeatureParameters
     estimator: block_temperature.EstimatorParameters
@@ -62,8 +62,8 @@ class LoopParameters:
     supervise: supervision.SuperviseParameters
     timing: Timing
     approach: Approach
-    track: temperature_filter.TrackParameters
-    plausible: heat_balance_monitor.PlausibleParameters
+    filter: temperature_filter.FilterParameters
+    heat_balance: heat_balance_monitor.HeatBalanceParameters
     melt: MeltExchange = field(default_factory=MeltExchange)
 
 
@@ -90,8 +90,8 @@ class LoopState:
     law: Any = None  # memory of the control law
     actuator: actuator.ActuatorState = field(default_factory=actuator.ActuatorState)
     supervise: supervision.SuperviseState = field(default_factory=supervision.SuperviseState)
-    plausible: heat_balance_monitor.PlausibleState = field(
-        default_factory=heat_balance_monitor.PlausibleState
+    heat_balance: heat_balance_monitor.HeatBalanceState = field(
+        default_factory=heat_balance_monitor.HeatBalanceState
     )
     balanced_s: float = -math.inf  # when that was
     warning: str = ""  # plausibility: text for people

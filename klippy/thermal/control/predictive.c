@@ -10,7 +10,7 @@ struct future {
     double gain, disturbance_w;
     struct model_nodes nodes;
     double time_s;
-    struct model_nodes without, reached;    // one horizon on, with no output and with the most
+    struct model_nodes without, reached;    // one horizon on, with no output and with full output
 };
 
 static double
@@ -19,12 +19,13 @@ wanted_c(const struct model_inputs *in, double time_s)
     return in->reference ? model_line_corner(in->reference, time_s) : in->reference_c;
 }
 
-// Temperature the controlled node shall have at `time_s + dt_s`; `fade`: what is left of a small deviation by then.
+// Temperature wanted of the controlled node at `time_s + dt_s`; `remaining`: share of a small deviation left by then.
 static double
-aim(const struct model_params *p, const struct model_inputs *in, double temp_c, double time_s, double dt_s, double fade)
+wanted_after(const struct model_params *p, const struct model_inputs *in, double temp_c, double time_s, double dt_s,
+             double remaining)
 {
     double now_c = wanted_c(in, time_s), then_c = wanted_c(in, time_s + dt_s);
-    return then_c - lesser(p->knee_c, greater(-p->knee_c, now_c - temp_c)) * fade;
+    return then_c - lesser(p->knee_c, greater(-p->knee_c, now_c - temp_c)) * remaining;
 }
 
 // The nodes after `dt_s` of one output. Surroundings are taken at the middle of each piece.
@@ -61,17 +62,17 @@ go_through(struct future *f, const struct model_planned *decided, int count, dou
     hold(f, output, until_s - f->time_s);
 }
 
-// Unlimited output from now on: how far no output and the most bring the nodes within the horizon, and between them.
+// Unlimited output from now on: how far no output and full output bring the nodes within the horizon, and between them.
 static double
-choose(struct future *f, double most)
+choose(struct future *f, double full)
 {
     const struct model_params *p = f->p;
-    double aim_c = aim(p, f->in, f->nodes.temp_c, f->time_s, p->aim_s, p->fade);
+    double target_c = wanted_after(p, f->in, f->nodes.temp_c, f->time_s, p->aim_s, p->fade);
     f->without = f->reached = f->nodes;
     run_on(f, &f->without, 0.0, f->time_s, p->aim_s);
-    run_on(f, &f->reached, most, f->time_s, p->aim_s);
+    run_on(f, &f->reached, full, f->time_s, p->aim_s);
     double reach_c = f->reached.temp_c - f->without.temp_c;
-    return reach_c > 1e-9 ? most * (aim_c - f->without.temp_c) / reach_c : 0.0;
+    return reach_c > 1e-9 ? full * (target_c - f->without.temp_c) / reach_c : 0.0;
 }
 
 // Within the power's range, the step's limit and the slew rate.
@@ -85,7 +86,7 @@ limited(const struct model_params *p, const struct model_inputs *in, double valu
 
 // Nothing is going to happen within the horizon that a single output does not do.
 static int
-is_calm(const struct future *f)
+is_unchanging(const struct future *f)
 {
     const struct model_params *p = f->p;
     const struct model_inputs *in = f->in;
@@ -119,10 +120,10 @@ plan_stride(struct future *f, const struct model_nodes *added, double output, do
 {
     const struct model_params *p = f->p;
     double reach_c = greater(added->temp_c, 1e-12), dt_s = strides * p->aim_s;
-    double fade = strides > 1.0 ? p->fade * p->fade : p->fade;
-    double aim_c = aim(p, f->in, f->nodes.temp_c, f->time_s, dt_s, fade);
+    double remaining = strides > 1.0 ? p->fade * p->fade : p->fade;
+    double target_c = wanted_after(p, f->in, f->nodes.temp_c, f->time_s, dt_s, remaining);
     hold(f, output, dt_s);
-    double wanted = output + (aim_c - f->nodes.temp_c) / (strides * reach_c);
+    double wanted = output + (target_c - f->nodes.temp_c) / (strides * reach_c);
     double change = limited(p, f->in, wanted, output, p->aim_s) - output;
     if (change)
         model_nodes_add(&f->nodes, change * strides, added);
@@ -130,19 +131,19 @@ plan_stride(struct future *f, const struct model_nodes *added, double output, do
 }
 
 // What follows the first output, as far as it differs; ends holding the wanted temperature. What comes later will
-// most likely be said anew: those strides are twice as long.
+// probably be replaced: those strides are twice as long.
 static void
 plan(struct future *f, double first, struct model_output *out)
 {
     const struct model_params *p = f->p;
-    double most = p->output_high, output = first, said = first;
-    struct model_nodes added = model_nodes_per(&f->reached, &f->without, most);
+    double full = p->output_high, output = first, said = first;
+    struct model_nodes added = model_nodes_per(&f->reached, &f->without, full);
     hold(f, output, p->aim_s);
     int doubles = p->ahead > SINGLE_STEPS - 1 ? (p->ahead - SINGLE_STEPS + 1) / 2 : 0;
     for (int i = 0; i < p->ahead - doubles; i++) {
         double start_s = f->time_s;
         output = plan_stride(f, &added, output, i < p->ahead - 2 * doubles ? 1.0 : 2.0);
-        if (fabs(output - said) > SAME_SHARE * most) {
+        if (fabs(output - said) > SAME_SHARE * full) {
             say(out, start_s, output);
             said = output;
         }
@@ -151,7 +152,7 @@ plan(struct future *f, double first, struct model_output *out)
     double power_w = model_hold_w(p, end_c, model_line_step(f->in->flow, end_s), model_line_step(f->in->fan, end_s));
     power_w -= f->disturbance_w;
     double holding = greater(0.0, power_w / (model_heat_per_output_w(p, end_c) * f->gain));
-    if (said > holding + HOLDING_SHARE * most)
+    if (said > holding + HOLDING_SHARE * full)
         say(out, end_s, lesser(holding, said));
 }
 
@@ -216,7 +217,7 @@ decide(const struct model_params *p, const struct model_state *s, const struct m
     out->feedforward = lost_w / per_output_w;
     out->integral = -s->disturbance_w / per_output_w;
     out->proportional = out->unlimited - out->feedforward - out->integral;
-    if (!p->ahead || is_calm(&f))
+    if (!p->ahead || is_unchanging(&f))
         return;
     plan(&f, out->value, out);
 }

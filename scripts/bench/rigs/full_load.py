@@ -146,7 +146,7 @@ class FullLoad(Simulation):
             load.plans.append((self.chip.peek("tim2.count"), steps))
             send_plan(data, **options)
 
-        take_lot, unpack_message = unit._take_lot, unit.mcu._serial._unpack
+        take_lot, unpack_message = unit._take_batch, unit.mcu._serial._unpack
 
         def take(messages: Any, count: int) -> None:
             for message in messages[0:count]:
@@ -155,7 +155,7 @@ class FullLoad(Simulation):
                     load.blocks.append((params["clock"] + row.offset * PERIOD, row))
             take_lot(messages, count)
 
-        unit._queue_plan.send, unit._take_lot = send, take
+        unit._queue_plan.send, unit._take_batch = send, take
         unit.mcu.register_lot(take, BLOCK_FORMAT)
 
     def _pause(self) -> bool:

@@ -184,8 +184,8 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
         supervision.SuperviseParameters(-10.0, max_temp_c),
         timing,
         approach,
-        temperature_filter.TrackParameters(loss, heat),
-        heat_balance_monitor.PlausibleParameters(heat, balance, loss_known),
+        temperature_filter.FilterParameters(loss, heat),
+        heat_balance_monitor.HeatBalanceParameters(heat, balance, loss_known),
     )
 
 
@@ -203,8 +203,8 @@ def _control(
         return loop.Control(pid_control.PID, replace(pid, output_high=power_w), power_w)
     if choice == "watermark":
         return loop.Control(pid_control.WATERMARK, pid_control.WatermarkParameters(2.0, power_w), power_w)
-    if choice == "practical":
-        return loop.Control(two_period.PRACTICAL, two_period.PracticalParameters(power_w), power_w)
+    if choice == "two_period":
+        return loop.Control(two_period.TWO_PERIOD, two_period.TwoPeriodParameters(power_w), power_w)
     parameters = replace(nozzle_model.nozzle_model(heat, balance, power_w, timing), **held)
     return loop.Control(predictive.MODEL, parameters, power_w, models=True)
 

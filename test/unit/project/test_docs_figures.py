@@ -40,7 +40,7 @@ def coefficient(value: float) -> str:
 
 def thermometer_rows() -> Iterator[str]:
     unit, p = options()
-    exp, eq5, tank, heat = laws.ExpLaw(), laws.Eq5Law(), laws.TankLaw(), p.plausible
+    exp, eq5, tank, heat = laws.ExpLaw(), laws.Eq5Law(), laws.TankLaw(), p.heat_balance
     span = block_temperature.EstimatorParameters(exp)
     settle_s = unit.settle_samples / unit.frequency_hz
     yield f"block | {unit.block_samples} samples, {ms(p.timing.block_s)}"
@@ -56,14 +56,14 @@ def thermometer_rows() -> Iterator[str]:
     residuals = ", ".join(f"{law.residual_units:g}" for law in (exp, eq5, tank))
     yield f"residual of `exp`, `eq5`, `tank` on Table 1 | {residuals} units"
     yield f"noise needed at the ADC | {features.NOISE_NEEDED_LSB:g} LSB"
-    yield f"spectral density of the unexplained heating rate | {p.track.rate_noise:g} K²/s³"
-    yield f"filter starts anew after a gap of | {p.track.gap_s:g} s"
-    yield f"outlier | {p.track.gate_sigma:g} σ and {p.track.gate_c:g} °C off; {p.track.outliers_max} in a row"
+    yield f"spectral density of the unexplained heating rate | {p.filter.rate_noise:g} K²/s³"
+    yield f"filter starts anew after a gap of | {p.filter.gap_s:g} s"
+    yield f"outlier | {p.filter.gate_sigma:g} σ and {p.filter.gate_c:g} °C off; {p.filter.outliers_max} in a row"
     yield f"quiet time before a report | {heat.window_s:g} s, {heat.ready_s:g} s"
     yield f"drift reported | {heat.limit_c:g} °C"
     known, measured = 100.0 * heat.loss_uncertainty, 100.0 * calibrate.LOSS_UNCERTAINTY
     yield f"uncertainty of the losses | {known:g} %, after a calibration {measured:g} %"
-    yield f"more than drift | {heat.drift_most_c:g} °C"
+    yield f"more than drift | {heat.drift_max_c:g} °C"
     yield f"heat capacity measured | over a rise of {heat.run_c:g} °C with {heat.run_w:g} W or more"
     yield f"wrong nozzle | heat capacity off by more than {100.0 * heat.capacity_band:g} %"
 

@@ -142,11 +142,11 @@ def loop_claims() -> Iterator[str]:
     assert settings.CALIBRATED_APPROACH.band_c == band_c
     yield f"| sensing law | within {band_c:g} °C of the target |"
     yield f"| `exp` (default), `eq5` | max {near_w(laws.ExpLaw(), 'model', band_c):.0f} W |"
-    limited_w = {near_w(true_law(), control, band_c) for control in ("pid", "watermark", "practical")}
+    limited_w = {near_w(true_law(), control, band_c) for control in ("pid", "watermark", "two_period")}
     assert len(limited_w) == 1 and near_w(laws.ExpLaw(), "pid", band_c) == near_w(
         laws.Eq5Law(), "model", band_c
     )
-    yield f"`control: pid`, `watermark` or `practical` | max {limited_w.pop():.0f} W |"
+    yield f"`control: pid`, `watermark` or `two_period` | max {limited_w.pop():.0f} W |"
     assert near_w(true_law(), "model", band_c) == pytest.approx(parameters().control.power_max_w)
 
 
@@ -159,7 +159,7 @@ def supervision_claims() -> Iterator[str]:
     assert p.demand_fraction == 0.5
     yield f"half of full power or more is requested {p.demand_c:g} °C or more below the target"
     yield f"does not warm by {p.gain_c:g} °C (no nozzle, broken coil, no supply) | {p.gain_s:g} s |"
-    yield f"(bridge stuck on) | {p.stray_c:g} °C within {p.stray_s:g} s |"
+    yield f"(bridge stuck on) | {p.warming_c:g} °C within {p.warming_s:g} s |"
 
 
 def guard_claims() -> Iterator[str]:
@@ -177,7 +177,7 @@ def guard_claims() -> Iterator[str]:
 
 
 def drift_claims() -> Iterator[str]:
-    p = parameters().plausible
+    p = parameters().heat_balance
     yield f"After {p.ready_s:g} s without extrusion and fan"
     yield f"`drift_limit` ({p.limit_c:g} °C)"
 
@@ -188,7 +188,7 @@ def drift_claims() -> Iterator[str]:
             n
             for n in range(2000)
             if heat_balance_monitor.warning(
-                known, heat_balance_monitor.PlausibleState(temp_c=250.0, drift_c=n / 10)
+                known, heat_balance_monitor.HeatBalanceState(temp_c=250.0, drift_c=n / 10)
             )
         )
         return next(tenths) / 10

@@ -527,7 +527,7 @@ def test_a_target_of_max_temp_is_taken() -> None:
     assert heater.get_temp(0.0)[1] == 320.0
 
 
-@pytest.mark.parametrize(("law", "most_c"), [("watermark", 313.0), ("practical", 300.0)])
+@pytest.mark.parametrize(("law", "most_c"), [("watermark", 313.0), ("two_period", 300.0)])
 def test_a_law_that_swings_keeps_away_from_max_temp_and_says_so(law: str, most_c: float) -> None:
     text = CONFIG.replace("{control}", "pid").replace("sense_pin: PA0", f"sense_pin: PA0\ncontrol: {law}")
     heater = FakePrinter(text, LOADERS).load("extruder")
