@@ -213,7 +213,7 @@ def test_phase_takes_effect_at_its_clock_and_cuts_the_block_there():
     assert before.value == before.count * 1000 >> 5
 
 
-def test_every_sample_is_told_of():
+def test_every_sample_is_reported():
     unit = Unit(max_duration=FREQ)
     unit.report()
     for phase, delay in ((5000, 0.013), (5100, 0.0135), (9000, 0.03), (0, 0.0441), (7000, 0.0442)):
@@ -428,7 +428,7 @@ def test_a_step_more_than_half_the_clock_after_the_one_before_is_refused():
     assert unit.mcu.bridge_sets[-1][1] == 0
 
 
-def test_a_stalled_reader_is_told_what_it_missed():
+def test_a_stalled_reader_is_reported_what_it_missed():
     """Reports off and on again start a new sequence; blocks in between are not kept."""
     unit = Unit()
     unit.report()
@@ -447,13 +447,13 @@ def test_the_plants_temperature_comes_through_the_whole_chain():
 
     Tolerance: the phasor fits Table 1 within 4.5 units; the mean of 1024 samples adds 0.03 LSB."""
     unit, plant = Unit(), Plant(start_c=300.0, seed=7)
-    clock_told = [0]
+    clock_reported = [0]
 
     def code(clock: int) -> int:
-        for at, phase in unit.mcu.bridge_sets[clock_told[0] :]:
+        for at, phase in unit.mcu.bridge_sets[clock_reported[0] :]:
             if at <= clock:
                 plant.phase(phase)
-                clock_told[0] += 1
+                clock_reported[0] += 1
         return int(plant.sample(1)[0])
 
     unit.mcu.sample_code = code

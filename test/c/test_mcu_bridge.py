@@ -135,7 +135,7 @@ def test_stepping_in_small_advances_changes_nothing() -> None:
     assert life(1) == life(97)
 
 
-def test_next_event_tells_when_there_is_something_to_do(mcu: Mcu) -> None:
+def test_next_event_reports_when_there_is_something_to_do(mcu: Mcu) -> None:
     mcu.run(0.01)
     upcoming = mcu.lib.sim_mcu_next_event()
     assert mcu.now < upcoming <= mcu.now + 32 * PERIOD

@@ -117,7 +117,7 @@ def test_a_clock_that_goes_while_heating_is_found_at_the_next_switching_on(gate:
 
 
 @pytest.mark.parametrize("mutation", ["no_crystal", "no_pll"])
-def test_without_its_clock_the_chip_tells_and_does_not_heat(mutation: str) -> None:
+def test_without_its_clock_the_chip_reports_and_does_not_heat(mutation: str) -> None:
     """64 or 8 MHz from its own oscillator, on the right baud rate and without a reset: a host hears why."""
     chip = Firmware(settle_s=0.0, mutations=(mutation,))
     chip.run(1.5)  # it waits long for the crystal
@@ -141,7 +141,7 @@ def test_a_dip_of_the_supply_is_remembered() -> None:
     assert not energised(chip)
 
 
-def test_the_fault_line_stops_a_running_bridge_and_is_told() -> None:
+def test_the_fault_line_stops_a_running_bridge_and_is_reported() -> None:
     chip = Firmware()
     assert try_to_heat(chip) == ""
     before = chip.now
@@ -258,7 +258,7 @@ def test_timers_that_stop_running_are_found_though_tasks_and_samples_go_on() -> 
     assert off_after(chip, since) < 1.0
 
 
-def test_a_second_fault_is_told_like_the_first() -> None:
+def test_a_second_fault_is_reported_like_the_first() -> None:
     """Shut down, cleared by the host, heating again: hardware and firmware watch as before."""
     chip = heating()
     for _ in range(2):

@@ -77,16 +77,16 @@ def test_a_nozzle_of_another_material_is_named_before_it_is_heated(changes: dict
 @pytest.mark.parametrize("volt", [20.0, 26.0])
 def test_a_measured_supply_keeps_the_reading_true(volt: float) -> None:
     errors = {}
-    for supply_v, told_v in ((24.0, 24.0), (volt, 24.0), (volt, volt)):
+    for supply_v, sent_v in ((24.0, 24.0), (volt, 24.0), (volt, volt)):
         rig = Rig(Plant(3, supply_v=supply_v), default_parameters(law=TANK), 5)
         heater = SimpleNamespace(parameters=rig.loop.parameters, loop=rig.loop)
-        induction_supply.set_supply(heater, told_v)
+        induction_supply.set_supply(heater, sent_v)
         hold(rig, 3.0)
         rig.plant.set_inputs(20.0, 0.0)  # melt to heat: 4 % power, where the field matters
         rig.run(1.5)
         trace = rig.trace.arrays()
         late = trace["t_s"] > 4.0
-        errors[supply_v, told_v] = float(np.mean((trace["estimate_c"] - trace["skin_c"])[late]))
+        errors[supply_v, sent_v] = float(np.mean((trace["estimate_c"] - trace["skin_c"])[late]))
     usual = errors[24.0, 24.0]  # what the rounded coefficients above leave
     assert errors[volt, volt] == pytest.approx(usual, abs=0.1)
     assert abs(errors[volt, 24.0] - usual) > 0.3

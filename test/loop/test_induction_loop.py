@@ -278,9 +278,9 @@ def test_a_held_nozzle_wakes_the_host_once_for_four_messages_until_its_target_mo
     assert in_batches(sizes_of_messages(rig, 0.1))
 
 
-@pytest.mark.parametrize(("flow", "fan", "most_c"), [(25.0, 0.0, 0.75), (0.0, 1.0, 0.30)])
+@pytest.mark.parametrize(("flow", "fan", "highest_c"), [(25.0, 0.0, 0.75), (0.0, 1.0, 0.30)])
 def test_what_nobody_announced_is_answered_as_fast_as_if_each_message_came_at_once(
-    flow: float, fan: float, most_c: float
+    flow: float, fan: float, highest_c: float
 ) -> None:
     """On eight seeds: 0.63 degC away, at most 0.69 (0.20, 0.23); each message at once 0.59, 0.64 (0.20, 0.23)."""
     rig = steady_rig()
@@ -288,7 +288,7 @@ def test_what_nobody_announced_is_answered_as_fast_as_if_each_message_came_at_on
     rig.plant.set_inputs(flow, fan)
     rig.run(0.5)
     trace = rig.trace.arrays()
-    assert np.abs(trace["skin_c"][trace["t_s"] > start_s] - TARGET_C).max() < most_c
+    assert np.abs(trace["skin_c"][trace["t_s"] > start_s] - TARGET_C).max() < highest_c
 
 
 def test_a_held_nozzle_hardly_ripples() -> None:

@@ -104,8 +104,8 @@ def advance(
     h = dt_s / steps
     air_w_k = p.loss_w_k + fan * p.fan_w_k
     ambient_c, cold_k4, radiation = p.ambient_c, p.air_k4, STEFAN_BOLTZMANN * p.radiation_m2
-    bore_fade = math.exp(-h / p.bore_s) if p.bore_s else 0.0
-    sensor_fade = math.exp(-h / p.sensor_s) if p.sensor_s else 0.0
+    bore_decay = math.exp(-h / p.bore_s) if p.bore_s else 0.0
+    sensor_decay = math.exp(-h / p.sensor_s) if p.sensor_s else 0.0
     for _ in range(steps):
         if flow != flow_in:
             flow = flow_in + (flow - flow_in) * (math.exp(-h / p.flow_s) if p.flow_s else 0.0)
@@ -125,8 +125,8 @@ def advance(
         before_c = temp_c
         temp_c += h * net / (p.heat_j_k * (1.0 + p.heat_slope_per_k * (temp_c - 25.0)))
         middle_c = 0.5 * (before_c + temp_c)
-        sensor_c = middle_c + (sensor_c - middle_c) * sensor_fade if p.sensor_s else temp_c
-        bore_c = middle_c + (bore_c - middle_c) * bore_fade if p.bore_s else temp_c
+        sensor_c = middle_c + (sensor_c - middle_c) * sensor_decay if p.sensor_s else temp_c
+        bore_c = middle_c + (bore_c - middle_c) * bore_decay if p.bore_s else temp_c
     return Nodes(element_c, temp_c, second_c, sensor_c, bore_c, flow)
 
 
@@ -263,8 +263,8 @@ def taken_over(p: ModelParameters, state: ModelState, disturbance_w: float) -> M
     rows = [list(row) for row in state.covariance]
     for place, sigma in doubts.items():
         rows[place][place] = min(rows[place][place], sigma * sigma)
-    most_w = p.disturbance_max_w
-    known_w = min(most_w, max(-most_w, disturbance_w))
+    max_w = p.disturbance_max_w
+    known_w = min(max_w, max(-max_w, disturbance_w))
     return state._replace(disturbance_w=known_w, covariance=tuple(map(tuple, rows)))
 
 
@@ -524,8 +524,8 @@ def _observe_piece(
     rows = [[v - k * c for v, c in zip(row, column, strict=True)] for row, k in zip(rows, gains, strict=True)]
     by_c = run.innovation_c
     gain = min(GAIN_MAX, max(GAIN_MIN, state.gain + gains[places.gain] * by_c))
-    most_w = p.disturbance_max_w
-    disturbance_w = min(most_w, max(-most_w, state.disturbance_w + gains[places.disturbance] * by_c))
+    max_w = p.disturbance_max_w
+    disturbance_w = min(max_w, max(-max_w, state.disturbance_w + gains[places.disturbance] * by_c))
     nodes = _moved(p, places, run.nodes, gains, by_c)
     slant_c, usual = 0.0, state.usual
     if places.slant >= 0:

@@ -67,7 +67,7 @@ def within_three_sigma(text: str, label: str, true: float) -> None:
 
 
 @pytest.mark.parametrize(("mass", "loss"), [(1.3, 0.7), (0.7, 1.3)])
-def test_another_nozzle_lies_within_three_sigma_of_what_is_told(
+def test_another_nozzle_lies_within_three_sigma_of_what_is_reported(
     simulate: Simulate, tmp_path: Path, mass: float, loss: float
 ) -> None:
     plant = "simulator nozzle nozzle."
@@ -80,7 +80,9 @@ def test_another_nozzle_lies_within_three_sigma_of_what_is_told(
     within_three_sigma(text, "losses, x reference", loss)
 
 
-def test_another_hotend_lies_within_three_sigma_of_what_is_told(simulate: Simulate, tmp_path: Path) -> None:
+def test_another_hotend_lies_within_three_sigma_of_what_is_reported(
+    simulate: Simulate, tmp_path: Path
+) -> None:
     """A quarter heavier, a quarter less loss: 2.5 + 18.75 J/K, 52.9 mW/K, fan untouched."""
     plant = "simulator load extruder."
     settings = (f"{plant}mass_factor=1.25", f"{plant}loss_factor=0.75")

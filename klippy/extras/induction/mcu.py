@@ -101,7 +101,7 @@ class InductionUnit:
         self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
         self._period_s = period_ticks / clock_hz
         self._second_ticks = round(clock_hz)
-        mcu.register_lot(self._take_batch, BLOCK_FORMAT)
+        mcu.register_batch(self._take_batch, BLOCK_FORMAT)
 
     # Samples up
 
@@ -126,7 +126,7 @@ class InductionUnit:
         self._batched = batched
         message_s = self.settings.records * self.settings.block_samples / self.settings.frequency_hz
         count = max(1, int(BATCH_S / message_s)) if batched else 0
-        self.mcu.register_lot(self._take_batch, BLOCK_FORMAT, count * message_s + BATCH_SLACK_S, count)
+        self.mcu.register_batch(self._take_batch, BLOCK_FORMAT, count * message_s + BATCH_SLACK_S, count)
 
     # Phases down
 

@@ -153,7 +153,7 @@ def test_commands_written_to_a_file_extrude_cold() -> None:
     assert heater.can_extrude
 
 
-def test_pin_is_told_its_limits() -> None:
+def test_pin_is_reported_its_limits() -> None:
     printer, _ = bed_with()
     assert (printer.pins["PE0"].max_duration, printer.pins["PE0"].cycle_time) == (3.0, 0.1)
     limits = printer.pins["PE1"].sample
@@ -202,7 +202,7 @@ def test_watermark_heats_below_and_rests_above() -> None:
     assert not heater.check_busy(time_s)
 
 
-def test_m190_waits_until_the_bed_is_there_and_tells_temperatures() -> None:
+def test_m190_waits_until_the_bed_is_there_and_reports_temperatures() -> None:
     printer, heater = bed_with()
     printer.send("klippy:ready")
     warm(printer, heater, 20.0)
@@ -492,19 +492,19 @@ def held_nozzle() -> tuple[FakePrinter, Any]:
 
 def test_messages_of_a_held_nozzle_come_in_batches_until_it_gets_a_new_target() -> None:
     printer, heater = held_nozzle()
-    assert printer.mcu.lot_most == 4
+    assert printer.mcu.batch_max == 4
     heater.set_temp(255.0)
-    assert not printer.mcu.lot_most
+    assert not printer.mcu.batch_max
 
 
 def test_a_dump_gets_each_message_at_once() -> None:
     printer, heater = held_nozzle()
     heater.loop.listeners.append(lambda block, found, now_s: None)
     deliver(printer, 200, 250.0, heater.loop.state.commanded.phase_ticks)
-    assert not printer.mcu.lot_most
+    assert not printer.mcu.batch_max
 
 
-def test_cold_extrusion_is_told_by_the_extruder_s_limit() -> None:
+def test_cold_extrusion_is_reported_by_the_extruder_s_limit() -> None:
     printer, heater = nozzle()
     deliver(printer, 0, 150.0, 2012)
     assert not heater.can_extrude
@@ -527,15 +527,17 @@ def test_a_target_of_max_temp_is_taken() -> None:
     assert heater.get_temp(0.0)[1] == 320.0
 
 
-@pytest.mark.parametrize(("law", "most_c"), [("watermark", 313.0), ("two_period", 300.0)])
-def test_a_law_that_swings_keeps_away_from_max_temp_and_says_so(law: str, most_c: float) -> None:
+@pytest.mark.parametrize(("law", "highest_c"), [("watermark", 313.0), ("two_period", 300.0)])
+def test_a_law_that_swings_keeps_away_from_max_temp_and_says_so(law: str, highest_c: float) -> None:
     text = CONFIG.replace("{control}", "pid").replace("sense_pin: PA0", f"sense_pin: PA0\ncontrol: {law}")
     heater = FakePrinter(text, LOADERS).load("extruder")
-    heater.set_temp(most_c)
-    with pytest.raises(CommandError, match=rf"\(0\.0:{most_c}\): control: {law} swings, .* below max_temp"):
-        heater.set_temp(most_c + 1.0)
+    heater.set_temp(highest_c)
+    with pytest.raises(
+        CommandError, match=rf"\(0\.0:{highest_c}\): control: {law} swings, .* below max_temp"
+    ):
+        heater.set_temp(highest_c + 1.0)
     heater.alter_target(320.0)
-    assert heater.get_temp(0.0)[1] == most_c
+    assert heater.get_temp(0.0)[1] == highest_c
 
 
 def test_after_a_shutdown_status_shows_no_power_and_a_reading_that_ages() -> None:

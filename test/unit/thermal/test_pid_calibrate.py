@@ -37,7 +37,7 @@ def tune(plant: Plant, target_c: float = 60.0, **more: float) -> relay.RelayRun:
 
 
 @pytest.mark.parametrize("delay_s", [3.0, 9.0])
-def test_the_swing_tells_integrator_and_delay(delay_s: float) -> None:
+def test_the_swing_reports_integrator_and_delay(delay_s: float) -> None:
     result = relay.evaluate(tune(Plant(0.4, delay_s, 2000.0)))
     assert result.gain_per_s == pytest.approx(0.4, rel=0.1)  # the losses are a bit of it
     assert result.delay_s == pytest.approx(delay_s, abs=0.2 * delay_s)

@@ -100,7 +100,7 @@ def test_uncertainty_holds_the_laws_part_and_shrinks_only_the_noise() -> None:
 
 
 @pytest.mark.parametrize("noise_lsb", [0.15, 0.3, 0.5, 1.0, 3.0])
-def test_noise_is_told_from_the_span_of_blocks(noise_lsb: float) -> None:
+def test_noise_is_distinguished_from_the_span_of_blocks(noise_lsb: float) -> None:
     random = np.random.default_rng(5)
     chain = new_chain()
     for n in range(400):
