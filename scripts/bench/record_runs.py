@@ -51,7 +51,6 @@ def cases() -> Iterator[Case]:
     for name, values in {
         "supply_v": (22.8, 23.5, 24.5, 25.2),
         "c1_factor": (0.9995, 1.0005, 1.005),
-        "c1_drift_ppm_s": (-30.0, 30.0),
         "noise_lsb": (0.1, 0.5, 3.0),
         "ripple_v": (0.5, 2.0),
         "frequency_ppm": (-50.0, 50.0),
@@ -60,6 +59,9 @@ def cases() -> Iterator[Case]:
     }.items():
         for value in values:
             yield f"{name}-{value}", HEAT.format(target=250), {f"{PLANT}{name}": value}
+    for drift_ppm_s in (-30.0, 30.0):
+        drift = {f"{PLANT}c1_factor": f"0:1, 100:{1.0 + 1e-4 * drift_ppm_s}"}
+        yield f"c1_drift_ppm_s-{drift_ppm_s}", HEAT.format(target=250), drift
     for fault, text in enumerate(("no-nozzle", "coil-broken", "stuck-on", "stuck-signal", "lost-signal"), 1):
         yield f"fault-{text}", HEAT.format(target=220), {f"{PLANT}fault": fault}
 
