@@ -166,7 +166,7 @@ def test_error_of_a_machine_is_smooth_over_the_drive_with_the_rms_asked_for():
 
     def curve(number: float) -> np.ndarray:
         return np.array(
-            [shift((t / 450.0) ** 2 / 100.0, law_error_units=0.3, machine_number=number) for t in ticks]
+            [shift((t / 450.0) ** 2 / 100.0, signal_error=0.3, machine_number=number) for t in ticks]
         )
 
     first, other = curve(1.0), curve(2.0)

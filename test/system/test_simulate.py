@@ -54,6 +54,17 @@ def test_the_same_seed_gives_the_same_trace_and_another_seed_other_noise(simulat
     assert first != other
 
 
+def test_the_real_machine_runs_and_its_parameters_may_be_profiles(simulate: Simulate) -> None:
+    nozzle = "simulator nozzle nozzle."
+    run = simulate(
+        "G4 P1500\n",
+        settings=[nozzle + "preset=real", nozzle + "start_c=30", nozzle + "ambient_c=0:30, 1:40"],
+    )
+    assert run.status == 0, run.stderr
+    assert run.column("true_c")[-1] > 30.01, "the warmer air warms the nozzle"
+    assert run.column("mean_c")[-1] == pytest.approx(run.column("true_c")[-1], abs=0.01)
+
+
 def test_it_stops_when_told_to(simulate: Simulate) -> None:
     run = simulate(square(100), more=["--until", "8"])
     assert run.status == 0

@@ -40,7 +40,7 @@ void effects_changed(struct plant *p)
         squares += e->law_error[k] * e->law_error[k];
     }
     for (int k = 0; k < LAW_ERROR_TERMS; k++) // cosines have an rms of sqrt(1/2)
-        e->law_error[k] *= v->law_error_units * sqrt(2 / squares);
+        e->law_error[k] *= v->signal_error * sqrt(2 / squares);
 }
 
 void effects_init(struct plant *p, uint64_t seed)
@@ -151,9 +151,9 @@ void effects_drive(const struct plant *p, struct tank_drive *d)
     d->l1_add_uh = 1e-3 * v->cable_l1_nh * e->head;
     d->r_add_ohm = v->coil_ohm * v->coil_rise_per_k * coil_k;
     d->late_ns = v->skew_ns + v->delay_ns_k * (v->board_c - values_hold_c);
-    d->error_units = 0;
-    for (int k = 0; k < LAW_ERROR_TERMS && v->law_error_units > 0; k++)
-        d->error_units += e->law_error[k] * cos((k + 1) * pi * d->phase_ticks / phase_full_ticks);
+    d->signal_error = 0;
+    for (int k = 0; k < LAW_ERROR_TERMS && v->signal_error > 0; k++)
+        d->signal_error += e->law_error[k] * cos((k + 1) * pi * d->phase_ticks / phase_full_ticks);
 }
 
 double effects_disturbance(struct plant *p, double t_s, double dt_s)

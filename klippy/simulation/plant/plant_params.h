@@ -79,7 +79,7 @@
   X(r_rise_per_k,         "1/K",    0.0,      0.0,      3e-4,     0,    1e-3, "rise of the tank's resistance with the steel's, from about 250 degC; less where saturated [coil]") \
   X(saturation_table,     "",       0.0,      0.0,      1.0,      0,    1,    "1: effect of temperature on L1 over current by table, 0: by the fit [coil]") \
   X(l1_curve,             "",       0.0,      0.0,      0.01,     -0.1, 0.1,  "L1 off the straight line: -l1_curve (u^4 - 0.35 u^2), u = (T - 25)/640 [assumed]") \
-  X(law_error_units,      "",       0.0,      0.0,      0.3,      0,    100,  "error of this machine's signal, smooth over the drive, rms [assumed]") \
+  X(signal_error,         "",       0.0,      0.0,      0.3,      0,    100,  "error of this machine's signal, smooth over the drive, rms [assumed]") \
   X(machine_number,       "",       1.0,      1.0,      1.0,      0,    1e6,  "chooses the shape of that error")               \
   /* --- temperatures of the parts about the coil ------------------------------------------------------------------------- */ \
   X(board_c,              "degC",   25.0,     25.0,     35.0,     -40,  120,  "air at capacitor, choke, limiter and drivers; their values hold at 25 degC") \

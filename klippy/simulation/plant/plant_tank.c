@@ -73,7 +73,7 @@ static struct tank_point solve(const struct tank_drive *d, const struct plant_va
     const int direct_law = v->signal_model >= 0.5 && !d->empty;
     out.offset = direct_law ? v->law_slope * skin_c * exp(-v->law_decay * p) + v->law_zero + v->law_power * p
                             : v->offset_units * exp(-v->offset_decay * p);
-    out.offset += d->error_units;
+    out.offset += d->signal_error;
     const double volt = d->open ? 0 : 4 / pi * d->supply_v * sin(0.5 * pi * share);
     if (volt <= 0)
         return out;

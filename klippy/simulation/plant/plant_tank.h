@@ -13,7 +13,7 @@ struct tank_point {
 struct tank_drive {
     double phase_ticks, supply_v, frequency_hz, c1_uf, l2_uh;
     double l1_factor, l1_add_uh, r_add_ohm; // on top of the parameters and what the steel does
-    double late_ns, error_units;            // sampling instant, error of this machine's signal
+    double late_ns, signal_error;            // sampling instant, error of this machine's signal
     int empty, open; // no nozzle in the coil; no current path
 };
 
