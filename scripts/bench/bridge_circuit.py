@@ -20,6 +20,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline
 from scipy.linalg import expm
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -51,6 +52,11 @@ def parameters() -> dict[str, float]:
     scale = {"": 1.0, "n": 1e-9, "u": 1e-6, "m": 1e-3, "k": 1e3}
     found = re.findall(r"^\.param (\w+)=([-0-9.e]+)([numk]?)\b", NETLIST.read_text(encoding="utf-8"), re.M)
     return {name: float(number) * scale[unit] for name, number, unit in found}
+
+
+def curve(values: Sequence[float], step: float) -> CubicHermiteSpline:
+    """Through evenly spaced values, with the slopes of their neighbours, as the plant does (Catmull-Rom)."""
+    return CubicHermiteSpline(step * np.arange(len(values)), values, np.gradient(values, step))
 
 
 class Circuit:
@@ -121,12 +127,11 @@ class Circuit:
     def coil(self) -> tuple[np.ndarray, np.ndarray]:
         """Inductance and resistance at the present amplitude."""
         p, x = self.p, self.amplitude / self.p["isat"]
-        effect = np.interp(x, 0.1 * np.arange(len(SATURATION)), SATURATION)
-        l1 = p["l1"] * (1.0 - p["l1slope"] * effect * (self.temp_c - p["l1ref"]))
-        column = np.clip(x / 0.25, 0.0, 3.9999)
-        low, share = column.astype(int), column % 1.0
-        row, table = np.searchsorted(TEMPS_C, self.temp_c), np.array(RESISTANCE)
-        return l1, p["r"] * (1.0 + table[row, low] * (1.0 - share) + table[row, low + 1] * share)
+        l1 = p["l1"] * (1.0 - p["l1slope"] * curve(SATURATION, 0.1)(x) * (self.temp_c - p["l1ref"]))
+        rise = np.zeros_like(x)
+        for temp_c, row in zip(TEMPS_C, RESISTANCE, strict=True):
+            rise = np.where(self.temp_c == temp_c, curve(row, 0.25)(x), rise)
+        return l1, p["r"] * (1.0 + rise)
 
     def _tank(self) -> tuple[np.ndarray, np.ndarray]:
         """Exact step of the tank under a constant voltage, a matrix for each combination."""

@@ -58,7 +58,10 @@ def test_the_real_machine_runs_and_its_parameters_may_be_profiles(simulate: Simu
     nozzle = "simulator nozzle nozzle."
     run = simulate(
         "G4 P1500\n",
-        settings=[nozzle + "preset=real", nozzle + "start_c=30", nozzle + "ambient_c=0:30, 1:40"],
+        settings=[
+            *(nozzle + option for option in ("preset=real", "start_c=30", "ambient_c=0:30, 1:40")),
+            "induction_heater nozzle.estimator=uncalibrated",
+        ],
     )
     assert run.status == 0, run.stderr
     assert run.column("true_c")[-1] > 30.01, "the warmer air warms the nozzle"

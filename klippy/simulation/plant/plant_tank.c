@@ -3,6 +3,7 @@
 //   V   = (4/pi) Vdc sin(phi/2)                       first harmonic of the bridge, phi = pi ticks / 45000
 //   L1  = l1 [1 - slope S (T - Tref)],  S = exp(-0.457 x^2 - 0.599 x^8),  x = |I1| / Isat
 //   D   = R (1 - w^2 L2 C1) + j w (L1 + L2 - w^2 L1 L2 C1),   I1 = V / D
+//         + Rs (1 - w^2 L1 C1 + j w R C1) with switches of Rs
 //   psi = arg(-I1),   error = gain (psi + 360 deg f skew) + offset exp(-decay p),   p = (ticks/45000)^2
 //
 // The steel saturates: L1 depends on |I1|, found by six rounds of putting |I1| back in (each shrinks the error by more
@@ -83,8 +84,9 @@ static struct tank_point solve(const struct tank_drive *d, const struct plant_va
     for (int round = 0; round < 6; round++) {
         const double x = current / v->l1_saturation_a;
         const double l1 = d->empty ? v->empty_l1_uh * 1e-6 : coil_h(d, v, skin_c, x);
-        re = (d->empty ? v->empty_r_ohm : tank_ohm(d, v, skin_c, x)) * (1 - w2l2c1);
-        im = w * (l2 + l1 * (1 - w2l2c1));
+        const double ohm = d->empty ? v->empty_r_ohm : tank_ohm(d, v, skin_c, x);
+        re = ohm * (1 - w2l2c1) + v->switch_ohm * (1 - w * w * l1 * c1);
+        im = w * (l2 + l1 * (1 - w2l2c1)) + v->switch_ohm * w * ohm * c1;
         current = volt / sqrt(re * re + im * im);
     }
     const double inverse = volt / (re * re + im * im);
