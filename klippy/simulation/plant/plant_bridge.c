@@ -13,7 +13,7 @@
 // Place u on a grid of n points, as the first of two points and the share to the second; beyond the ends it is < 0 or > 1.
 static int grid_place(double u, int n, double *share)
 {
-    const int low = u < 0 ? 0 : u >= n - 1 ? n - 2 : (int)u;
+    const int low = u >= n - 1 ? n - 2 : u > 0 ? (int)u : 0;
     *share = u - low;
     return low;
 }
