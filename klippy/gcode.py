@@ -267,7 +267,7 @@ class GCodeDispatch:
         return stop
 
     def run_line(self, line: str, need_ack: bool = False) -> None:
-        """Run one line; the caller holds the mutex. Errors are told to the user, and raised unless acknowledging."""
+        """Run one line; the caller holds the mutex. The user gets its errors; they are raised unless acknowledging."""
         gcmd: GCodeCommand | None = None
         handler: Callable[[GCodeCommand], Any] | None
         try:
@@ -294,7 +294,7 @@ class GCodeDispatch:
                 gcmd.ack()
 
     def register_comment_listener(self, listener: Callable[[str], None]) -> None:
-        """Call listener(line) for each line that is only a comment: slicers tell there what comes."""
+        """Call listener(line) for each line that is only a comment: slicers announce there what comes."""
         self._comment_listeners.append(listener)
 
     def has_comment_listeners(self) -> bool:
@@ -310,7 +310,7 @@ class GCodeDispatch:
         return self._handlers.get(command)
 
     def _report(self, problem: Exception, line: str) -> None:
-        """Tell the user why a line could not be carried out; a bug stops the printer."""
+        """Report to the user why a line could not be carried out; a bug stops the printer."""
         if isinstance(problem, CommandError):
             self.respond_error(str(problem))
             self.printer.send_event("gcode:command_error")
@@ -395,7 +395,7 @@ class GCodeDispatch:
             self.printer.request_exit("error_exit")
 
     def respond_state(self, state: str) -> None:
-        """Tell the user of a change of state."""
+        """Report a change of state to the user."""
         self.respond_info(f"Klipper state: {state}", log=False)
 
     # --- built-in commands ---

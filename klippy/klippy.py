@@ -73,7 +73,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
 
 
 def build_start_args(options: argparse.Namespace) -> dict[str, Any]:
-    """What the printer is told about its start."""
+    """How the printer was started, as plugins read it from get_start_args()."""
     start_args: dict[str, Any] = {
         "config_file": os.path.abspath(options.config),
         "apiserver": options.api_server,

@@ -146,9 +146,9 @@ def is_done_in_c(*methods: Any) -> bool:
 
 class LookAheadQueue:
     """Moves whose speeds are not fixed yet. They live in the C helper (lookahead.h); Move objects exist only for
-    those that Python has made or asked for."""
+    those that Python has made or requested."""
 
-    # Try to fix moves whenever this much (least) motion time has come in.
+    # Try to fix moves whenever at least this much motion time has come in.
     REVIEW_S = 0.250
 
     def __init__(self, toolhead: Any = None) -> None:
@@ -213,8 +213,8 @@ class LookAheadQueue:
         return moves
 
     def callbacks(self, count: int) -> list[tuple[int, list[Callable[[float], None]]]]:
-        """(how many moves up to and with this one since the last, whom to tell its end) among the first `count`,
-        whose objects are let go; the last pair closes the count."""
+        """(moves up to and with this one since the last pair, callbacks of its end) among the first `count` moves,
+        whose objects are dropped; the last pair completes the count."""
         pairs: list[tuple[int, list[Callable[[float], None]]]] = []
         at, end = self.row.first, self.row.first + count
         for number in sorted(n for n in self._moves if n < end):

@@ -233,7 +233,7 @@ class Printer:
             self.invoke_shutdown(str(e) if known else f"Internal error during ready: {e}")
 
     def _fail(self, reason: str, advice: str) -> None:
-        """Start-up did not succeed: tell why, and wait for a RESTART (batch mode: end)."""
+        """Start-up did not succeed: report why, and wait for a RESTART (batch mode: end)."""
         logging.error(reason)
         self._set_state("error", f"{reason}\n{advice}")
         self._send_event_safely("klippy:notify_mcu_error")

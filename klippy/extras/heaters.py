@@ -207,7 +207,7 @@ class PrinterHeaters:
             self._wait_while(heater.check_busy)
 
     def _wait_while(self, is_busy: Callable[[float], bool]) -> None:
-        """Poll once a second, telling the temperatures, until done or shut down."""
+        """Report the temperatures once a second, until done or shut down."""
         if is_batch(self.printer):
             return
         toolhead = self.printer.lookup_object("toolhead")

@@ -150,10 +150,10 @@ class ModelCalibrate:
                 + (f" and at {span_c:.0f} C less" if span_c else "")
                 + f", and min_extrude_temp is {needed_c:.0f} C"
             )
-        most = extruder.max_e_velocity * extruder.filament_area
-        if fastest > most:
+        max_flow = extruder.max_e_velocity * extruder.filament_area
+        if fastest > max_flow:
             raise gcmd.error(
-                f"MODEL_CALIBRATE: max_extrude_only_velocity of [extruder] allows FLOW={most:.1f} at most"
+                f"MODEL_CALIBRATE: max_extrude_only_velocity of [extruder] allows FLOW={max_flow:.1f} at most"
             )
         height_mm = self.printer.lookup_object("toolhead").get_position()[2]
         homed = self.printer.lookup_object("toolhead").get_status(self._reactor.monotonic())["homed_axes"]
@@ -176,7 +176,7 @@ class ModelCalibrate:
             part.fan.set_speed(0.0)
         else:
             runner.say(
-                "The part fan is on, and what it takes will count as the heater's own loss; FAN=1 tells them apart"
+                "The part fan is on: its cooling will count as the heater's own loss. FAN=1 measures it separately"
             )
 
     def _surround(self, run: step_test.StepTest, now_s: float) -> None:

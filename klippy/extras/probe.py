@@ -1,4 +1,4 @@
-"""[probe]: a switch that tells where the bed is.
+"""[probe]: a switch that finds the bed.
 
     Sampling        how a point is probed, and what several samples come to
     PrinterProbe    printer object 'probe': commands, `probe:z_virtual_endstop`, and what other modules call

@@ -1,4 +1,4 @@
-"""[verify_heater NAME]: does the heater do what it is told? Loaded for every ordinary heater, with or without
+"""[verify_heater NAME]: does the heater do what it should? Loaded for every ordinary heater, with or without
 a section.
 
 Once a second, three situations:

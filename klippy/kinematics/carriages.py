@@ -94,7 +94,7 @@ class Drive:
 
 @dataclass(eq=False, slots=True)
 class CarriagePair:
-    """The two carriages of one axis. `safe_mm`: least distance between them, 0: not watched."""
+    """The two carriages of one axis. `safe_mm`: minimum distance between them, 0: not watched."""
 
     axis: int
     carriages: tuple[Carriage, Carriage]
@@ -148,7 +148,7 @@ class CarriagePair:
 
 
 def solve_axes(rows: Sequence[tuple[Sequence[float], float]]) -> list[float] | None:
-    """x, y, z with the least squared error of `row . xyz = value`; None if the rows do not determine them."""
+    """x, y, z with the smallest squared error of `row . xyz = value`; None if the rows do not determine them."""
     system = [[math.fsum(r[i] * r[j] for r, _ in rows) for j in range(3)] for i in range(3)]
     right = [math.fsum(r[i] * value for r, value in rows) for i in range(3)]
     for column in range(3):  # elimination with row exchange

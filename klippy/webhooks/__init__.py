@@ -134,7 +134,7 @@ class ClientConnection:
         self._stall_timer = self._reactor.register_timer(self._check_stall)
 
     def is_closed(self) -> bool:
-        """Whether the client is gone, or is told to go."""
+        """Whether the client is gone, or is being disconnected."""
         return self.closed or self._ending
 
     def end(self) -> None:
@@ -514,7 +514,7 @@ class ObjectEndpoints:
         request.send({"eventtime": eventtime, "status": self._reader.collect(wanted, eventtime, {})})
 
     def _subscribe(self, request: WebRequest) -> None:
-        """Replaces this connection's subscription. `interval` (s, ours) asks for another pace than 0.25 s."""
+        """Replaces this connection's subscription. `interval` (s, ours) sets another period than 0.25 s."""
         wanted = self._wanted(request)
         template = request.get_dict("response_template", {})
         period_s = float(request.get_float("interval", _SUBSCRIPTION_PERIOD_S))

@@ -50,7 +50,7 @@ Status = dict[str, dict[str, Any]]
 
 @dataclasses.dataclass(slots=True)
 class Subscription:
-    """What one client wants; `seen`: what it was told first, until the next round."""
+    """What one client wants; `seen`: the first status it was sent, until the next round."""
 
     wanted: Wanted
     template: dict[str, Any]
@@ -100,9 +100,9 @@ class StatusReader:
 
 
 class StatusPublisher:
-    """Sends changes to all subscribers of one pace.
+    """Sends changes to all subscribers with one period.
 
-    All are compared with the round before. A new subscriber is compared once with what it was told itself.
+    Each round is compared with the one before. For a new subscriber the first comparison is with what it was sent.
     """
 
     def __init__(self, reactor: Any, reader: StatusReader, period_s: float) -> None:

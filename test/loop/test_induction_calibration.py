@@ -211,7 +211,7 @@ def test_a_silent_reference_ends_the_run() -> None:
     run.run(until_s=6.0)
     run.run(until_s=20.0, connected=False)
     run.rig.run(0.2)
-    assert "not been heard" in run.sweep.fault
+    assert "sent no reading" in run.sweep.fault
     assert run.rig.phase == 0
 
 

@@ -160,7 +160,7 @@ class BedMesh:
         self.printer.lookup_object("gcode_move").reset_last_position()
 
     def _set_out(self) -> None:
-        """Tell the surface how it is followed."""
+        """Pass the surface how it is followed."""
         if self.surface is not None:
             options = self.options
             self.surface.follow(self.fade, self.shift, options.check_distance, options.split_delta_z)
@@ -200,7 +200,7 @@ class BedMesh:
     # -- probing --
 
     def _object_corners(self) -> list[tuple[float, float]]:
-        """Corners of all objects the slicer has told of."""
+        """Corners of all objects the slicer has defined."""
         exclude = self.printer.lookup_object("exclude_object", None)
         objects = exclude.get_status(0.0)["objects"] if exclude is not None else []
         return [(float(x), float(y)) for known in objects for x, y in known.get("polygon", ())]

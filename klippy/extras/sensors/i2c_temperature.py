@@ -371,6 +371,6 @@ TYPES: dict[str, Callable[[Any], I2cTemperature]] = {
 
 
 def register_builtin(heaters: Any) -> None:
-    """Tell the registry the types of this file."""
+    """Register the types of this file."""
     for name, build in TYPES.items():
         heaters.add_sensor_factory(name, build)

@@ -1,7 +1,7 @@
-"""What a printer tells a session of the temperature plan: comments, objects, requests, moves, the bed.
+"""What a printer reports to a session of the temperature plan: comments, objects, requests, moves, the bed.
 
-The look-ahead calls with moves whose times are known; they are only copied then. Who owns the session decides when to
-work on it: [temperature_plan] in a timer, simulation/plan_offline.py as the file is read.
+The look-ahead calls with moves whose times are known; they are only copied then. The session's owner decides when to
+process them: [temperature_plan] in a timer, simulation/plan_offline.py as the file is read.
 """
 
 from __future__ import annotations

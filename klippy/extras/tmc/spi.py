@@ -74,7 +74,7 @@ class RegisterLink:
         self.mcu = self.chain.mcu
 
     def read(self, register: int) -> int:
-        """Value of a register; what comes may be of another chip or of none: nobody can tell."""
+        """Value of a register. Whether it comes from this chip cannot be checked."""
         ask = bytes([register, 0, 0, 0, 0])
         with self.chain.mutex:
             answer = self.chain.exchange(self.position, ask, ask)

@@ -1,15 +1,14 @@
 """The calibration run: which phase when, what is recorded, and when to stop. Pure; decides, does not act.
 
 Temperature cannot jump, the drive can: while the nozzle slowly heats, the bridge visits one power after
-another for a few
-milliseconds each, with stretches at the least phase in between. So every power sees every temperature, and the
-temperature at a visit lies between those of the stretches before and after it:
+another for a few milliseconds each, with stretches at the minimum phase in between. So every power sees every
+temperature, and the temperature at a visit lies between those of the stretches before and after it:
 
     phase  ___|‾‾|______|‾‾|______|‾‾|______      visits: 10, 20 ... 100 %, then again
             low  10 %  low  20 %  low  30 %       stretches are as long as makes the mean power right
 
-Then it cools with the bridge off, short looks at the least phase and a visit now and then: cooling against heating
-tells the reference sensor's lag (calibrate.py).
+Then it cools with the bridge off, short looks at the minimum phase and a visit now and then. Cooling against heating
+gives the reference sensor's lag (fit_sweep.py).
 """
 
 from __future__ import annotations
@@ -68,9 +67,9 @@ class SweepParameters:
 
 @dataclass(slots=True)
 class Recording:
-    """What a run brought: blocks as (centre s, error units, phase, count, duration s) and (s, degC) of the reference.
+    """What a run brought: blocks as (centre s, signal units, phase, count, duration s) and (s, degC) of the reference.
 
-    Blocks with the bridge off are there too, with error 0: they tell how long it was off.
+    Blocks with the bridge off are there too, with error 0: they show how long it was off.
     """
 
     blocks: list[tuple[float, float, int, int, float]] = field(default_factory=list)
@@ -180,7 +179,7 @@ class Sweep(Run):
             return
         read_s = record.reference[-1][0] if record.reference else self.started_s
         if now_s - read_s > p.reference_s:
-            self.abort(f"the reference sensor has not been heard for {now_s - read_s:.1f} s")
+            self.abort(f"the reference sensor has sent no reading for {now_s - read_s:.1f} s")
             return
         if not record.reference:
             return

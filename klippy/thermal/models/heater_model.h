@@ -23,7 +23,7 @@ struct model_nodes {
     double element_c, temp_c, second_c, sensor_c, bore_c, flow;
 };
 
-// What heats: output, the drive's gain, heat nobody told of.
+// What heats: output, the drive's gain, and the disturbance.
 struct model_drive {
     double output, gain, disturbance_w;
 };

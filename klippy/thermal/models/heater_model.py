@@ -65,7 +65,7 @@ class ModelParameters:
     horizon_s: float = 0.0  # the wanted temperature is met so far ahead; at least hold_s
     fade_s: float = 0.0  # a small deviation decays with this time constant
     knee_c: float = 1.5  # "small"; larger ones are brought to it as fast as the power allows
-    slew_per_s: float = math.inf  # most the output may change in a second
+    slew_per_s: float = math.inf  # largest change of the output in a second
     delay_s: float = 0.0  # measurement to output in force, where the caller does not say
     ahead: int = 0  # further outputs planned beyond the first
     # Filter: what is uncertain, 1 sigma
@@ -81,7 +81,7 @@ class ModelParameters:
     slant_c: float = 0.0  # of what full drive by itself moves the reading, degC; 0: nothing
     second_start: float = 0.2  # of the second mass's excess over air, relative
     temp_walk_c: float = 0.02  # of each node, within a second
-    gap_s: float = 5.0  # nothing heard for so long: begin anew
+    gap_s: float = 5.0  # without readings for so long: begin anew
     step_s: float = field(init=False, default=LONGEST_STEP_S)  # of the integration
     aim_s: float = field(init=False, default=0.0)  # the horizon H of one choice ...
     fade: float = field(init=False, default=0.0)  # ... and the share of a small deviation left by then

@@ -116,7 +116,7 @@ class DepositMap:
     A road is deposited in pieces far shorter than a column; its own fresh material is no substrate. A touch within
     `SAME_PASS_CELLS` of path after the last one belongs to the same pass and meets what the pass met when it came.
     A later road of the same layer has the layer below under it and its neighbour beside it: the contact's
-    temperature is their mean, weighted with width and height of the road. A road far below the top of its column tells
+    temperature is their mean, weighted with width and height of the road. A road far below the top of its column shows
     that what stood there has been taken off, as between two prints that come line by line.
     """
 

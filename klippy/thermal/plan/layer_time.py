@@ -30,7 +30,7 @@ ROOM_C = 10.0
 FUTILE_C = 10.0  # substrate; waiting for the rest gains less than 5 degC at the weld, and takes ever longer
 LONGEST_S = 300.0
 WORTH_SHARE = 0.03  # a smaller change of speed_factor is not worth a seam
-ENOUGH_MM = 5.0  # so much path on a layer below tells its age
+ENOUGH_MM = 5.0  # the age of the layer below needs at least this much path on it
 
 
 class Ages(NamedTuple):
@@ -96,7 +96,7 @@ class LayerSpeed:
 def next_speed(
     now: LayerSpeed, ages: Ages, needed_s: float, slowest: float, longest_pause_s: float
 ) -> LayerSpeed:
-    """LayerSpeed of the next layer, if it is like the one of which `ages` tells."""
+    """LayerSpeed of the next layer, if it is like the one that `ages` describes."""
     if ages.above_mm < ENOUGH_MM:
         return now
     age_s, depositing_s, full_speed_s = (value / ages.above_mm for value in ages[1:4])

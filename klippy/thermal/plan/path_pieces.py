@@ -21,7 +21,7 @@ class Asked(NamedTuple):
 
     request_c: float = math.nan
     base_c: float = 0.0
-    height_mm: float = math.nan  # told by the slicer; NaN: it is seen from the path
+    height_mm: float = math.nan  # given by the slicer; NaN: it is seen from the path
     speed_factor: float = 1.0
     until_s: float = math.inf
     by_place: bool = False

@@ -43,7 +43,7 @@ struct tempplan_piece {
     double speed_factor;                    /* part of its own speed at which it is deposited, 1: not slowed down */
     /* filled in */
     double substrate_c[TEMPPLAN_HISTORIES], melt_c, wall_c;
-    double aim_c;                   /* wall for the weld alone, whatever material and nozzle bear */
+    double wanted_c;                   /* wall for the weld alone, whatever material and nozzle bear */
 };
 
 struct tempplan_point {

@@ -77,7 +77,7 @@ class PlanOptions:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Books of what has been deposited; pairs are (planned, fixed)."""
+    """Statistics of what has been deposited; pairs are (planned, fixed)."""
 
     length_mm: float
     pieces: int
@@ -268,7 +268,7 @@ class TemperaturePlan:
         return float(self._lib.tempplan_at(self._plan, time_s, otherwise_c))
 
     def finish(self, until_s: float, rows: int = 0) -> list[Deposited]:
-        """Book what has been deposited by now; returns up to `rows` of it."""
+        """Add what has been deposited by now to the statistics; returns up to `rows` of it."""
         if not rows:
             self._lib.tempplan_finish(self._plan, until_s, self._ffi.NULL, 0)
             return []

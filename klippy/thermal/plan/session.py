@@ -5,8 +5,8 @@
     the user's target, bed, material ─► follow, move_target, set_bed, change ──────────┘
 
 [temperature_plan] feeds a session while the printer prints, scripts/plan_temperature.py with a whole file. The plan
-lies on top of the user's own target. It is made again whenever enough new motion has come (path_pieces.c), from
-`COMMIT_S` ahead of now on; what lies before that is not touched.
+lies on top of the user's own target. It is planned again whenever enough new motion has come (path_pieces.c). The
+part nearer than `COMMIT_S` is not changed.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ class Requested:
     state: Requests = field(default_factory=Requests)  # at the end of the file as far as it has been read
     marks: deque[Requests] = field(
         default_factory=deque
-    )  # what holds from a print time on; the first holds now
+    )  # each holds from a print time on; the first holds now
     asked: tuple[float | None, ...] = ()  # of the newest mark
 
     def __post_init__(self) -> None:
@@ -89,9 +89,9 @@ class Lead:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """What a look at the plan has led to."""
+    """Result of one turn of the plan."""
 
-    next_s: float = math.inf  # look again then at the latest
+    next_s: float = math.inf  # time of the next turn at the latest
     reference: Reference | None = None  # the heater follows this from now on; None: nothing new
     released: bool = False  # and then stays at its end, without a reference
     replanned: bool = False
@@ -173,7 +173,7 @@ class Session:
         return False
 
     def take(self) -> None:
-        """What waits becomes part of the plan, without another one."""
+        """Waiting moves become part of the plan; nothing is planned again."""
         self.path.feed(self._ask, self.plan.take)
 
     # What is planned with
@@ -233,12 +233,12 @@ class Session:
     # The plan
 
     def work(self, now_s: float) -> Turn:
-        """Plan, or go back, or neither."""
+        """Plan again, lead the nozzle back to the user's target, or neither."""
         lead, turn = self.lead, Turn()
         if lead.is_due or self.path.facts().waiting:
             turn = Turn(lead.end_s - 2.0 * COMMIT_S)
             if self.target.base_c <= 0.0:
-                self.path.drop(now_s)  # deposited without a target; what still lies ahead may get one
+                self.path.drop(now_s)  # deposited without a target; moves still ahead may get one
             elif lead.is_due or now_s > turn.next_s:
                 return self.replan(now_s)
         elif lead.reference is not None:
@@ -249,7 +249,7 @@ class Session:
         return turn
 
     def replan(self, now_s: float) -> Turn:
-        """Another plan with all that waits."""
+        """Plan again with all waiting moves."""
         lead, from_s, recorded_s = self.lead, now_s + COMMIT_S, now_s - RECORD_BEHIND_S
         if lead.reference is None:
             self.plan.lead([(now_s, self.target.base_c)])
@@ -267,7 +267,7 @@ class Session:
         return Turn(reference=reference)
 
     def go_back(self, now_s: float) -> Turn:
-        """Nothing more comes: back to the user's target."""
+        """No more moves: lead the nozzle back to the user's target."""
         lead = self.lead
         assert lead.reference is not None
         from_c = lead.reference.at(now_s)
@@ -282,7 +282,7 @@ class Session:
         return turn
 
     def cut(self, now_s: float) -> None:
-        """What lies ahead is not deposited with this plan."""
+        """Drop the plan and the moves that lie ahead."""
         self.plan.cut(now_s)
         self.path.drop()
 
@@ -305,7 +305,7 @@ class Session:
         return self.speeds.layer(self.plan.ages(), interface_c, self.material, self.around, place)
 
     def is_round(self) -> bool:
-        """In a file that tells no layers: has about one been deposited since the speed was chosen?"""
+        """In a file that announces no layers: has about one been deposited since the speed was chosen?"""
         if self.requested.state.layer or not self.speeds.is_used:
             return False
         return self.speeds.is_round(self.plan.ages(), self.lead.end_s - self._speed_set_s)

@@ -157,13 +157,13 @@ def test_a_wrong_melt_exchange_adds_a_constant_error_and_nothing_else():
 def test_no_path_within_the_limits_comes_nearer_to_what_is_wanted(rows, start_c):
     """Against a general solver: T = start + sum of steps, each within the limits, least squares of w (T - target)^2."""
     step_s, fall_k_s, rise_k_s = 0.05, 12.0, 130.0
-    nodes = [Node(step_s * (i + 1), w, aim_c, 0.0, 500.0, 0.0) for i, (w, aim_c) in enumerate(rows)]
+    nodes = [Node(step_s * (i + 1), w, wanted_c, 0.0, 500.0, 0.0) for i, (w, wanted_c) in enumerate(rows)]
     temps = best_path(nodes, 0.0, start_c, lambda at_c, falls, melt_w_k: fall_k_s if falls else rise_k_s)
     steps = np.diff([start_c, *temps])
     assert steps.min() >= -step_s * fall_k_s - 1e-9 and steps.max() <= step_s * rise_k_s + 1e-9
     root = np.sqrt([node.weight for node in nodes])
     sums = np.tril(np.ones((len(nodes), len(nodes)))) * root[:, None]
-    wanted = root * (np.array([node.aim_c for node in nodes]) - start_c)
+    wanted = root * (np.array([node.wanted_c for node in nodes]) - start_c)
     best = scipy.optimize.lsq_linear(sums, wanted, (-step_s * fall_k_s, step_s * rise_k_s), tol=1e-12)
     cost = 0.5 * np.sum((sums @ steps - wanted) ** 2)
     assert cost <= best.cost * (1.0 + 1e-6) + 1e-6

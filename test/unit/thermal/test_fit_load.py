@@ -88,7 +88,7 @@ def test_a_number_the_run_cannot_tell_is_said_to_be_unknown() -> None:
     rows = [row._replace(stage="flow") if row.flow_mm3_s else row for row in rows]
     fit = fit_load.fit_rows(rows, POWER_W, AMBIENT_C, is_nozzle=False)
     assert math.isinf(fit.sigma["model_melt_w_per_k"])
-    assert "the run does not tell" in "\n".join(fit_load.report(fit))
+    assert "not determined by the run" in "\n".join(fit_load.report(fit))
 
 
 def test_an_exchange_told_at_one_flow_is_in_doubt_by_what_it_rests_on() -> None:

@@ -184,7 +184,7 @@ def test_filament_that_slips_at_the_fastest_flow_is_reported() -> None:
 
 def test_flows_too_slow_to_tell_the_exchange_are_refused() -> None:
     """At 3 mm3/s the filament leaves as hot as the bore: its heat says nothing of how easily it got it."""
-    with pytest.raises(MeltFitError, match=r"too slow to tell the exchange .* give a higher FLOW"):
+    with pytest.raises(MeltFitError, match=r"too slow to determine the exchange .* give a higher FLOW"):
         fit_melt.fit_held(steps(Nozzle(), flow_mm3_s=3.0), ROOM_C)
 
 
