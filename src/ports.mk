@@ -5,7 +5,7 @@
 #   PORT_CC PORT_OBJCOPY              its tools (PORT_CC is also what preprocesses for the dictionary)
 #   PORT_FIRMWARE                     the portable files it takes: some of build.mk's FIRMWARE_ lists
 #   PORT_SOURCES                      its own files
-#   PORT_PREFIX_MAP                   how the compiler is told to forget a folder's name (older ones: -fdebug-prefix-map)
+#   PORT_PREFIX_MAP                   the option by which the compiler forgets a folder's name (older ones: -fdebug-prefix-map)
 #   PORT_CFLAGS PORT_LDFLAGS          what the compiler and the linker need to know beyond what is here
 #   PORT_LINK_INPUTS                  files the link depends on (linker script)
 #   PORT_IMAGES                       what is made of OUT/PORT/ferrite.elf (ferrite.bin, ferrite.hex), with rules

@@ -54,7 +54,7 @@ class SpeedChange(NamedTuple):
     """Before this line of the file the print gets another speed, or waits."""
 
     line: int
-    speed_factor: LayerSpeed
+    speed: LayerSpeed
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,7 +240,7 @@ class OfflineRun(PathEvents):
     def on_speed(self, speed: LayerSpeed) -> None:
         if not self.session.requested.state.layer:
             speed = LayerSpeed(speed.factor)  # nobody waits in the middle of a layer
-        before = self._speed_changes[-1].speed_factor.factor if self._speed_changes else 1.0
+        before = self._speed_changes[-1].speed.factor if self._speed_changes else 1.0
         if speed.factor != before or speed.pause_s > 0.0:
             self._speed_changes.append(SpeedChange(self._lines.now.number, speed))
 

@@ -1,7 +1,7 @@
 /* What is written down while time passes: CSV rows and the heater's figures, at one fixed rate.
  *
  * Row n holds the state at n * period; the heater traced is the first nozzle, or without one the first load that is not a bed.
- * Host-side values (targets, estimate) are whatever world_set_channel() was told last.
+ * Host-side values (targets, estimate) are those of the last world_set_channel().
  */
 #include "world_internal.h"
 

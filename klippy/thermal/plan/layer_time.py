@@ -111,34 +111,34 @@ def next_speed(
 
 
 class LayerSpeeds:
-    """Keeps the speed_factor of one print, layer by layer."""
+    """Chooses the speed of each layer of one print."""
 
     def __init__(self, slowest: float, longest_pause_s: float) -> None:
         self.slowest = slowest
         self.longest_pause_s = longest_pause_s
-        self.speed_factor = LayerSpeed()
+        self.now = LayerSpeed()
         self._seen = Ages()
 
     @property
     def is_used(self) -> bool:
-        """May it do anything at all?"""
+        """Do the limits allow any slowing down?"""
         return self.slowest < 1.0 or self.longest_pause_s > 0.0
 
     def layer(
         self, ages: Ages, interface_c: float, material: Material, around: Surroundings, place: Place
     ) -> LayerSpeed:
-        """Another layer begins; `ages` since the beginning of the print. NaN: no interface is wanted."""
+        """Speed of the layer that begins; `ages` since the beginning of the print. NaN: no interface is wanted."""
         recent = ages.since(self._seen)
         if math.isnan(interface_c):
-            self.speed_factor = LayerSpeed()
+            self.now = LayerSpeed()
         elif recent.above_mm >= ENOUGH_MM:
             self._seen = ages
             place = place._replace(side_per_mm=recent.side_per_mm / recent.above_mm)
             needed_s = needed_age_s(material, around, place, interface_c)
-            self.speed_factor = next_speed(
-                self.speed_factor, recent, needed_s, self.slowest, self.longest_pause_s
+            self.now = next_speed(
+                self.now, recent, needed_s, self.slowest, self.longest_pause_s
             )
-        return self.speed_factor
+        return self.now
 
     def is_round(self, ages: Ages, since_s: float) -> bool:
         """Without marks of layers: has about one layer been deposited within `since_s`?"""

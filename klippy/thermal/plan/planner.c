@@ -134,7 +134,7 @@ static void settle(struct tempplan *tp, struct tempplan_piece *q, double share)
             columns[i] = c;
         tp->map.odometer_mm += dab.length_mm;
         if (column_deposit(&tp->map, c, p, &dab, &below) && isnan(q->request_c))
-            note_age(&tp->report, c, &below, &dab);    /* what is asked for by name is no matter of speed_factor */
+            note_age(&tp->report, c, &below, &dab);    /* a temperature asked for by name has no layer speed */
         met[0] += c->met_c[0] / n;
         met[1] += c->met_c[1] / n;
     }

@@ -291,10 +291,10 @@ class Session:
     @property
     def speed_factor(self) -> float:
         """Part of the file's own speed."""
-        return self.speeds.speed_factor.factor
+        return self.speeds.now.factor
 
     def full_speed(self) -> None:
-        self.speeds.speed_factor = LayerSpeed()
+        self.speeds.now = LayerSpeed()
 
     def choose_speed(self) -> LayerSpeed:
         """Speed factor of the layer that begins, and the pause before it."""
