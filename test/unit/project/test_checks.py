@@ -234,11 +234,11 @@ def test_plain_english_and_names_of_the_program_are_fine(text: str, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    "code", ["sent_s = 1", "class SteadyNozzle: ...", "x = 1  # nobody heard", "int max_w;"]
+    "code", ["told_s = 1", "class CalmNozzle: ...", "x = 1  # nobody heard", "int most_w;"]
 )
 def test_names_and_comments_of_code_are_words(code: str, tmp_path: Path) -> None:
     assert len(word_offences(code, tmp_path, "file.py")) == 1
-    assert len(word_offences("x = 1", tmp_path, "the_requests.py")) == 1
+    assert len(word_offences("x = 1", tmp_path, "the_wishes.py")) == 1
 
 
 def test_a_long_sentence_is_found_wherever_its_lines_end(tmp_path: Path) -> None:
