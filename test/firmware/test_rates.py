@@ -30,4 +30,4 @@ def test_a_step_and_a_command_cost_no_more_than_they_did(chip: str) -> None:
 def test_steps_a_second_are_reached_and_more_are_refused(chip: str, steppers: int) -> None:
     interval = LIMITS[chip][2][steppers]
     assert completes(BENCHES[chip], steppers, interval, STEPS)
-    assert not completes(BENCHES[chip], steppers, interval // 4, STEPS)  # the measure can tell
+    assert not completes(BENCHES[chip], steppers, interval // 4, STEPS)  # the measure sees the difference

@@ -41,9 +41,7 @@ CHUNK_ROWS = 50_000  # 5 MB as float64: keeps the peak of reading small
 
 SETTLED_BAND_C = 3.0  # the accuracy promised while printing
 SETTLED_HOLD_S = 2.0
-EXTRUDING_FLOW_MM3_S = (
-    0.02  # a 0.1 mm line 0.05 mm high at 4 mm/s; below that nothing useful is deposited
-)
+EXTRUDING_FLOW_MM3_S = 0.02  # a 0.1 mm line 0.05 mm high at 4 mm/s; below that nothing useful is deposited
 MOVING_MM_S = 0.5
 LAYER_STEP_MM = 0.04  # thinner layers than this are not printed with a 0.4 mm nozzle
 LAYER_MIN_S = 0.1

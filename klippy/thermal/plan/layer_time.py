@@ -135,9 +135,7 @@ class LayerSpeeds:
             self._seen = ages
             place = place._replace(side_per_mm=recent.side_per_mm / recent.above_mm)
             needed_s = needed_age_s(material, around, place, interface_c)
-            self.now = next_speed(
-                self.now, recent, needed_s, self.slowest, self.longest_pause_s
-            )
+            self.now = next_speed(self.now, recent, needed_s, self.slowest, self.longest_pause_s)
         return self.now
 
     def is_round(self, ages: Ages, since_s: float) -> bool:

@@ -160,7 +160,7 @@ class CStepper:
         self.sk = FFI.gc(solver or LIB.cartesian_stepper_alloc(b"x"), LIB.itersolve_free)
         LIB.itersolve_set_stepcompress(self.sk, self.sc, step_dist)
         LIB.itersolve_set_trapq(self.sk, self.trapq)
-        self.track = StepTrace()
+        self.trace = StepTrace()
         self.messages: list[tuple[int, int]] = []  # (min_clock, req_clock)
         self._failed = FFI.new("int *")
 
@@ -183,10 +183,10 @@ class CStepper:
             message = message.next
         LIB.message_free_list(head)
         for params in decode(contents, self.clock_hz):
-            self.track.feed(params)
+            self.trace.feed(params)
 
     def step_times(self) -> np.ndarray:
-        return np.array(self.track.clocks) / self.clock_hz
+        return np.array(self.trace.clocks) / self.clock_hz
 
 
 @dataclass(frozen=True)
@@ -327,16 +327,16 @@ class BatchResult:
     commands: list[dict[str, Any]]
     printer: Any
 
-    def tracks(self) -> dict[str, StepTrace]:
+    def traces(self) -> dict[str, StepTrace]:
         """Steps by stepper name."""
         steppers = {
             s.get_oid(): name for name, s in self.printer.lookup_object("force_move").steppers.items()
         }
-        tracks = {name: StepTrace() for name in steppers.values()}
+        traces = {name: StepTrace() for name in steppers.values()}
         for params in self.commands:
             if params["#name"] in ("queue_step", "set_next_step_dir", "reset_step_clock"):
-                tracks[steppers[params["oid"]]].feed(params)
-        return tracks
+                traces[steppers[params["oid"]]].feed(params)
+        return traces
 
 
 def batch(

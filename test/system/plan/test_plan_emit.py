@@ -31,7 +31,7 @@ STEP_C = 2.0
 # the nozzle needs its time: 26 degC down, at 10 degC/s and slowing down, with its holder still warm.
 EARLY_S, SETTLE_S = 3.5, 5.0
 ROAD_S, ROADS = 0.5, 24
-# The least change that is written, half a degree of rounding, and what the control is off while the flow changes.
+# The minimum change that is written, half a degree of rounding, and what the control is off while the flow changes.
 TOLERANCE_C = STEP_C + 0.5 + 0.5
 
 
@@ -63,7 +63,7 @@ def emitted(folder: Path, gcode: str, section: str) -> tuple[str, plan_offline.O
     return target.read_text(), offline_plan(folder, gcode, config.read_text())
 
 
-def test_an_emitted_file_prints_as_foretold(simulate: Simulate, tmp_path: Path) -> None:
+def test_an_emitted_file_prints_as_predicted(simulate: Simulate, tmp_path: Path) -> None:
     """Also where the file slows down, rests and pauses: a target is that of its road, whenever that comes."""
     text, foretold = emitted(tmp_path, part(), SECTION)
     assert text.count(";planned") >= 3  # one a stretch at least

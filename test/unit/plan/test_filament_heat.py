@@ -107,7 +107,7 @@ def test_core_fraction_agrees_with_finite_differences():
 @pytest.mark.parametrize(
     ("share", "fourier"), [(0.5, 0.2005), (0.8, 0.3598), (0.9, 0.4796), (0.95, 0.5995), (0.99, 0.8778)]
 )
-def test_fourier_numbers_of_source_004(share, fourier):
+def test_fourier_numbers_of_horoshailo_2019(share, fourier):
     assert filament_heat.fourier_for_core(share) == pytest.approx(fourier, abs=6e-5)  # four printed digits
 
 
@@ -168,7 +168,7 @@ def test_contact_of_two_media_agrees_with_finite_differences(hot, cold):
     assert faces[50:] == pytest.approx(weld.interface_c(200.0, 20.0, hot_e, cold_e), abs=TOLERANCE_C)
 
 
-def test_die_swell_of_source_002_and_its_fit():
+def test_die_swell_of_hydraraptor_2007_and_its_fit():
     swell = extrusion.DieSwell(0.93, 0.09)  # 3 mm/s out: 1.2 mm
     feed = 3.0 * 1.2**2 / 3.0**2
     assert extrusion.exit_diameter(swell, feed, 3.0) == pytest.approx(1.2, abs=1e-9)
