@@ -84,7 +84,7 @@ class ClockSync:
         self._estimator = ClockEstimator(self.mcu_freq)
 
     def disconnect(self) -> None:
-        """Ask no more."""
+        """Stop asking the MCU."""
         self.reactor.update_timer(self._timer, self.reactor.NEVER)
 
     # --- sampling ---

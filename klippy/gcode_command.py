@@ -95,7 +95,7 @@ class GCodeCommand:
         self._dispatch.respond_info(msg, log)
 
     def respond_raw(self, msg: str) -> None:
-        """Send a line as it is."""
+        """Send a line without a prefix."""
         self._dispatch.respond_raw(msg)
 
     # --- parameters ---

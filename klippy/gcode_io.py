@@ -145,7 +145,7 @@ class GCodeIO:
             self._running = False
 
     def _respond(self, msg: str) -> None:
-        """Send a line to the pseudo terminal; with nobody there, output is dropped."""
+        """Send a line to the pseudo terminal; without a reader it is dropped."""
         if not self._output_ok or self.fd is None:
             return
         try:

@@ -126,7 +126,7 @@ class Move:
         chelper.get_ffi()[1].move_limit_speed(self.record, speed, accel)
 
     def move_error(self, msg: str = "Move out of range") -> Exception:
-        """An error for the user that names where the move wants to go."""
+        """An error for the user that names the move's end."""
         x, y, z, e = self.end_pos
         return self.toolhead.printer.command_error(f"{msg}: {x:.3f} {y:.3f} {z:.3f} [{e:.3f}]")
 
@@ -196,7 +196,7 @@ class LookAheadQueue:
         return self._lib.lookahead_plan(self.row, lazy)
 
     def planned(self, count: int) -> list[Move]:
-        """The first moves, which are planned, as objects; those are let go."""
+        """The first moves, which are planned, as objects; the queue drops them."""
         first = self.row.first
         moves = []
         for number in range(first, first + count):

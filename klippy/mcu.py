@@ -456,7 +456,7 @@ class MCU:
     def register_batch(
         self, cb: Callable[[Any, int], None], msgformat: str, seconds: float = 0.0, batch_max: int = 0
     ) -> None:
-        """Call `cb(messages, count)` with undecoded messages, when there are `batch_max` or one has waited so long."""
+        """Call `cb(messages, count)` with undecoded messages, when there are `batch_max` or one is `seconds` old."""
         try:
             self._serial.register_batch(cb, msgformat, seconds, batch_max)
         except msgproto.error as e:

@@ -134,7 +134,7 @@ def check_block(data: bytes | bytearray | memoryview) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One valid block: its 4-bit sequence and what it carries."""
+    """One valid block: its 4-bit sequence and its content."""
 
     seq: int
     content: bytes

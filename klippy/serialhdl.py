@@ -250,7 +250,7 @@ class SerialReader:
             logging.info("%sunexpected message: %s", self.warn_prefix, self.msgparser.format_params(params))
 
     def register_response(self, callback: ResponseHandler | None, name: str, oid: int | None = None) -> None:
-        """Call `callback(params)` for each such message, in the reactor thread; it must not sleep. None: no more."""
+        """Call `callback(params)` for each such message, in the reactor thread; it must not sleep. None removes it."""
         if callback is None:
             self._tables.handlers.pop((name, oid), None)
         else:

@@ -166,8 +166,8 @@ class ToolHead:
             self.print_time = self._drip_done
 
     def _commit(self, count: int) -> None:
-        """The first `count` moves, whose speeds are fixed, get their times and go to the motion queues. Python looks at
-        each only if somebody wants to."""
+        """The first `count` moves, whose speeds are fixed, get their times and go to the motion queues. Python handles
+        each of them only for listeners."""
         extruder, filament, queue = self.extruder, self._filament_mm, self.lookahead
         by_hand = bool(self.extra_axes) or not is_done_in_c(extruder.process_move)
         moves = queue.planned(count) if by_hand or self._listeners else []
@@ -326,7 +326,7 @@ class ToolHead:
         self.printer.send_event("toolhead:manual_move")
 
     def dwell(self, delay: float) -> None:
-        """Rest for `delay` seconds after what is queued."""
+        """Rest for `delay` seconds after the queued moves."""
         self.get_last_move_time()
         self._advance_print_time(self.print_time + max(0.0, delay))
         self._wait_for_room()
@@ -352,7 +352,7 @@ class ToolHead:
         self._settle()
 
     def get_last_move_time(self) -> float:
-        """print_time at which all that is queued ends; what comes next begins there."""
+        """print_time at which the queued moves end; the next move begins there."""
         self._flush_lookahead()
         if self._at_rest:
             self._start_motion()
@@ -410,7 +410,7 @@ class ToolHead:
         self._start_watch()  # the timer may have gone to sleep until the end of the whole, uninterrupted move
 
     def _cut_plan(self, print_time: float) -> None:
-        """The head rests from print_time on, where the plan has it then: what is shaped or smoothed runs out without a
+        """The head rests from print_time on, at its planned place. Shaped and smoothed motion runs out without a
         jump (the motors have been halted already; homing finds out where)."""
         self.print_time = self._motion_end = print_time
         self._lib.trapq_state_at(self.trapq, print_time, self._cut_xyz, self._cut_speed)

@@ -44,7 +44,7 @@ class ReadingRange:
     high: float = 1.0
 
     def explain(self, name: str, mcu_adc: Any, curve: Curve, mcu: Any, reason: str) -> str:
-        """After a board's "ADC out of range": what is known of this sensor, "" if it was not the one."""
+        """After a board's "ADC out of range": the text about this sensor, "" if another sensor caused it."""
         value, at_s = mcu_adc.get_last_value()
         if "ADC out of range" not in reason or mcu is not mcu_adc.get_mcu() or not at_s:
             return ""

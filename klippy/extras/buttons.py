@@ -224,5 +224,5 @@ class PrinterButtons:
 
 
 def load_config(config: ConfigWrapper) -> PrinterButtons:
-    """Loaded by whoever has buttons."""
+    """Loaded by sections that have buttons."""
     return PrinterButtons(config.get_printer())

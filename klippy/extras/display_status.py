@@ -1,4 +1,4 @@
-"""[display_status]: M73 and M117 for whoever displays them."""
+"""[display_status]: M73 and M117 for displays and front ends."""
 
 from __future__ import annotations
 

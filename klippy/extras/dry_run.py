@@ -31,7 +31,7 @@ POLL_S = 0.5
 
 
 class LiftedPath:
-    """Position transform: Z lifted, filament held. Goes on to what was there before."""
+    """Position transform: Z lifted, filament held. It passes moves on to the transform before it."""
 
     def __init__(self, following: Any, z_offset_mm: float) -> None:
         self._next = following

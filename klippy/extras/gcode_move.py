@@ -397,7 +397,7 @@ class MoveRows:
         self._state_bytes = self._ffi.buffer(self._state, self._STATE.size)
 
     def _is_plain(self) -> bool:
-        """Whether C does just what Python would: nobody has put a method of his own in place of one it stands for."""
+        """Whether C does just what Python would: no plugin has replaced one of the methods that C stands for."""
         toolhead, gcode = self._toolhead, self._gcode
         if not is_done_in_c(toolhead.move):
             return False
@@ -459,7 +459,7 @@ class MoveRows:
         return start
 
     def settle(self) -> None:
-        """Let the toolhead plan what has been queued."""
+        """Make the toolhead plan the queued moves."""
         if self._state.queued:
             self._toolhead.note_queued(bool(self._state.due))
 

@@ -114,7 +114,7 @@ class PrinterHeaters:
         return factory(config)
 
     def _load_builtin(self, config: ConfigWrapper) -> None:
-        """Built-in types, then the sections that define custom ones, wherever they stand."""
+        """Built-in types, then the sections that define custom ones, in any order of the config."""
         if self._builtin_loaded:
             return
         self._builtin_loaded = True

@@ -232,7 +232,7 @@ class Homing:
         self.adjust_pos[stepper_name] = adjustment
 
     def _fill_coord(self, coord: Sequence[float | None]) -> list[float]:
-        """None: as it is."""
+        """Set the position of each axis; None keeps it."""
         current = self.toolhead.get_position()
         return [was if new is None else new for new, was in zip(coord, current, strict=False)]
 
@@ -258,7 +258,7 @@ class Homing:
         self._finish(rails, move, homepos, homing_axes)
 
     def _rest(self) -> None:
-        """Motion before and after is kept apart: all steps are out, and what comes next begins a little later."""
+        """Separate motion before and after: all steps are sent, and the next move begins a little later."""
         self.toolhead.get_last_move_time()
         self.toolhead.flush_step_generation()
 

@@ -175,7 +175,7 @@ class ManualProbe:
         self.printer.lookup_object("configfile").set(section, "position_endstop", f"{position_mm:.3f}")
 
     def cmd_Z_ENDSTOP_CALIBRATE(self, gcmd: GCodeCommand) -> None:
-        """Z_ENDSTOP_CALIBRATE [SPEED=mm/s]: what now is the bed shall be z = 0."""
+        """Z_ENDSTOP_CALIBRATE [SPEED=mm/s]: the height found by hand becomes z = 0."""
         assert self._endstop is not None
         configured_mm = self._endstop[1]
 

@@ -135,7 +135,7 @@ class ManualStepper:
         return start_time + accel_t + cruise_t + accel_t
 
     def do_move(self, movepos: float, speed: float, accel: float, sync: bool = True) -> None:
-        """Go to movepos (mm); without sync the head may move meanwhile."""
+        """Go to movepos (mm); without sync the head may move at the same time."""
         self._check_range(movepos)
         self.sync_print_time()
         if movepos != self._position:

@@ -194,7 +194,7 @@ class ModelCalibrate:
                 run.abort(f"the extruder says: {e}")
 
     def _extrude(self, lasts_s: float) -> float:
-        """Feed for so long, or as long as one move may take; that time, s."""
+        """Feed for this time, or for the longest time of one move; returns the time, s."""
         toolhead = self.printer.lookup_object("toolhead")
         extruder = toolhead.get_extruder()
         speed_mm_s = self._flow / extruder.filament_area

@@ -322,7 +322,7 @@ _READERS: dict[str, Callable[[Any, str], Any]] = {
 
 
 class SimulatorSection:
-    """The printer object of one such section: holds what was read, for whoever simulates."""
+    """The printer object of one such section: holds the options read, for a simulation."""
 
     def __init__(self, settings: Any) -> None:
         self.settings = settings

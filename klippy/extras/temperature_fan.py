@@ -46,7 +46,7 @@ class WatermarkCooling:
 
 
 class PidCooling:
-    """The heaters' PID, whose output is what is taken away from full speed."""
+    """The heaters' PID; its output is subtracted from full speed."""
 
     def __init__(self, parameters: pid.PidParameters) -> None:
         self._parameters = parameters

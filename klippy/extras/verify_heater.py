@@ -1,13 +1,12 @@
-"""[verify_heater NAME]: does the heater do what it should? Loaded for every ordinary heater, with or without
-a section.
+"""[verify_heater NAME]: does the heater do what it should? Loaded for every ordinary heater, with or without a
+section.
 
 Once a second, three situations:
 
-- holding: temperature has been at the target. Every degree below target - hysteresis counts one degree-second
-of
+- holding: temperature has been at the target. Every degree below target - hysteresis counts one degree-second of
   error; a full budget of `max_error` of them is a fault, being near the target again empties it.
 - heating: the target was raised. The temperature must climb `heating_gain` degrees within each
-`check_gain_time`.
+  `check_gain_time`.
 - idle: no target.
 """
 

@@ -1,4 +1,4 @@
-"""The line between system time and an MCU's clock, from the times of question and answer alone. Pure: asks nobody.
+"""The line between system time and an MCU's clock, from the times of question and answer alone. Pure: no I/O.
 
 One `get_clock` gives a clock value c that was read some time between sending and receiving. With the system's time t
 and y = c/f_nominal - t (s), each answer bounds the true y at that time from both sides:

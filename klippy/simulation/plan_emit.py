@@ -22,7 +22,7 @@ _FACTOR = re.compile(rb"^\s*(?:N\d+\s*)?M220(?![.\d])[^;]*S\s*([0-9.]+)", re.IGN
 
 
 def write(source: Path, target: Path, plan: OfflinePlan, step_c: float) -> int:
-    """Write `target`, which may be `source`; returns how many commands it got. `step_c`: minimum change. Raises OSError.
+    """Write `target`, which may be `source`; returns how many commands it got. `step_c`: min change. Raises OSError.
 
     The new file is written beside the target and replaces it when complete: no file is ever left half written.
     """

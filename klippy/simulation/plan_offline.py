@@ -132,8 +132,8 @@ class _Lines:
 
 
 class OfflineRun(PathEvents):
-    """Plans one file; `progress(lines)` is called now and then. Its session lags behind what has been read as a printer
-    does, but by as much as is good for the plan."""
+    """Plans one file; `progress(lines)` is called now and then. As on a printer the session lags behind the lines
+    read, here by as much as is good for the plan."""
 
     def __init__(
         self,

@@ -288,7 +288,7 @@ class Simulation:
         return self.options.until_s is not None and pause_resume is not None and pause_resume.is_paused
 
     def _finish_print(self, status: dict[str, Any]) -> None:
-        """The file is no longer being read: it is through, or a command in it failed."""
+        """The file is no longer read: it is at its end, or a command in it failed."""
         if self.facts.faults:
             self._end(BAD_INPUT, self.facts.faults[-1])
             return

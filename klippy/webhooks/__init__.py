@@ -62,7 +62,7 @@ class WebRequest:
         self.response: Any = None
 
     def check(self) -> None:
-        """Raise if it is no request at all."""
+        """Raise if it is not a request."""
         if not isinstance(self.method, str):
             raise WebRequestError("Invalid request: 'method' must be a text")
         if not isinstance(self.params, dict):
@@ -307,7 +307,7 @@ class ServerSocket:
         self.clients.pop(client.uid, None)
 
     def _close(self) -> None:
-        """The path goes first, so that nobody comes; then the clients, in good order if they can."""
+        """Remove the socket's path first, so that no client connects; then end the clients in good order."""
         self.reactor.unregister_fd(self._handle)
         self._sock.close()
         try:

@@ -17,7 +17,7 @@ _encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
 class Client(Protocol):
-    """Whoever can be sent messages."""
+    """A receiver of messages."""
 
     def is_closed(self) -> bool: ...
     def send_encoded(self, data: bytes) -> None: ...
@@ -122,7 +122,7 @@ class StatusPublisher:
             )
 
     def remove(self, client: Client) -> None:
-        """No more."""
+        """Stop the timer."""
         self._subscriptions.pop(client, None)
 
     def _publish(self, eventtime: float) -> float:

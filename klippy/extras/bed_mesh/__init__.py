@@ -124,7 +124,7 @@ class BedMesh:
     # -- taking a mesh --
 
     def _fade_for(self, surface: surface_fit.Surface) -> surface_fit.Fade:
-        """Raises MeshError if the surface is too uneven for the way in which it shall fade."""
+        """The fade by the options. Raises MeshError if the surface is too uneven for it."""
         options = self.options
         if options.fade_end <= options.fade_start:
             return surface_fit.Fade()
@@ -145,7 +145,7 @@ class BedMesh:
         return fade
 
     def use(self, mesh: Profile | None, name: str) -> None:
-        """Follow a mesh from now on; None: none. Raises command_error; then all stays as it was."""
+        """Follow a mesh from now on; None: none. Raises command_error and changes nothing then."""
         surface, fade = None, surface_fit.Fade()
         if mesh is not None:
             surface = mesh.shape.surface(mesh.rows)

@@ -21,7 +21,7 @@ Rows = dict[str, Any] | None
 
 
 class Stream:
-    """One source of messages and its clients. `read()` gives what is new since the last call, None if nothing."""
+    """One source of messages and its clients. `read()` gives the news since the last call, None if there is none."""
 
     def __init__(
         self, printer: Printer, header: tuple[str, ...], start: Callable[[], None], read: Callable[[], Rows]

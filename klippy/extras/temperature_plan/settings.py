@@ -50,7 +50,7 @@ def _read(config: ConfigWrapper, option: str, reader: Callable[[str], Any]) -> A
 
 
 def _table(config: ConfigWrapper, material: Material) -> requests.RequestTable:
-    """All that is asked for by name. The window would clamp what lies outside it, and the user never know."""
+    """The temperatures requested by name. The material's window would silently clamp those outside it."""
     table = requests.RequestTable(
         {requests.feature_name(k): v for k, v in _read(config, "features", requests.read_names).items()},
         {k.upper(): v for k, v in _read(config, "objects", requests.read_names).items()},

@@ -81,7 +81,7 @@ class RegisterLink:
         return int.from_bytes(answer[1:], "big")
 
     def write(self, register: int, value: int) -> None:
-        """Set a register, and make sure that the driver has understood: it sends back what was written."""
+        """Set a register, and check that the driver sends back the value written."""
         data = value.to_bytes(4, "big")
         with self.chain.mutex:
             for _ in range(TRIES):

@@ -1,6 +1,6 @@
 """What the melt takes from an induction nozzle, from held steps at several flows. Offline code: numpy, scipy.
 
-The nozzle's own numbers are known by then (fit_load.py), and its temperature is measured all the time. What is put in
+The nozzle's own numbers are known by then (fit_load.py), and its temperature is always measured. Heat that is put in
 and is neither stored in the metal nor lost went into the filament:
 
     r(t) = integral of (P - loss(T, T2)) dt - H(T)        its slope over a step is the heat of the melt, W

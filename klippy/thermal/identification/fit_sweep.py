@@ -58,7 +58,7 @@ class Lag:
 
 @dataclass(frozen=True, slots=True)
 class LawFigures:
-    """One law, fitted to the whole recording; the figures are of points a fit without them was judged on."""
+    """One law, fitted to the whole recording; the figures are those of points that were left out of a fit."""
 
     regression: fit_sensing.Regression
     held_out_max_c: float  # up to 20 % power, 50-350 degC
@@ -265,7 +265,7 @@ def read_recording(path: Path) -> Recording:
 
 
 def analyse(recording: Recording, drive: DriveLaw, gain: float = 1.0) -> Calibration:
-    """The whole way. Raises FitError with a text for people."""
+    """All steps of the fit. Raises FitError with a text for people."""
     lag, beta, centre, half = estimate_lag(recording, gain)
     points = points_of(recording, beta, centre, half)
     laws = {name: judge(name, points) for name in fit_sensing.FITTERS}

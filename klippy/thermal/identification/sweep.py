@@ -139,7 +139,7 @@ class Sweep(Run):
         return self.on_timer(now_s)
 
     def on_timer(self, now_s: float) -> list[PhaseCommand]:
-        """Watch, change stage, and send what is due."""
+        """Watch the limits, change the stage, and send the commands that are due."""
         self._watch(now_s)
         if self.over:
             return self._off(now_s)
@@ -224,7 +224,7 @@ class Sweep(Run):
             duration_s -= part_s
 
     def _rest(self) -> Iterator[tuple[int, float]]:
-        """Short looks with long pauses: the nozzle stays as it is."""
+        """Short looks with long pauses, which do not heat the nozzle."""
         while True:
             yield SENSING_PHASE_TICKS, self.parameters.look_s
             yield 0, self.parameters.pause_s

@@ -48,7 +48,7 @@ class PlanSettings:
 
 @dataclass(slots=True)
 class Requested:
-    """What is asked for by name."""
+    """Temperatures requested by name."""
 
     table: RequestTable
     state: Requests = field(default_factory=Requests)  # at the end of the file as far as it has been read
@@ -137,8 +137,8 @@ class Session:
         self.requested = Requested(self.settings.table)
 
     def note(self, state: Requests) -> bool:
-        """`state` holds for what is read from now on. True: it asks for something else than before; `hold` it from the
-        print time on at which all that is queued ends."""
+        """`state` holds for all lines read from now on. True: it differs from the one before; then `hold` it from the
+        print time at which the queued moves end."""
         requested = self.requested
         requested.state = state
         asks = state.asks(requested.table)
@@ -152,7 +152,7 @@ class Session:
         self.path.forget(since_s - SAME_TIME_S)
 
     def _ask(self, time_s: float, layer: int, z_mm: float) -> Asked:
-        """What is asked for by name on the path from `time_s` on."""
+        """Temperatures requested by name on the path from `time_s` on."""
         state, table, marks = self.requested.at(time_s), self.requested.table, self.requested.marks
         requested_c = state.request_c(table, time_s, layer, z_mm)
         until_s = marks[1].since_s - SAME_TIME_S if len(marks) > 1 else math.inf
@@ -216,7 +216,7 @@ class Session:
         self.set_base(base_c)
 
     def move_target(self, target_c: float, now_s: float) -> Turn | None:
-        """The user's M104. While path is under way the plan moves with it and goes on; None: there is none."""
+        """The user's M104. While a path is under way the plan shifts by it and goes on; None: no path."""
         lead = self.lead
         if lead.reference is None or lead.going_home or now_s + COMMIT_S >= lead.end_s:
             return None
@@ -313,10 +313,10 @@ class Session:
     # What has been deposited
 
     def record(self, until_s: float) -> None:
-        """Note what has been deposited by then."""
+        """Record what has been deposited by this time."""
         self._rows += self.plan.finish(until_s, ROWS_AT_ONCE if self.keeps_rows else 0)
 
     def take_rows(self) -> list[Deposited]:
-        """What has been recorded since this was called last."""
+        """The rows recorded since the last call."""
         rows, self._rows = self._rows, []
         return rows

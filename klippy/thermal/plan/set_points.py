@@ -50,7 +50,7 @@ class PlanPoint(NamedTuple):
 
 
 class Want(NamedTuple):
-    """What is wanted of a segment. NaN: nothing."""
+    """Melt temperatures wanted for a segment. NaN: none."""
 
     melt_c: float
     free_c: float = math.nan  # melt for the weld alone, beyond the material's window; NaN: it does not decide
