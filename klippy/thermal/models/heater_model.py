@@ -63,8 +63,8 @@ class ModelParameters:
     # Control: what is wanted
     hold_s: float = 0.3  # an output stays for so long
     horizon_s: float = 0.0  # the wanted temperature is met so far ahead; at least hold_s
-    fade_s: float = 0.0  # a small deviation decays with this time constant
-    knee_c: float = 1.5  # "small"; larger ones are brought to it as fast as the power allows
+    tau_s: float = 0.0  # a small deviation decays with this time constant
+    band_c: float = 1.5  # "small"; larger ones are brought to it as fast as the power allows
     slew_per_s: float = math.inf  # largest change of the output in a second
     delay_s: float = 0.0  # measurement to output in force, where the caller does not say
     ahead: int = 0  # further outputs planned beyond the first
@@ -83,8 +83,8 @@ class ModelParameters:
     temp_walk_c: float = 0.02  # of each node, within a second
     gap_s: float = 5.0  # without readings for so long: begin anew
     step_s: float = field(init=False, default=LONGEST_STEP_S)  # of the integration
-    aim_s: float = field(init=False, default=0.0)  # the horizon H of one choice ...
-    fade: float = field(init=False, default=0.0)  # ... and the share of a small deviation left by then
+    prediction_s: float = field(init=False, default=0.0)  # the horizon H of one choice ...
+    remaining: float = field(init=False, default=0.0)  # ... and the share of a small deviation left by then
     air_k4: float = field(init=False, default=0.0)  # fourth power of the air's absolute temperature
     _packed: Any = field(init=False, default=None, repr=False, compare=False)  # see packed()
 
@@ -98,9 +98,11 @@ class ModelParameters:
             lags.append(self.second_j_k / (self.link_w_k + self.second_loss_w_k))
         shortest = min((lag for lag in lags if lag > 0.0), default=math.inf)
         object.__setattr__(self, "air_k4", (self.ambient_c + ZERO_CELSIUS_K) ** 4)
-        aim_s = max(self.hold_s, self.horizon_s)
-        object.__setattr__(self, "aim_s", aim_s)
-        object.__setattr__(self, "fade", math.exp(-aim_s / self.fade_s) if self.fade_s > 0.0 else 0.0)
+        prediction_s = max(self.hold_s, self.horizon_s)
+        object.__setattr__(self, "prediction_s", prediction_s)
+        object.__setattr__(
+            self, "remaining", math.exp(-prediction_s / self.tau_s) if self.tau_s > 0.0 else 0.0
+        )
         step_s = min(LONGEST_STEP_S, shortest / STEPS_PER_LAG)
         require(
             step_s * STEPS_PER_HOLD >= self.hold_s,
@@ -116,7 +118,7 @@ class ModelParameters:
         for name in (
             *("loss_w_k", "radiation_m2", "second_j_k", "link_w_k", "second_loss_w_k", "element_j_k"),
             *("element_w_k", "sensor_s", "fan_w_k", "melt_ua_w_k", "melt_j_mm3_k", "bore_s", "flow_s"),
-            *("horizon_s", "fade_s", "knee_c", "delay_s", "ahead", "disturbance_w", "disturbance_start_w"),
+            *("horizon_s", "tau_s", "band_c", "delay_s", "ahead", "disturbance_w", "disturbance_start_w"),
             "disturbance_w2_per_k",
             *("gain_start", "gain_walk", "slant_c", "second_start", "temp_walk_c"),
         ):

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from chain_rig import FFI, LIB, new_chain, told
+from chain_rig import FFI, LIB, c_params, new_chain
 from thermal.sensing import blocks, supervision
 
 PARAMETERS = supervision.SuperviseParameters(0.0, 300.0)
@@ -24,7 +24,7 @@ class Watched:
     seen: Any = field(default_factory=lambda: FFI.new("struct chain_watch *"))
 
     def __post_init__(self) -> None:
-        self.chain = told(new_chain(watch=self.parameters))
+        self.chain = c_params(new_chain(watch=self.parameters))
         supervision.start(self.state, self.seen, 0.0)
 
     def block(self, end_s: float, temp_c: float = 0.0, reason: str = "") -> None:
@@ -117,7 +117,7 @@ def test_limits_trip_on_the_sixth_block_in_a_row(within: float, beyond: float, w
     assert words in on.watch(0.1, 100.0, 200.0, 0.1)
 
 
-def test_the_temperature_that_tripped_is_kept_and_blocks_go_on_being_heard() -> None:
+def test_the_temperature_that_tripped_is_kept_and_blocks_still_count() -> None:
     on = Watched(supervision.SuperviseParameters(0.0, 300.0, limit_blocks=1))
     on.block(0.1, 306.0)
     on.block(5.0, 307.0)
@@ -148,7 +148,7 @@ def test_a_new_start_forgets_silence_counts_and_windows() -> None:
         on.block(0.1, 306.0)
     assert on.watch(0.1, 100.0, 250.0, 1.0) == ""  # a window of demand begins
     supervision.start(on.state, on.seen, 50.0)
-    assert on.watch(51.0, math.nan, 250.0, 1.0) == ""  # heard and believed at the start
+    assert on.watch(51.0, math.nan, 250.0, 1.0) == ""  # a received and valid block at the start
     on.block(51.0, 306.0)
     assert on.watch(51.0, 100.0, 250.0, 1.0) == ""  # one beyond; the demand begins here
     assert on.see(53.9, 100.0, 250.0, 1.0) == ""
