@@ -123,7 +123,7 @@ class ClockSync:
         clock = self._last_clock + (params["clock"] - self._last_clock & 0xFFFFFFFF)
         self._last_clock = clock
         if not params["#sent_time"]:
-            return  # sent more than once: nobody knows which one this answers
+            return  # sent more than once: which one this answers is unknown
         line = self._estimator.add(ClockSample(params["#sent_time"], params["#receive_time"], clock))
         assert self._serial is not None
         self._serial.set_clock_est(line.freq, line.time_s, int(line.clock))
@@ -232,7 +232,7 @@ class SecondarySync(ClockSync):
 
     def _on_clock(self, params: dict[str, Any]) -> None:
         super()._on_clock(params)
-        # nobody moves: without calibrations both clocks would have drifted apart by the next motion
+        # nothing moves: without calibrations both clocks would have drifted apart by the next motion
         eventtime = self.reactor.monotonic()
         print_time = self._main_sync.estimated_print_time(eventtime)
         if print_time > self._bend_time + IDLE_BEND_S:

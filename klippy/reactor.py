@@ -319,7 +319,7 @@ class Reactor:
         def attempt() -> Any:
             try:
                 return work()
-            except Exception as error:  # handed to whoever waits for the result
+            except Exception as error:  # passed to the greenlet that waits for the result
                 return error
 
         if self.time_source.runs_by_itself:

@@ -91,7 +91,7 @@ class SerialReader:
         self._notify_id = 0
         self._clock = _Clock()
         self._is_file = False
-        # freed when nobody holds it any more: step writers may outlive the connection
+        # freed with its last user: step writers may outlive the connection
         self._sq = self._ffi.gc(self._lib.serialqueue_alloc(0), self._lib.serialqueue_free)
         self._default_queue = self._lib.serialqueue_alloc_commandqueue(self._sq)
 

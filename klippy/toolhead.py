@@ -339,7 +339,7 @@ class ToolHead:
 
     def wait_moves(self) -> None:
         """Return when all that is queued has been done."""
-        if not self.can_pause:  # nobody to wait for: what comes next follows at once
+        if not self.can_pause:  # nothing to wait for: the next line follows at once
             self._flush_lookahead()
             return
         self._settle()

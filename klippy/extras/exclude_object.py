@@ -157,7 +157,7 @@ class ExcludeObject:
             return
         self._filter.skipping = False
         if gcode_move.transform is not self._filter:
-            return  # somebody put a transform on top: stay, passing everything on
+            return  # another transform is on top: stay, and pass everything on
         gcode_move.set_move_transform(self._before, force=True)
         gcode_move.reset_last_position()
         self._filter = None

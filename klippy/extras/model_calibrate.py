@@ -28,13 +28,13 @@ USUAL_C = {"heater_bed": 80.0}
 NOZZLE_POWER_W = 30.0
 EVEN_C = 5.0  # 6 W/K; off and on would leave the thermometer without a reading at each peak
 MELT_C = 230.0  # usual for the steps with filament ...
-COOLER_C, COOLER_MIN_C = 45.0, 20.0  # ... and the second temperature so much below it
+COOLER_C, COOLER_MIN_C = 45.0, 20.0  # ... and how far below it the second temperature is
 EXTRUDE_MARGIN_C = 5.0  # above min_extrude_temp at least
 AIR_MM = 20.0  # below the nozzle, for filament to come out
 PIECE_S, PIECE_AHEAD_S = (
     5.0,
     0.4,
-)  # filament is fed in moves of so long: ABORT ends it soon, and few joints disturb it
+)  # time of a feeding move: ABORT ends it soon, and few joints disturb it
 MIN_POWER_W = 1.0  # no heater of a printer is weaker
 
 

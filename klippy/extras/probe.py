@@ -20,7 +20,7 @@ from . import manual_probe
 from .probing.points import ProbePointsHelper
 from .probing.switch import ProbeEvents, ProbeSwitch
 
-# PROBE_CALIBRATE brings the nozzle to where the probe was, so much above the trigger, at this speed.
+# PROBE_CALIBRATE brings the nozzle to where the probe was, this far above the trigger, at this speed.
 CALIBRATE_LIFT_MM = 5.0
 CALIBRATE_TRAVEL_MM_S = 50.0
 ACCURACY_SAMPLES = 10

@@ -27,7 +27,7 @@ from .path_host import PathHost
 AHEAD_S = (
     2.0  # what is planned nearer than this to the end of the path as far as it is known is planned again
 )
-WINDOW_S = 2.0  # so much new motion, then another plan
+WINDOW_S = 2.0  # new motion until another plan
 SHORTEST_S = 1e-6  # a shorter move deposits nothing (path_pieces.c)
 FARTHEST_MM = 10000.0  # no printer is larger; the map of the part grows with its area
 PROGRESS_LINES = 500
@@ -239,7 +239,7 @@ class OfflineRun(PathEvents):
 
     def on_speed(self, speed: LayerSpeed) -> None:
         if not self.session.requested.state.layer:
-            speed = LayerSpeed(speed.factor)  # nobody waits in the middle of a layer
+            speed = LayerSpeed(speed.factor)  # no pause in the middle of a layer
         before = self._speed_changes[-1].speed.factor if self._speed_changes else 1.0
         if speed.factor != before or speed.pause_s > 0.0:
             self._speed_changes.append(SpeedChange(self._lines.now.number, speed))

@@ -30,11 +30,11 @@ from .statusfeed import END, Fields, Status, StatusPublisher, StatusReader, Subs
 
 _RECEIVE_SIZE = 65536
 _REQUEST_LIMIT = 1024 * 1024  # bytes; 10 ms of parsing
-_STALL_S = 5.0  # a client that took nothing for so long is dropped
+_STALL_S = 5.0  # a client that reads nothing for this time is dropped
 _BACKLOG_LIMIT = 32 * 1024 * 1024
 _SUBSCRIPTION_PERIOD_S = 0.25
 _SHORTEST_PERIOD_S = 0.02
-_FAREWELL_S = 3.0  # when the host ends, clients have so long to close their side
+_FAREWELL_S = 3.0  # when the host ends, clients have this time to close their side
 _SCRIPT_SLICE_S = 0.01  # a script of many lines lets others run so often
 
 

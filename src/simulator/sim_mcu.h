@@ -40,7 +40,7 @@ struct sim_board {
     /* Devices on hardware buses; either may be NULL: nothing is connected.  What comes back takes the place of `data`;
      * pin_write has selected the chip before. */
     void (*spi_exchange)(void *ctx, uint32_t bus, uint8_t mode, uint8_t *data, uint32_t len, uint64_t clock);
-    /* Returns an enum i2c_status (src/board/i2c_status.h): 0 done, 3 nobody has this address, ... */
+    /* Returns an enum i2c_status (src/board/i2c_status.h): 0 done, 3 no device has this address, ... */
     uint8_t (*i2c_exchange)(void *ctx, uint32_t bus, uint8_t address, const uint8_t *write, uint32_t write_len,
                             uint8_t *read, uint32_t read_len, uint64_t clock);
 };

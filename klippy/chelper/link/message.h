@@ -36,7 +36,7 @@ uint8_t *vlq_encode(uint8_t *p, int64_t value);
 enum message_kind {
     MESSAGE_UNSIGNED = 'u', // modulo 2^32
     MESSAGE_SIGNED = 'i',   // the same, read as signed
-    MESSAGE_BUFFER = 's',   // a length of one byte, then so many; value: position of the first << 8 | length
+    MESSAGE_BUFFER = 's',   // a length of one byte, then the bytes; value: position of the first << 8 | length
 };
 enum { MESSAGE_CUT_NUMBER = -1, MESSAGE_CUT_BUFFER = -2 };
 

@@ -34,7 +34,7 @@ class Reading:
     pressure_hpa: float | None = None
 
 
-Pause = Callable[[float], None]  # for so many seconds
+Pause = Callable[[float], None]  # argument: seconds
 
 
 class Device(Protocol):

@@ -79,7 +79,7 @@ class StepTestPlan(OutputPlan):
     flow_s: float = 0.0  # 0: no flow step
     flow_mm3_s: float = 0.0
     further: tuple[Step, ...] = ()  # after the hold
-    even_c: float = 0.0  # hold with a drive in proportion over so many degrees instead of on and off
+    even_c: float = 0.0  # hold with a drive proportional over this band instead of on and off
     share: float = 0.6  # hold and cool last at least this share of the heating
     cool_to: float = 0.45  # cooling ends at this share of the rise; the pulse goes half way back
 

@@ -51,7 +51,7 @@ class SweepParameters:
     heat_s: float = 90.0  # at most
     cool_to_c: float = 60.0
     cool_s: float = 75.0  # at most
-    lag_s: float = 1.5  # of the reference, until it is known: stop heating so much ahead
+    lag_s: float = 1.5  # of the reference, until it is known: heating stops this time ahead
     visit_s: float = 0.0062  # settling and some 700 samples
     look_s: float = 0.0038
     pause_s: float = 0.045  # bridge off between looks while cooling

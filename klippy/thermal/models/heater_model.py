@@ -33,7 +33,7 @@ STEPS_PER_LAG = 10.0  # an Euler step is this much shorter than the fastest lag:
 LONGEST_STEP_S = 0.25
 STEPS_PER_HOLD = 30.0  # more steps of integration between two outputs take longer than the time they describe
 CLIMB_MIN_K_S, CLIMB_MAX_K_S = 1e-3, 1e5  # at full power; a chamber makes 0.02, a light nozzle 1000
-RISE_MIN_K = 2.0  # full power holds a heater at least so much above the room
+RISE_MIN_K = 2.0  # full power holds a heater at least this far above the room
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,10 +61,10 @@ class ModelParameters:
     bore_s: float = 0.0
     flow_s: float = 0.0
     # Control: what is wanted
-    hold_s: float = 0.3  # an output stays for so long
-    horizon_s: float = 0.0  # the wanted temperature is met so far ahead; at least hold_s
-    tau_s: float = 0.0  # a small deviation decays with this time constant
-    band_c: float = 1.5  # "small"; larger ones are brought to it as fast as the power allows
+    hold_s: float = 0.3  # time for which an output stays
+    horizon_s: float = 0.0  # time until the wanted temperature is met; at least hold_s
+    tau_s: float = 0.0  # closed-loop time constant: a small deviation decays with it
+    band_c: float = 1.5  # proportional band; larger deviations fall to it as fast as the power allows
     slew_per_s: float = math.inf  # largest change of the output in a second
     delay_s: float = 0.0  # measurement to output in force, where the caller does not say
     ahead: int = 0  # further outputs planned beyond the first
@@ -81,9 +81,9 @@ class ModelParameters:
     slant_c: float = 0.0  # of what full drive by itself moves the reading, degC; 0: nothing
     second_start: float = 0.2  # of the second mass's excess over air, relative
     temp_walk_c: float = 0.02  # of each node, within a second
-    gap_s: float = 5.0  # without readings for so long: begin anew
+    gap_s: float = 5.0  # after this time without readings: begin anew
     step_s: float = field(init=False, default=LONGEST_STEP_S)  # of the integration
-    prediction_s: float = field(init=False, default=0.0)  # the horizon H of one choice ...
+    prediction_s: float = field(init=False, default=0.0)  # the prediction horizon H ...
     remaining: float = field(init=False, default=0.0)  # ... and the share of a small deviation left by then
     air_k4: float = field(init=False, default=0.0)  # fourth power of the air's absolute temperature
     _packed: Any = field(init=False, default=None, repr=False, compare=False)  # see packed()

@@ -9,7 +9,7 @@
 struct best_node {
     double time_s, weight, wanted_c;
     double low_c, high_c;           /* of the window at its own flow */
-    double bound_low_c, bound_high_c;   /* they give way where the limits leave no other choice */
+    double bound_low_c, bound_high_c;   /* broken only where the limits leave no other choice */
     double melt_w_k;                /* what the melt takes meanwhile */
     double fall_c, rise_c;          /* limits on the way here */
     double temp_c;                  /* result */

@@ -41,7 +41,7 @@ struct path_turn {
 struct tempplan_path *tempplan_path_alloc(double filament_mm2, double longest_mm);
 void tempplan_path_free(struct tempplan_path *path);
 /* The first moves of the look-ahead's row, which are planned, in order; the first begins at print_time. Plans are made up
- * to planned_s: 1 if so much more waits now that it is worth another, or if these begin a new stretch; -1: no memory. */
+ * to planned_s: 1 if enough moves wait now for another plan, or if these begin a new stretch; -1: no memory. */
 int tempplan_path_note_planned(struct tempplan_path *path, const struct lookahead *la, int count, double print_time,
                                double fan, double planned_s);
 /* Pieces of the moves that wait, as far as `request` is true for them: up to until_s, and, if it goes by place, up to the

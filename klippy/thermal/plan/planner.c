@@ -8,7 +8,7 @@
 #include "planner_internal.h"
 
 static const double LEFT_OF_A_LAYER = 0.1;  /* of a road's excess over the chamber is left when the next layer comes */
-static const double GUESS_MM = 20000.0;     /* so much path does that guess count */
+static const double GUESS_MM = 20000.0;     /* weight of that guess, as a length of path */
 
 enum { FEW = 16 };                          /* columns of a piece that are not looked up twice */
 

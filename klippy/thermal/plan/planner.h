@@ -24,10 +24,10 @@ struct tempplan_params {
     double bed_c, chamber_c, still_w_m2k, fan_w_m2k, bed_reach_mm, cell_mm;
     double interface_c;             /* wanted at the weld; NaN: bonding has no say */
     double follow_mm;               /* > 0: at least interface_c, and what the user's own temperature gives on average
-                                     * over so much path */
+                                     * over this path */
     double core_c;                  /* the filament's core must reach it; NaN: no say */
     double core_step_mm3_s;         /* flow per entry of the core table */
-    /* Wanted walls are averaged over so much time to both sides, by volume. Heating is ten times as quick as cooling:
+    /* Wanted walls are averaged over this time to both sides, by volume. Heating is ten times as quick as cooling:
      * a plan that went after every corner's flow would ratchet up. 0: not averaged. */
     double smooth_s;
     double preview;                 /* 0: turn at the border of each piece, as M104 would; for comparing */

@@ -66,13 +66,13 @@ class PlanOptions:
 
     interface_c: float | None = None  # temperature wanted at the weld; None: the weld has no say
     follow_mm: float = (
-        0.0  # > 0: at least interface_c, and as warm as the user's own target welds over so much path
+        0.0  # > 0: at least interface_c, and as warm as the user's own target welds over this path
     )
     core: bool = False  # the filament's core must reach the material's flow temperature
     zone_mm: float = 20.0  # heated length of the nozzle
     filament_mm: float = 1.75
     preview: bool = True  # False: turn at the border of each piece, as M104 would
-    smooth_s: float = 0.0  # wanted walls are averaged over so much time to both sides
+    smooth_s: float = 0.0  # wanted walls are averaged over this time to both sides
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +274,7 @@ class TemperaturePlan:
             return []
         if (
             len(self._done) < rows * _DONE.size
-        ):  # kept: zeroing it at each call would be dearer than the totals
+        ):  # kept: zeroing it at each call would cost more than the totals
             self._done = bytearray(rows * _DONE.size)
         count = self._lib.tempplan_finish(
             self._plan, until_s, self._ffi.from_buffer("double[]", self._done), rows

@@ -28,7 +28,7 @@ from .requests import Requests, RequestTable
 
 COMMIT_S = 0.20  # the plan nearer than this stays: commands for it may be on their way
 RECORD_BEHIND_S = 0.5  # pieces are recorded when they are surely deposited
-RETURN_S = 0.5  # so long after the last piece the nozzle goes back to the user's target
+RETURN_S = 0.5  # from the last piece until the nozzle goes back to the user's target
 ROWS_AT_ONCE = 4096
 WITHIN_C = 0.02  # a straight line for corners that are so near it: far below what the thermometer sees
 SAME_TIME_S = 1e-6  # a mark and the move behind it
@@ -74,7 +74,7 @@ class UserTarget:
     """The nozzle temperature that the user has set."""
 
     base_c: float = 0.0
-    moved_c: float = 0.0  # by so much it moved within the print
+    moved_c: float = 0.0  # change of the target within the print
 
 
 @dataclass(slots=True)
@@ -84,7 +84,7 @@ class Lead:
     reference: Reference | None = None  # None: it holds the user's target
     end_s: float = -math.inf  # of what is planned
     going_home: bool = False  # nothing more came: the reference leads back to the user's target
-    is_due: bool = False  # so much new motion has come that it is worth another plan
+    is_due: bool = False  # enough new motion has come for another plan
 
 
 @dataclass(frozen=True, slots=True)

@@ -241,6 +241,15 @@ def test_names_and_comments_of_code_are_words(code: str, tmp_path: Path) -> None
     assert len(word_offences("x = 1", tmp_path, "the_wishes.py")) == 1
 
 
+def test_a_documented_name_is_allowed_in_its_rooms_only(root: Path) -> None:
+    line = ["fade_start = 1.0"]
+    assert list(check_words.words(root / "klippy" / "extras" / "bed_mesh" / "config.py", line)) == []
+    assert list(check_words.words(root / "klippy" / "toolhead.py", line))
+    rooms = [room for _, names in check_words.DOCUMENTED for room in names]
+    rooms += [*check_words.ROOMS_CHECKED, *check_words.ROOMS_NOT_YET]
+    assert [room for room in rooms if not (root / room).exists()] == []
+
+
 def test_a_long_sentence_is_found_wherever_its_lines_end(tmp_path: Path) -> None:
     long = " ".join(["word"] * 13)
     (found,) = word_offences(f"# Title\n\nShort. So {long}\n{long}. Short.\n", tmp_path)

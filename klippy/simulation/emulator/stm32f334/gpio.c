@@ -180,7 +180,7 @@ void gpio_write(unsigned unit, uint32_t offset, uint32_t value)
     }
 }
 
-/* Reset state (9.4): all analog or input; port A's debugger pins in alternate mode. The world hears nothing: whoever
+/* Reset state (9.4): all analog or input; port A's debugger pins in alternate mode. The world gets no report: whoever
  * restarts the chip switches off what it drives. */
 void gpio_reset(unsigned unit)
 {

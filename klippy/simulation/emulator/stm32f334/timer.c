@@ -1,6 +1,6 @@
 /* General purpose timers TIM1, 2, 3, 6, 7, 15, 16, 17 (RM0364 chapters 17 to 20): up-counters, compare interrupts, PWM.
  *
- * A counter is a start clock and a rate; flags are made when somebody looks or when an enabled interrupt is due.
+ * A counter is a start clock and a rate; flags are computed when they are read or when an enabled interrupt is due.
  */
 #include "chip.h"
 
