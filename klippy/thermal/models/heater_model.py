@@ -98,11 +98,9 @@ class ModelParameters:
             lags.append(self.second_j_k / (self.link_w_k + self.second_loss_w_k))
         shortest = min((lag for lag in lags if lag > 0.0), default=math.inf)
         object.__setattr__(self, "air_k4", (self.ambient_c + ZERO_CELSIUS_K) ** 4)
-        prediction_s = max(self.hold_s, self.horizon_s)
-        object.__setattr__(self, "prediction_s", prediction_s)
-        object.__setattr__(
-            self, "remaining", math.exp(-prediction_s / self.tau_s) if self.tau_s > 0.0 else 0.0
-        )
+        span_s = max(self.hold_s, self.horizon_s)
+        object.__setattr__(self, "prediction_s", span_s)
+        object.__setattr__(self, "remaining", math.exp(-span_s / self.tau_s) if self.tau_s > 0.0 else 0.0)
         step_s = min(LONGEST_STEP_S, shortest / STEPS_PER_LAG)
         require(
             step_s * STEPS_PER_HOLD >= self.hold_s,
