@@ -22,7 +22,7 @@ Goals: the three ways within 20 % of each other, three times the peer's moves/s,
 
 from __future__ import annotations
 
-from bench_paths import ROOT  # isort: skip
+import harness  # isort: skip
 
 import argparse
 import json
@@ -30,19 +30,17 @@ import math
 import os
 import shlex
 import statistics
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
+from harness import ROOT
 
 MAX_MEMORY_MB = 45.0
 MAX_SPREAD = 1.2  # of the slowest way to the fastest
+OUR_WAYS = ("batch", "SD", "live")
 CHORD_MM = 0.5
 FILAMENT_PER_MM = 0.0333  # 0.4 x 0.2 mm lines of 1.75 mm filament
 CLOCK_HZ = 20_000_000
@@ -144,18 +142,6 @@ class Case:
         ) + (SHAPER if self.smooth else "")  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """What one process took; memory is its peak resident set in MB (1e6 bytes)."""
-
-    time_s: float
-    peak_mb: float
-
-
-class BenchError(Exception):
-    """A run did not come to its end; the text says why."""
-
-
 def dictionary() -> dict[str, object]:
     """What an ordinary MCU would say about itself; message ids are ours."""
     numbers = {"identify offset=%u count=%c": 1, "identify_response offset=%u data=%.*s": 0}
@@ -230,22 +216,6 @@ def write_gcode(path: Path, moves: int) -> None:
                 return
 
 
-def run(command: Sequence[str], by_clock: bool) -> Cost:
-    """Run a process to its end and measure it: its processor time, or by the clock."""
-    begin = time.monotonic()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    assert process.stderr is not None
-    complaint = process.stderr.read().decode("utf-8", "replace")
-    _pid, status, usage = os.wait4(process.pid, 0)
-    wall_s = time.monotonic() - begin
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise BenchError(
-            f"{shlex.join(command)} ended with status {process.returncode}:\n{complaint[-2000:]}"
-        )
-    return Cost(wall_s if by_clock else usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024 / 1e6)
-
-
 class Bench:
     """Files and commands of one bench run."""
 
@@ -266,15 +236,16 @@ class Bench:
         write_gcode(folder / "moves.gcode", moves)
         write_gcode(folder / "home.gcode", 0)
 
-    def cost(self, way: str, case: Case, gcode: str) -> Cost:
-        """One run of a host."""
+    def cost(self, way: str, case: Case, gcode: str) -> tuple[float, float]:
+        """(seconds, peak MB) of one run of a host."""
         path = self.folder / "printer.cfg"
         path.write_text(case.config() + f"[virtual_sdcard]\npath: {self.folder}\n")
         values = {
             "CONFIG": str(path), "GCODE": str(self.folder / f"{gcode}.gcode"), "OUT": os.devnull,
             "DICT": str(self.folder / "bench.dict"),
         }  # fmt: skip
-        return run([values.get(word, word) for word in self.ways[way]], self.by_clock)
+        done = harness.run(*(values.get(word, word) for word in self.ways[way]))
+        return done.wall_s if self.by_clock else done.cpu_s, done.peak_mb
 
     def measure(self, case: Case, repeat: int) -> tuple[dict[str, float], float]:
         """(moves/s by way, our peak MB): the best of some runs in turn, start-up and homing taken off."""
@@ -283,11 +254,11 @@ class Bench:
         # the first start of a host reads files that no cache holds: one more than is asked for
         for turn in range(repeat + 1):
             for way in self.ways:
-                idle[way] = min(idle[way], self.cost(way, case, "home").time_s)
+                idle[way] = min(idle[way], self.cost(way, case, "home")[0])
                 if turn:
-                    cost = self.cost(way, case, "moves")
-                    busy[way] = min(busy[way], cost.time_s)
-                    peak_mb = max(peak_mb, cost.peak_mb if way != "peer" else 0.0)
+                    took_s, took_mb = self.cost(way, case, "moves")
+                    busy[way] = min(busy[way], took_s)
+                    peak_mb = max(peak_mb, took_mb if way != "peer" else 0.0)
         return {way: self.moves / (busy[way] - idle[way]) for way in self.ways}, peak_mb
 
 
@@ -301,52 +272,44 @@ def cases(quick: bool) -> list[Case]:
     return everything[:1] if quick else everything
 
 
-def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description="Throughput of G-code lines to queued steps.")
+def bench(options: argparse.Namespace, report: harness.Report) -> None:
+    rows: dict[str, dict[str, float]] = {}
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = options.keep or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        work = Bench(folder, options.moves, options.peer, options.wall)
+        for case in cases(options.quick):
+            if options.only not in case.title:
+                continue
+            rates, peak_mb = work.measure(case, options.repeat)
+            own = [rates[way] for way in OUR_WAYS]
+            row = {**rates, "spread": max(own) / min(own), "peak MB": peak_mb}
+            if "peer" in rates:
+                row["live / peer"] = rates["live"] / rates["peer"]
+            rows[case.title] = row
+            report.at_most(f"{case.title}: slowest to fastest way", row["spread"], MAX_SPREAD)
+            report.at_most(f"{case.title}: MB", peak_mb, MAX_MEMORY_MB, 1)
+    report.figures["moves_per_s"] = rows
+    heads = list(next(iter(rows.values()), {}))
+    texts = (
+        [title, *(f"{row[head]:,.{2 if row[head] < 20 else 0}f}" for head in heads)]
+        for title, row in rows.items()
+    )
+    report.table(f"{options.moves} moves, moves/s", ["case", *heads], texts)
+    if ratios := [row["live / peer"] for row in rows.values() if "live / peer" in row]:
+        print(f"live / peer: median {statistics.median(ratios):.2f}, lowest {min(ratios):.2f}")
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = harness.options(__doc__, "the first case only")
     parser.add_argument("--moves", type=int, default=300_000)
     parser.add_argument("--repeat", type=int, default=2, help="best of so many runs")
-    parser.add_argument("--quick", action="store_true", help="the first case only")
     parser.add_argument("--only", default="", metavar="TEXT", help="the cases whose title has this")
     parser.add_argument("--wall", action="store_true", help="measure by the clock, not by processor time")
     parser.add_argument("--peer", help="command of another host; CONFIG GCODE OUT DICT are replaced")
     parser.add_argument("--keep", type=Path, help="folder for the files, kept")
-    options = parser.parse_args(argv)
-    table = Table(title=f"{options.moves} moves, moves/s")
-    for heading in ("case", "batch", "SD", "live", "spread", "peak MB", "peer", "live / peer"):
-        table.add_column(heading, justify="left" if heading == "case" else "right")
-    highest_mb = 0.0
-    spreads: list[float] = []
-    ratios: list[float] = []
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = options.keep or Path(scratch)
-        folder.mkdir(parents=True, exist_ok=True)
-        bench = Bench(folder, options.moves, options.peer, options.wall)
-        try:
-            for case in cases(options.quick):
-                if options.only not in case.title:
-                    continue
-                rates, peak_mb = bench.measure(case, options.repeat)
-                own = [rates[way] for way in ("batch", "SD", "live")]
-                spreads.append(max(own) / min(own))
-                highest_mb = max(highest_mb, peak_mb)
-                row = [case.title, *(f"{rate:,.0f}" for rate in own), f"{spreads[-1]:.2f}", f"{peak_mb:.0f}"]
-                if "peer" in rates:
-                    ratios.append(rates["live"] / rates["peer"])
-                    row += [f"{rates['peer']:,.0f}", f"{ratios[-1]:.2f}"]
-                table.add_row(*row)
-        except BenchError as problem:
-            print(f"bench_motion: {problem}", file=sys.stderr)
-            return 1
-    Console(width=130).print(table)
-    if ratios:
-        print(f"live / peer: median {statistics.median(ratios):.2f}, lowest {min(ratios):.2f}")
-    problems = [f"more than {MAX_MEMORY_MB:.0f} MB"] if highest_mb > MAX_MEMORY_MB else []
-    if spreads and max(spreads) > MAX_SPREAD:
-        problems.append(f"the ways differ by more than {100 * (MAX_SPREAD - 1):.0f} %")
-    for text in problems:
-        print(f"bench_motion: {text}", file=sys.stderr)
-    return int(bool(problems))
+    return parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(harness.main(bench, parser()))
