@@ -117,7 +117,7 @@ check-lint:
 check-types:
 	$(PYTHON) -m mypy --no-error-summary
 
-# DICTIONARY_PASS is for scripts/build_dictionary.py; cppcheck 2.10 knows noreturn only as an attribute.
+# DICTIONARY_PASS is for scripts/build/build_dictionary.py; cppcheck 2.10 knows noreturn only as an attribute.
 # The firmware's own files meet four compilers in check-cross. (The C helper is not compiled with -Isrc: the
 # system's headers would find the firmware's sched.h.)
 check-c:
