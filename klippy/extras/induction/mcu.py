@@ -169,12 +169,6 @@ class InductionUnit:
             most = max(1, round(LOT_S / message_s))
             self.mcu.register_lot(self._take_lot, BLOCK_FORMAT, most * message_s + LOT_SLACK_S, most)
 
-    def set_report(self, enable: bool) -> None:
-        """Start or stop sampling and reports."""
-        self._report.send([self._oid, int(enable)])
-        if self._stream is not None:
-            self._stream.restart()
-
     def print_time_now(self, eventtime: float) -> float:
         """Estimated present print time of this MCU."""
         return self.mcu.estimated_print_time(eventtime)
