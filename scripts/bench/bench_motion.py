@@ -25,17 +25,17 @@ from __future__ import annotations
 import harness  # isort: skip
 
 import argparse
-import json
 import math
 import os
 import shlex
 import statistics
 import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
+import batch_messages
 from harness import ROOT
 
 MAX_MEMORY_MB = 45.0
@@ -43,34 +43,7 @@ MAX_SPREAD = 1.2  # of the slowest way to the fastest
 OUR_WAYS = ("batch", "SD", "live")
 CHORD_MM = 0.5
 FILAMENT_PER_MM = 0.0333  # 0.4 x 0.2 mm lines of 1.75 mm filament
-CLOCK_HZ = 20_000_000
-
-COMMANDS = (
-    "allocate_oids count=%c", "finalize_config crc=%u", "get_config", "get_clock", "get_uptime", "emergency_stop",
-    "clear_shutdown", "identify offset=%u count=%c", "debug_nop", "config_reset", "reset",
-    "config_stepper oid=%c step_pin=%c dir_pin=%c invert_step=%c step_pulse_ticks=%u",
-    "queue_step oid=%c interval=%u count=%hu add=%hi", "set_next_step_dir oid=%c dir=%c",
-    "reset_step_clock oid=%c clock=%u", "stepper_get_position oid=%c", "stepper_stop_on_trigger oid=%c trsync_oid=%c",
-    "config_endstop oid=%c pin=%c pull_up=%c", "endstop_query_state oid=%c",
-    "endstop_home oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u pin_value=%c trsync_oid=%c"
-    " trigger_reason=%c",
-    "config_trsync oid=%c", "trsync_start oid=%c report_clock=%u report_ticks=%u expire_reason=%c",
-    "trsync_set_timeout oid=%c clock=%u", "trsync_trigger oid=%c reason=%c",
-    "config_digital_out oid=%c pin=%u value=%c default_value=%c max_duration=%u",
-    "set_digital_out_pwm_cycle oid=%c cycle_ticks=%u", "queue_digital_out oid=%c clock=%u on_ticks=%u",
-    "update_digital_out oid=%c value=%c", "set_digital_out pin=%u value=%c",
-    "config_pwm_out oid=%c pin=%u cycle_ticks=%u value=%hu default_value=%hu max_duration=%u",
-    "queue_pwm_out oid=%c clock=%u value=%hu", "config_analog_in oid=%c pin=%u",
-    "query_analog_in oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u bytes_per_report=%c"
-    " min_value=%hu max_value=%hu range_check_count=%c",
-)  # fmt: skip
-RESPONSES = (
-    "identify_response offset=%u data=%.*s", "stats count=%u sum=%u sumsq=%u", "clock clock=%u",
-    "uptime high=%u clock=%u", "config is_config=%c crc=%u is_shutdown=%c move_count=%hu", "starting",
-    "shutdown clock=%u static_string_id=%hu", "is_shutdown static_string_id=%hu",
-    "stepper_position oid=%c pos=%i", "endstop_state oid=%c homing=%c next_clock=%u pin_value=%c",
-    "trsync_state oid=%c can_trigger=%c trigger_reason=%c clock=%u", "analog_in_state oid=%c next_clock=%u values=%*s",
-)  # fmt: skip
+DICTIONARY = batch_messages.dictionary(20e6, STEPPER_STEP_BOTH_EDGE=1, PWM_MAX=255)
 
 RAIL = """[stepper_{axis}]
 step_pin: P{port}1
@@ -140,26 +113,6 @@ class Case:
             kinematics=self.kinematics, microsteps=self.microsteps, rails=rails, e_rotation=7.6,
             advance=0.05 if self.smooth else 0.0,
         ) + (SHAPER if self.smooth else "")  # fmt: skip
-
-
-def dictionary() -> dict[str, object]:
-    """What an ordinary MCU would say about itself; message ids are ours."""
-    numbers = {"identify offset=%u count=%c": 1, "identify_response offset=%u data=%.*s": 0}
-    free = iter(range(2, 200))
-
-    def numbered(formats: Sequence[str]) -> dict[str, int]:
-        return {text: numbers[text] if text in numbers else next(free) for text in formats}
-
-    pins = {f"P{port}0": [16 * index, 16] for index, port in enumerate("ABCDEFGH")}
-    return {
-        "app": "Bench", "license": "none", "version": "bench", "build_versions": "none",
-        "commands": numbered(COMMANDS), "responses": numbered(RESPONSES),
-        "enumerations": {"pin": pins, "static_string_id": {"Timer too close": 2}},
-        "config": {
-            "MCU": "bench", "CLOCK_FREQ": CLOCK_HZ, "ADC_MAX": 4095, "PWM_MAX": 255, "STATS_SUMSQ_BASE": 256,
-            "STEPPER_STEP_BOTH_EDGE": 1,
-        },
-    }  # fmt: skip
 
 
 def ring(x: float, y: float, radius: float) -> Iterator[str]:
@@ -232,7 +185,7 @@ class Bench:
         }
         if peer:
             self.ways["peer"] = shlex.split(peer)
-        (folder / "bench.dict").write_text(json.dumps(dictionary()))
+        (folder / "bench.dict").write_bytes(DICTIONARY)
         write_gcode(folder / "moves.gcode", moves)
         write_gcode(folder / "home.gcode", 0)
 

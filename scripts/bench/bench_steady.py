@@ -14,7 +14,6 @@ from __future__ import annotations
 import harness  # isort: skip
 
 import argparse
-import json
 import math
 import multiprocessing
 import os
@@ -171,7 +170,7 @@ def print_under_load(folder: Path, seconds: float) -> Steadiness:
 def batch_memory_mb(folder: Path, hours: float) -> float:
     """Peak memory of a batch run over so much motion."""
     messages, config, gcode = folder / "bench.dict", folder / "batch.cfg", folder / "long.gcode"
-    messages.write_text(json.dumps(bench_motion.dictionary()))
+    messages.write_bytes(bench_motion.DICTIONARY)
     config.write_text(bench_motion.Case("cartesian", 16, True).config())
     with gcode.open("w") as out:
         out.write("G28\nM83\nG1 Z1\n")

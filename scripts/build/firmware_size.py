@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-SHT_NOBITS, SHF_ALLOC, SHF_WRITE = 8, 2, 1
+SHT_NOBITS, SHF_ALLOC = 8, 2
 STACK_SHARE_MAX = 0.75  # of its space: the rest is for what the scenarios have not met
 
 

@@ -17,8 +17,9 @@ import check_registers
 import chip_rig
 import firmware_size
 import seal_firmware
-from chip_rig import Firmware, Tiny
+from chip_rig import Firmware
 from simulation.builds import Build, make_build
+from tiny_chip import Tiny
 
 ROOT = Path(__file__).resolve().parents[2]
 KIB = 1024

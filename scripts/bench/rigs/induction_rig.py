@@ -265,7 +265,6 @@ class Rig:
         self._mean = 0.0
         self._strayed = False
         self.strays = 0
-        self.wakes = 0
         self._sequence = 0
         self._mail: list[tuple[float, int, int, bytes]] = []  # (arrival, sequence, clock, data); b"": strayed
         self._last_arrival = 0.0
@@ -391,7 +390,6 @@ class Rig:
             (CALM_MESSAGES, CALM_MESSAGES * 0.0112 + 0.015) if self._patient is not None else (1, 0.0)
         )
         if strayed or len(lot) >= most or (lot and now_s - lot[0][0] >= wait_s):
-            self.wakes += 1
             del self._mail[: len(lot)]
             if strayed:
                 self.strays += 1

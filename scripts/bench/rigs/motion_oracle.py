@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 import msgproto
+from batch_messages import CLOCK_HZ, MAX_ERROR_S, decode, dictionary
 from motion_exact import Array, Epoch, Ramps, filament_epochs, geometry, head_epochs
-from motion_rig import CLOCK_HZ, MAX_ERROR_S, decode, dictionary
 from printer import Printer
 from reactor import Reactor
 
