@@ -49,7 +49,7 @@ NOZZLE_C, BED_C = 245, 100
 HARD_SECTION = {"material": "PC", "bed_temp": "100", "chamber_temp": "25"}
 HARD_NOZZLE_C = 265
 UA_W_K, HEAT_MJ_M3K, INLET_C = 0.0276, 2.1, 25.0  # of the reference plant
-LEAST_FLOW_MM3_S = 0.3
+MIN_FLOW_MM3_S = 0.3
 AVERAGE_S = 0.5
 STEP_C, STEP_S, STEPS = 15.0, 1.5, 14
 STEP_SEEDS = (1, 2, 3, 4, 5, 6, 7, 8)
@@ -136,7 +136,7 @@ def tracking(run: Table, plan: Any, offset_s: float, fixed_c: float | None = Non
     times = trace["t_s"] + offset_s
     row = np.searchsorted(plan["start_s"], times, side="right") - 1
     flow = trace["flow_mm3_s"]
-    laid = (row >= 0) & (flow > LEAST_FLOW_MM3_S)
+    laid = (row >= 0) & (flow > MIN_FLOW_MM3_S)
     row = np.clip(row, 0, None)
     laid &= times < plan["end_s"][row]
     row, weight, melt = row[laid], flow[laid], trace["melt_c"][laid]
@@ -297,7 +297,7 @@ def offline_row(kind: str, found: Table, us: float) -> tuple[str, ...]:
         f"{found['spread_fixed_c']:.1f}",
         f"{found['spread_c'] / found['spread_fixed_c']:.2f}",
         *(f"{1 - found[key]:.3%}" for key in ("bonded_share", "bonded_share_fixed")),
-        f"{found['slowest_pace']:.2f}",
+        f"{found['min_speed_factor']:.2f}",
         f"{found['duration_s'] / found['duration_fixed_s'] - 1.0:.1%}",
         f"{us:.1f}",
     )

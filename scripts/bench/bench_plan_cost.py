@@ -39,7 +39,7 @@ from extras.induction import settings as induction_settings
 from lookahead import LookAheadQueue
 from simulation.path_host import PathHost, PathPrinter
 from thermal.control.control_api import Reference
-from thermal.plan.requests import Wishes, read_comment
+from thermal.plan.requests import Requests, read_comment
 
 AHEAD_S = 2.0  # toolhead.BUFFER_FULL_S
 NOZZLE_C = 245.0
@@ -49,7 +49,7 @@ WIDE_CONFIG = f"[include {harness.SAMPLE_CONFIG}]\n[stepper_x]\nposition_max: 20
 FILES = ("benchy.gcode", "cubhelix.gcode", "brace.gcode")
 INSTRUCTION_MOVES = 3000
 MEMORY_MOVES = (100_000, 1_000_000)
-Planned = tuple[Any, Wishes]  # Move of the look-ahead, what holds for it
+Planned = tuple[Any, Requests]  # Move of the look-ahead, what holds for it
 
 
 def sample_config(section: dict[str, str]) -> ConfigWrapper:
@@ -134,7 +134,7 @@ class Section(temperature_plan.TemperaturePlanner):
     def timer(self, time_s: float) -> float:
         return self._on_timer(time_s)
 
-    def mark(self, state: Wishes) -> None:
+    def mark(self, state: Requests) -> None:
         self._mark(state)
 
 
@@ -159,7 +159,7 @@ def replay(moves: Iterable[Planned], planned: bool) -> tuple[int, float]:
     printer = Printer()
     section = Section(printer)
     queue = LookAheadQueue()
-    count, time_s, state, watch = 0, 1.0, Wishes(), Watch(planned)
+    count, time_s, state, watch = 0, 1.0, Requests(), Watch(planned)
     for move, wishes in moves:
         count += 1
         if planned and wishes is not state:
@@ -195,7 +195,7 @@ class Collector:
 
     def __init__(self) -> None:
         self.moves: list[Planned] = []
-        self._state = Wishes()
+        self._state = Requests()
 
     def on_ready(self, printer: PathPrinter) -> None:
         printer.lookup_object("toolhead").register_move_listener(self._on_moves)
@@ -296,7 +296,7 @@ def measure_real_time(seconds: float, report: harness.Report) -> None:
         found, share = in_real_time(text, seconds)
         report.missed += found.faults
         report.figures[name] = {"print": found, "host_share": share}
-        rows.append((name, f"{found.ahead_min_s:.2f}", found.stalls, f"{100.0 * share:.1f}"))
+        rows.append((name, f"{found.min_ahead_s:.2f}", found.stalls, f"{100.0 * share:.1f}"))
     report.table("", ("real time", "plan ahead min, s", "stalls", "host, % of a core"), rows)
 
 

@@ -55,7 +55,7 @@ path: {folder}
 class Steadiness:
     """What the real-time print was like."""
 
-    ahead_min_s: float = float("inf")
+    min_ahead_s: float = float("inf")
     stalls: int = 0
     seconds: float = 0.0
     faults: list[str] = field(default_factory=list)
@@ -130,7 +130,7 @@ def watch(client: Client, seconds: float) -> Steadiness:
             break
         toolhead = status["toolhead"]
         ahead_s = toolhead["print_time"] - toolhead["estimated_print_time"]
-        result.ahead_min_s = min(result.ahead_min_s, ahead_s)
+        result.min_ahead_s = min(result.min_ahead_s, ahead_s)
         result.stalls = toolhead["stalls"]
     return result
 
@@ -204,7 +204,7 @@ def bench(options: argparse.Namespace, report: harness.Report) -> None:
                 ("idle: from a line to its first step, s", f"{steady.first_step_s:.3f}"),
                 (
                     f"{steady.seconds:.0f} s in real time under load: plan ahead min, s",
-                    f"{steady.ahead_min_s:.2f}",
+                    f"{steady.min_ahead_s:.2f}",
                 ),
                 ("stalls", str(steady.stalls)),
             ]

@@ -65,7 +65,7 @@ def test_strands_that_do_not_swell_and_strands_that_cannot_be():
         extrusion.fit_die_swell([1.0, 2.0, 4.0], [450.0, 480.0, 520.0], 1.75)
 
 
-def test_ooze_grows_to_its_total_and_a_cold_spell_adds_to_it():
+def test_ooze_grows_to_its_total_and_a_cold_interval_adds_to_it():
     overrun = extrusion.Overrun(12.0, 3.0)
     assert extrusion.oozed_mm(overrun, 0.0) == 0.0
     assert extrusion.oozed_mm(overrun, 3.0) == pytest.approx(12.0 * (1 - math.exp(-1)))
