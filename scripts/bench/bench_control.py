@@ -53,7 +53,7 @@ COLUMNS: tuple[tuple[str, Callable[[Any], str]], ...] = (
     ("flow dev", lambda r: f"{r.flow_deviation_c:.2f}"),
     ("flow steady", lambda r: f"{r.flow_steady_c:.2f}"),
     ("+step s", lambda r: f"{r.step_s:.3f}"),
-    ("least", lambda r: f"{r.step_min_s:.3f}"),
+    ("min s", lambda r: f"{r.step_min_s:.3f}"),
 )
 # Rows of the comparison: how many times as large as model's.
 FACTORS: tuple[tuple[str, Callable[[Any], float], float], ...] = (
@@ -63,7 +63,7 @@ FACTORS: tuple[tuple[str, Callable[[Any], float], float], ...] = (
     ("ripple", lambda r: r.ripple_c, 0.02),
     ("flow deviation", lambda r: r.flow_deviation_c, 0.02),
     ("flow steady", lambda r: r.flow_steady_c, 0.02),
-    ("step beyond the least", lambda r: r.step_over_s, 0.002),
+    ("step beyond the minimum", lambda r: r.step_over_s, 0.002),
 )
 ARRIVED_C = 3.0  # a law that holds no better than this was never there: its overshoot says nothing
 
@@ -151,7 +151,7 @@ def show_degraded(report: harness.Report, rows: Sequence[Degraded], runs: int) -
 
 
 def step_cost_us(printing: bool = False) -> float:
-    """Mean time of one step of the model law while it holds a nozzle, in this process.
+    """Mean time of one step of predictive control while it holds a nozzle, in this process.
 
     printing: with a flow that changes every 10 ms, so that every step makes a plan of what follows.
     """
@@ -287,7 +287,7 @@ def measure_cost(quick: bool, report: harness.Report) -> None:
     """Time of a step, share of a core."""
     cost_us, busy_us = step_cost_us(), step_cost_us(printing=True)
     report.figures |= {"step_us": cost_us, "step_printing_us": busy_us}
-    report.at_most("us a step of the model law", cost_us, STEP_COST_US, 0)
+    report.at_most("us a step of predictive control", cost_us, STEP_COST_US, 0)
     rows = [("model: a step, us", f"{cost_us:.0f}"), ("  while the flow changes", f"{busy_us:.0f}")]
     if not quick:
         share = host_share(HOLD_S)

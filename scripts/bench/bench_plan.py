@@ -136,15 +136,15 @@ def tracking(run: Table, plan: Any, offset_s: float, fixed_c: float | None = Non
     times = trace["t_s"] + offset_s
     row = np.searchsorted(plan["start_s"], times, side="right") - 1
     flow = trace["flow_mm3_s"]
-    laid = (row >= 0) & (flow > MIN_FLOW_MM3_S)
+    flowing = (row >= 0) & (flow > MIN_FLOW_MM3_S)
     row = np.clip(row, 0, None)
-    laid &= times < plan["end_s"][row]
-    row, weight, melt = row[laid], flow[laid], trace["melt_c"][laid]
+    flowing &= times < plan["end_s"][row]
+    row, weight, melt = row[flowing], flow[flowing], trace["melt_c"][flowing]
     if fixed_c is not None:
         melt = INLET_C - (fixed_c - INLET_C) * np.expm1(-UA_W_K / (1e-3 * HEAT_MJ_M3K * weight))
     share = -np.expm1(-UA_W_K / (1e-3 * HEAT_MJ_M3K * weight))
     against_plan = melt - (INLET_C + (plan["wall_c"][row] - INLET_C) * share)
-    slot = np.floor(times[laid] / AVERAGE_S).astype(int)
+    slot = np.floor(times[flowing] / AVERAGE_S).astype(int)
     slot -= slot[0]
     volume = np.bincount(slot, weight)
     held = volume > 0.0

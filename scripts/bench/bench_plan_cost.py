@@ -4,8 +4,8 @@
     scripts/bench/bench_plan_cost.py [--moves 50000] [--instructions] [--memory] [FILE ...]
 
 The section's own code (extras/temperature_plan/__init__.py) is run as the printer does it: the look-ahead hands it
-moves, its timer plans again 2 s behind, marks of layers and features come by; the pace of hot layers is off. Counted
-is what [temperature_plan] adds: the copy in the look-ahead, the timer, the books, and the list of corners that it
+moves, its timer plans again 2 s behind, marks of layers and features come by; the minimum layer time is off. Counted
+is what [temperature_plan] adds: the copy in the look-ahead, the timer, the records, and the list of corners that it
 hands to the heater. Not counted are look-ahead and reading of the file, which are there without it as well.
 
     --instructions   counts instructions with valgrind, with the plan less without: as exact as time is noisy
@@ -82,7 +82,7 @@ class Printer:
         self.toolhead = SimpleNamespace(
             get_extruder=lambda: extruder,
             register_move_listener=_nothing,
-            register_lookahead_callback=lambda tell: self.marks.append(tell),  # noqa: PLW0108  # the list changes
+            register_lookahead_callback=lambda callback: self.marks.append(callback),  # noqa: PLW0108  # the list changes
         )
         self.marks: list[Callable[[float], None]] = []
         heaters = SimpleNamespace(lookup_heater=lambda name: self.heater)
@@ -126,7 +126,7 @@ class Section(temperature_plan.TemperaturePlanner):
         self._on_ready()
 
     def set_speed(self, factor: float) -> None:
-        """The pace is off."""
+        """The minimum layer time is off."""
 
     def moves(self, row: Any, count: int, time_s: float) -> None:
         self._on_moves(row, count, time_s)
@@ -160,13 +160,13 @@ def replay(moves: Iterable[Planned], planned: bool) -> tuple[int, float]:
     section = Section(printer)
     queue = LookAheadQueue()
     count, time_s, state, watch = 0, 1.0, Requests(), Watch(planned)
-    for move, wishes in moves:
+    for move, requests in moves:
         count += 1
-        if planned and wishes is not state:
+        if planned and requests is not state:
             watch.start()
-            section.mark(wishes)
+            section.mark(requests)
             watch.stop()
-            state = wishes
+            state = requests
         if not queue.add_move(move, move.toolhead.extruder):
             continue
         ready, row = queue.plan(lazy=True), queue.row
@@ -178,10 +178,10 @@ def replay(moves: Iterable[Planned], planned: bool) -> tuple[int, float]:
             record = row.ring[at & row.mask]
             time_s += record.accel_t + record.cruise_t + record.decel_t
         queue.take(ready)
-        told, printer.marks = printer.marks, []
+        callbacks, printer.marks = printer.marks, []
         watch.start()
-        for tell in told:
-            tell(time_s)
+        for callback in callbacks:
+            callback(time_s)
         while planned and (printer.woken or printer.next_s <= time_s - AHEAD_S):
             printer.time_s = max(printer.time_s, time_s - AHEAD_S if printer.woken else printer.next_s)
             printer.woken = False

@@ -151,9 +151,9 @@ def test_blocks_equal_the_reference_whatever_comes(y, settle, shift, length, sta
             reference.gap(count)
             index, lost = index + count, lost + count
     assert fast.blocks == reference.blocks
-    told = sum(block.count + block.discarded + block.lost for block in fast.blocks)
+    reported = sum(block.count + block.discarded + block.lost for block in fast.blocks)
     held = fast.c.count + fast.c.discarded + fast.c.lost
-    assert told + held == seen + lost, "every sample is accounted for"
+    assert reported + held == seen + lost, "every sample is accounted for"
 
 
 @settings(max_examples=50, deadline=None)

@@ -129,7 +129,7 @@ def completes(bench: Bench, steppers: int, interval: int, steps: int = STEPS, pu
 
 
 def shortest_interval(bench: Bench, steppers: int, steps: int = STEPS, pulse_ticks: int = 0) -> int:
-    """Ticks: bisection, as the page tells to."""
+    """Ticks: bisection, as on the page."""
     low, high = 20, 4000
     assert completes(bench, steppers, high, min(steps, 2000), pulse_ticks), "not even slow steps are made"
     while high - low > 1:
