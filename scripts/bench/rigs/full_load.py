@@ -202,7 +202,7 @@ def check_blocks(load: Load) -> int:
 
 
 def check_continuity(load: Load) -> None:
-    """No sample lost, none reported twice: a block begins where the one before ends or where its discarded samples end."""
+    """No sample lost, none reported twice: a block begins where the one before ends, discarded samples included."""
     assert len(load.blocks) > 1
     for (clock, row), (after, following) in zip(load.blocks, load.blocks[1:], strict=False):
         assert row.lost == following.lost == 0
