@@ -95,7 +95,7 @@ class Unit:
 
 
 def test_blocks_follow_one_another_without_a_hole():
-    unit = Unit()
+    unit = Unit(block=(1024, 2))
     unit.report()
     unit.mcu.run(0.2)
     records = unit.records()
@@ -109,7 +109,7 @@ def test_blocks_follow_one_another_without_a_hole():
 
 
 def test_records_go_out_in_pairs_unless_that_would_take_too_long():
-    pairs = Unit()
+    pairs = Unit(block=(1024, 2))
     pairs.report()
     pairs.mcu.run(0.1)
     assert [r.message for r in pairs.records()][:6] == [0, 0, 1, 1, 2, 2]

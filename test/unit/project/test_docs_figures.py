@@ -6,6 +6,7 @@ The sections "Numbers in the program" have no other figures. Other pages have me
 from __future__ import annotations
 
 import inspect
+import json
 import re
 from collections.abc import Callable, Iterator
 from functools import cache
@@ -17,6 +18,7 @@ import bench_plan
 import bench_plan_cost
 import full_load
 import rates
+from bus_rig import build_dictionary
 from doc_rig import ROOT, Figures
 from extras import temperature_plan
 from extras.induction import calibrate, mcu, settings
@@ -29,6 +31,10 @@ from thermal.plan.materials import MATERIALS
 from thermal.plan.planner import TemperaturePlan
 from thermal.sensing import block_temperature, features, laws
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
+
+TIMING = re.findall(
+    r"^    (INDUCTION_\w+) =", (ROOT / "src" / "induction_timing.h").read_text(), re.MULTILINE
+)
 
 
 @cache
@@ -120,6 +126,19 @@ def test_the_tables_have_the_numbers_of_the_program(
     missing = section.missing(rows())
     assert not missing, f"{section.page}, {section.section}: should say {missing}"
     assert section.unchecked(rows()) == []
+
+
+def test_the_dictionary_has_the_hosts_timing_of_the_sampling_chain() -> None:
+    constants = json.loads(build_dictionary())["config"]
+    unit, parameters = options()
+    assert {name: value for name, value in constants.items() if name in TIMING} == {
+        "INDUCTION_FREQUENCY": unit.frequency_hz,
+        "INDUCTION_OVERSAMPLE": unit.oversample,
+        "INDUCTION_BLOCK_SAMPLES": unit.block_samples,
+        "INDUCTION_SETTLE_SAMPLES": unit.settle_samples,
+        "INDUCTION_RECORDS": unit.records,
+        "INDUCTION_LEAD_US": pytest.approx(1e6 * parameters.timing.lead_s),
+    }
 
 
 # ---- pages that repeat some figures of the program
