@@ -61,9 +61,10 @@ PORTS = ("atmega2560", "stm32f334", "simulator", "template")
 # What the simulated world and the emulators may take from src/.
 WORLD_MAY_INCLUDE = "sim_mcu.h"
 
-# How many files a folder may hold, its folders apart. A file of src/ or extras/ has the name of what it declares.
+# How many files a folder may hold, its folders apart. A file of src/ or extras/ has the name of what it declares;
+# recorded runs are data.
 FILES_MAX = 25
-LARGE_FOLDERS = frozenset({"src", "klippy/extras"})
+LARGE_FOLDERS = frozenset({"src", "klippy/extras", "test/data/runs"})
 
 INCLUDE = re.compile(r'^\s*#\s*include\s*(["<])([^">]+)[">]')
 
