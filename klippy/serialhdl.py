@@ -412,10 +412,6 @@ class CommandWrapper:
         """Queue it: not sent before MCU clock `minclock`, needed by `reqclock` (0: at once)."""
         self._serial.raw_send(self._message.encode(data), minclock, reqclock, self._queue)
 
-    def send_wait_ack(self, data: Sequence[Any] = (), minclock: int = 0, reqclock: int = 0) -> None:
-        """Send it and wait until the MCU has it. Raises `error`."""
-        self._serial.raw_send_wait_ack(self._message.encode(data), minclock, reqclock, self._queue)
-
 
 class CommandQueryWrapper:
     """One command with an answer. `send` returns the answer as a dict of its parameters."""

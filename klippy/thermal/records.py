@@ -89,15 +89,6 @@ class FlowSegment(NamedTuple):
     path_mm: float
 
 
-class TempSegment(NamedTuple):
-    """A piece of the temperature plan."""
-
-    start_s: float
-    end_s: float
-    target_c: float
-    feedforward_w: float
-
-
 class Sample(NamedTuple):
     """One measurement, and the output in force from the end of the sample before until `end_s`."""
 

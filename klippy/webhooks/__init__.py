@@ -380,9 +380,6 @@ class WebHooks:
             raise request.error(f"The value '{value}' is not valid for {key} (choices: {choices})")
         table[value](request)
 
-    def get_connection(self) -> None:
-        """No single connection is kept; here for callers that ask."""
-
     def get_callback(self, path: str) -> Callable[[WebRequest], None]:
         """Handler of an endpoint."""
         handler = self._endpoints.get(path)

@@ -26,5 +26,5 @@ PORT_LINK_INPUTS := $(F334)/link.ld
 PORT_LDFLAGS := -nostartfiles -specs=nano.specs -T $(F334)/link.ld \
 	-Wl,--defsym=STACK_SIZE=$(F334_STACK) -Wl,--defsym=RAM_BUDGET=$(F334_RAM_BUDGET)
 PORT_IMAGES := ferrite.bin
-PORT_SEAL := $(PORT_PYTHON) scripts/seal_firmware.py
+PORT_SEAL := $(PORT_PYTHON) scripts/build/seal_firmware.py
 PORT_FLASH_CMD = openocd -f board/st_nucleo_f3.cfg -c "program $(PORT_ELF) verify reset exit"

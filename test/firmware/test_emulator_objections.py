@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from chip_rig import Tiny, make_emulator
 from simulation import world as world_module
 from simulation.builds import SIMULATOR, Build
 from simulation.world import World, WorldError
+from tiny_chip import Tiny, make_emulator
 
 READY = "clock_72(); clocks_on();"
 SENSOR_ON = "adc_regulator(); R(ADC + 0x308) |= 1 << 23; adc_start(); wait(2000);"

@@ -26,7 +26,6 @@ MAX_HEAT_TIME_S = 3.0  # the MCU turns the pin off after this long without a com
 PWM_HOLD_S = 2.0  # small PWM changes are held back this long, well inside MAX_HEAT_TIME_S
 PWM_HOLD_DELTA = 0.05  # "small"
 QUELL_STALE_S = 5.0  # a reading older than this no longer counts as the temperature
-AMBIENT_C = 25.0  # starting point of the smoothed value before the first reading
 
 
 class AnySensor(Protocol):

@@ -15,7 +15,6 @@ from roles import Printer
 
 PERIOD_S = 0.25
 RECORDS_MAX = 1024  # records in one message; more follow in the next ones at once
-NO_END_CLOCK = 2**63
 
 Rows = dict[str, Any] | None
 

@@ -4,14 +4,14 @@
 
 The printer runs it as a process of its own: a fit of seconds must not hold up the host.
 
-1. Lag. The reference is taken as a first-order lag (tau) behind the skin, gain g about 25 degC (Oskolkov 2021,
-   Table 6). The error at the minimum phase is a smooth, steep function of the skin's temperature, T = poly(error).
-   Low-pass filtered with tau it must give the readings, heating and cooling alike: linear least squares for the
-   polynomial at each tau, the best tau wins. tau is well determined (the run heats fast and cools slowly). The gain is
-   not: a sensor that reads 6 % too little fits just as well with a law that is 6 % off, and the one equilibrium of a
-   run, its start, is near 25 degC where the gain does nothing. It has to be known (Table 6: 1.0 at half height, 0.94
-   and 0.86 at the ends).
-2. Points. Each visit to a power lies between two stretches at the minimum phase; its temperature is interpolated.
+1. Lag. The reference follows the skin with a first-order lag (tau) and a gain g about 25 degC (Oskolkov 2021, Table 6).
+   At the smallest phase the skin's temperature is a smooth, steep function of the signal, T = poly(signal). Low-pass
+   filtered with tau it must give the readings, in heating and in cooling. The polynomial is fitted by least squares
+   at each tau; the best tau is kept. tau is well determined: the run heats fast and cools slowly. The gain is
+   not. A sensor that reads 6 % too low fits as well with a law that is 6 % off, and the only equilibrium of a run, its
+   start, is near 25 degC, where the gain has no effect. It has to be known (Table 6: 1.0 at half height, 0.94 and 0.86
+   at the ends).
+2. Points. Each visit to a power lies between two stretches at the smallest phase. Its temperature is interpolated.
 3. Laws. eq5, exp and tank are fitted to two thirds of the points and judged on the last third.
 4. Heat. Capacity and losses of the two-node model follow from the heat that went in and the temperatures that came out.
 """

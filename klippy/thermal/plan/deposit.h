@@ -1,6 +1,6 @@
 #ifndef FERRITE_TEMPPLAN_MAP_H
 #define FERRITE_TEMPPLAN_MAP_H
-/* What lies in each column of a square grid, layer by layer, and how warm: class DepositMap in thermal/plan/deposit.py. */
+/* What lies in each column of a square grid, layer by layer, and how warm: the readable form is test/reference/deposit_reference.py. */
 #include <stdint.h>
 
 #include "planner.h"

@@ -73,9 +73,9 @@ def test_a_twisted_surface_goes_through_four_points() -> None:
 
 
 def test_equations_without_a_solution_are_refused() -> None:
-    assert solve([[2.0, 1.0], [1.0, 3.0]], [5.0, 10.0]) == pytest.approx([1.0, 3.0])
+    assert solve([[2.0, 1.0], [1.0, 3.0]], [5.0, 10.0], 1e-12) == pytest.approx([1.0, 3.0])
     with pytest.raises(ValueError, match="no surface"):
-        solve([[1.0, 2.0], [2.0, 4.0]], [1.0, 2.0])
+        solve([[1.0, 2.0], [2.0, 4.0]], [1.0, 2.0], 1e-12)
 
 
 # ---- interpolation -------------------------------------------------------------------------------------------

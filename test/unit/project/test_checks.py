@@ -91,6 +91,16 @@ def test_pure_c_may_not_know_the_board_and_nobody_a_port(tmp_path: Path) -> None
     assert found == {("guard.c", 3), ("phase.h", 1), ("stepper.c", 2)}
 
 
+def test_a_folder_of_too_many_files_is_found_and_those_of_its_folders_do_not_count() -> None:
+    names = [f"klippy/thermal/f{n}.py" for n in range(check_layers.FILES_MAX)]
+    assert list(check_layers.check_folders([*names, "klippy/thermal/plan/one.py"])) == []
+    (offence,) = check_layers.check_folders([*names, "klippy/thermal/one.py"])
+    assert offence.path == Path("klippy/thermal")
+    assert (
+        list(check_layers.check_folders([name.replace("klippy/thermal", "src") for name in names * 2])) == []
+    )
+
+
 # --- message formats
 
 

@@ -134,12 +134,20 @@ def test_without_a_calibration_only_silence_is_a_fault() -> None:
     assert "no samples" in on.watch(7.0, 100.0, 250.0, 1.0)
 
 
-def test_before_the_first_temperature_nothing_is_said_of_warming() -> None:
+@pytest.mark.parametrize(("target", "power"), [(250.0, 1.0), (0.0, 0.0)])
+def test_before_the_first_temperature_nothing_is_said_of_warming(target: float, power: float) -> None:
     on = Watched()
     for time_s in (0.0, 1.0, 2.0):
-        assert on.watch(time_s, math.nan, 250.0, 1.0) == ""
+        assert on.watch(time_s, math.nan, target, power) == ""
         on.block(time_s, reason="bridge off")
-    assert on.state.demand_s == math.inf
+    assert on.state.demand_s == on.state.off_s == math.inf
+
+
+@pytest.mark.parametrize(("target", "power"), [(250.0, 1.0), (0.0, 0.0)])
+def test_without_a_calibration_nothing_is_said_of_warming(target: float, power: float) -> None:
+    on = Watched(supervision.SuperviseParameters(0.0, 300.0, calibrated=False))
+    for n in range(60):
+        assert on.see(0.1 * n, 100.0 if target else 20.0 + 4.0 * n, target, power) == ""
 
 
 def test_a_new_start_forgets_silence_counts_and_windows() -> None:
