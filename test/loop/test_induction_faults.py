@@ -1,4 +1,4 @@
-"""What is wrong with a sensing coil is told by name; the supply's voltage is put right when it is measured."""
+"""What is wrong with a sensing coil is reported by name; the supply's voltage is put right when it is measured."""
 
 from __future__ import annotations
 

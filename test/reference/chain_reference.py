@@ -1,7 +1,7 @@
 """The chain of a coil's blocks written out in Python, as an independent reference for the one in C.
 
-Block messages to blocks, blocks to error units, those to a temperature by each of the three laws, the watch's counting,
-the filter, the model law's samples: straight from the equations in the docstrings of klippy/thermal.
+Block messages to blocks, blocks to signal units, those to a temperature by each of the three laws, the watch's
+counting, the filter, the samples of predictive control: from the equations in the docstrings of klippy/thermal.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ NO_READING = (NAN, NAN)
 def convert(
     rows: list[block_codec.Row], index: int, clock: int, oversample: int, period_ticks: int, clock_hz: float
 ) -> list[SampleBlock]:
-    """Records that have been told their offset, the first at the message's clock."""
+    """Records with their offset, the first at the message's clock."""
     period_s = period_ticks / clock_hz
     out = []
     for n, row in enumerate(rows):
@@ -146,7 +146,7 @@ class Chain:
         self.noise_lsb = self.front.noise_lsb
 
     def begin_message(self) -> None:
-        """What the blocks so far tell of the noise counts for those of this message."""
+        """The noise of the blocks so far counts for those of this message."""
         if len(self.spans) >= features.NOISE_BLOCKS // 4:
             self.noise_lsb = self.span_lsb() / 5.46
 

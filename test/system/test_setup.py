@@ -188,9 +188,9 @@ def refused(computer: Computer, *options: str) -> str:
 
 
 def test_install_without_sudo_names_what_root_is_to_install(anna: Computer) -> None:
-    told = refused(anna)
-    assert "there is no sudo here" in told
-    assert "run as root: apt-get install gcc" in told
+    errors = refused(anna)
+    assert "there is no sudo here" in errors
+    assert "run as root: apt-get install gcc" in errors
     assert anna.calls("apt-get") == []
 
 
@@ -202,9 +202,9 @@ def test_install_where_sudo_refuses_names_what_is_to_be_run(anna: Computer) -> N
 @pytest.mark.parametrize("options", [(), ("--no-packages",), ("--uninstall",)])
 def test_install_without_systemd_says_so(anna: Computer, options: tuple[str, ...]) -> None:
     (anna.bin / "systemctl").unlink()
-    told = refused(anna, *options)
-    assert "there is no systemd here" in told
-    assert "--no-start" in told
+    errors = refused(anna, *options)
+    assert "there is no systemd here" in errors
+    assert "--no-start" in errors
 
 
 def test_install_without_a_login_that_systemd_knows_says_so(anna: Computer) -> None:

@@ -68,7 +68,7 @@ def test_the_real_machine_runs_and_its_parameters_may_be_profiles(simulate: Simu
     assert run.column("mean_c")[-1] == pytest.approx(run.column("true_c")[-1], abs=0.01)
 
 
-def test_it_stops_when_told_to(simulate: Simulate) -> None:
+def test_it_stops_at_the_time_given(simulate: Simulate) -> None:
     run = simulate(square(100), more=["--until", "8"])
     assert run.status == 0
     assert run.summary["simulated_s"] == pytest.approx(8.0, abs=0.5)

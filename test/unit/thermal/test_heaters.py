@@ -347,7 +347,7 @@ def deliver(printer: FakePrinter, sequence: int, temp: float, phase: int) -> Non
     packed = content(sequence, clock, blocks(temp, phase))
     pulled = chelper.get_ffi()[0].new("struct pull_message[]", 1)
     pulled[0].len, pulled[0].data, pulled[0].receive_time = len(packed), packed, printer.reactor.now_s
-    printer.mcu.lot(pulled, 1)
+    printer.mcu.on_batch(pulled, 1)
 
 
 def test_extruder_uses_the_induction_heater_under_its_own_name() -> None:

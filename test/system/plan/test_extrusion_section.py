@@ -121,9 +121,9 @@ class ColdPrinter:
 
 def test_a_refused_push_leaves_the_modes_of_extrusion_as_they_were() -> None:
     printer = ColdPrinter()
-    options = extrusion.Extrusion(printer, None, Overrun(1.5, 2.0), 1.75, 2.0)
+    section = extrusion.Extrusion(printer, None, Overrun(1.5, 2.0), 1.75, 2.0)
     with pytest.raises(RuntimeError, match="minimum temp"):
-        options._extrude(["G1 E1 F120"])
+        section._extrude(["G1 E1 F120"])
     first, last = printer.ran[0], printer.ran[-1]
     assert first.startswith("SAVE_GCODE_STATE") and last == first.replace("SAVE", "RESTORE")
 

@@ -22,7 +22,7 @@ struct life {
     struct phase_schedule t;
     struct guard g;
     uint32_t index, clock;
-    uint64_t fed, lost, told, blocks;
+    uint64_t fed, lost, reported, blocks;
 };
 
 static void
@@ -31,7 +31,7 @@ take(struct life *l, uint8_t finished, const struct oversample_block *b)
     if (!finished)
         return;
     l->blocks++;
-    l->told += (uint64_t)b->count + b->discarded + b->lost;
+    l->reported += (uint64_t)b->count + b->discarded + b->lost;
     struct guard_input in = {b->sum, b->count, b->phase, b->min, b->max};
     guard_block(&l->g, &in);
 }
@@ -102,7 +102,7 @@ main(void)
                 take(&l, oversample_gap(&l.o, gap, &b), &b);
             }
         }
-        if (l.fed + l.lost != l.told + l.o.count + l.o.discarded + l.o.lost) {
+        if (l.fed + l.lost != l.reported + l.o.count + l.o.discarded + l.o.lost) {
             printf("round %u: samples do not add up\n", round);
             return 1;
         }

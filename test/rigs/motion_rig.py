@@ -5,7 +5,6 @@ Nothing here shares code with what it checks: commands are decoded and positions
 
 from __future__ import annotations
 
-import json
 import math
 import os
 from collections.abc import Sequence
@@ -17,80 +16,11 @@ import numpy as np
 
 import chelper
 import msgproto
+from batch_messages import CLOCK_HZ, MAX_ERROR_S, QUEUE_STEP, RESET_CLOCK, SET_DIR, decode, dictionary
 from printer import Printer
 from reactor import Reactor
 
 FFI, LIB = chelper.get_ffi()
-MAX_ERROR_S = 25e-6
-QUEUE_STEP, SET_DIR, RESET_CLOCK = 11, 12, 13
-CLOCK_HZ = 72e6
-
-FORMATS = [
-    "identify_response offset=%u data=%.*s",
-    "identify offset=%u count=%c",
-    "get_config",
-    "allocate_oids count=%c",
-    "finalize_config crc=%u",
-    "emergency_stop",
-    "config_stepper oid=%c step_pin=%c dir_pin=%c invert_step=%c step_pulse_ticks=%u",
-    "stepper_get_position oid=%c",
-    "stepper_stop_on_trigger oid=%c trsync_oid=%c",
-    "config_trsync oid=%c",
-    "trsync_start oid=%c report_clock=%u report_ticks=%u expire_reason=%c",
-    "trsync_set_timeout oid=%c clock=%u",
-    "trsync_trigger oid=%c reason=%c",
-    "config_endstop oid=%c pin=%c pull_up=%c",
-    "endstop_home oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u pin_value=%c trsync_oid=%c"
-    " trigger_reason=%c",
-    "endstop_query_state oid=%c",
-    "config_digital_out oid=%c pin=%u value=%c default_value=%c max_duration=%u",
-    "queue_digital_out oid=%c clock=%u on_ticks=%u",
-    "update_digital_out oid=%c value=%c",
-    "set_digital_out_pwm_cycle oid=%c cycle_ticks=%u",
-    "config_analog_in oid=%c pin=%u",
-    "query_analog_in oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u bytes_per_report=%c"
-    " min_value=%hu max_value=%hu range_check_count=%c",
-    "get_clock",
-    "get_uptime",
-]
-RESPONSES = [
-    "config is_config=%c crc=%u is_shutdown=%c move_count=%hu",
-    "clock clock=%u",
-    "uptime high=%u clock=%u",
-    "stats count=%u sum=%u sumsq=%u",
-    "starting",
-    "shutdown clock=%u static_string_id=%hu",
-    "is_shutdown static_string_id=%hu",
-    "stepper_position oid=%c pos=%i",
-    "trsync_state oid=%c can_trigger=%c trigger_reason=%c clock=%u",
-    "endstop_state oid=%c homing=%c next_clock=%u pin_value=%c",
-    "analog_in_state oid=%c next_clock=%u values=%*s",
-]
-
-
-def dictionary(clock_hz: float = CLOCK_HZ) -> bytes:
-    """A firmware dictionary with what a cartesian printer needs."""
-    commands = {"identify offset=%u count=%c": 1}
-    commands["queue_step oid=%c interval=%u count=%hu add=%hi"] = QUEUE_STEP
-    commands["set_next_step_dir oid=%c dir=%c"] = SET_DIR
-    commands["reset_step_clock oid=%c clock=%u"] = RESET_CLOCK
-    for number, name in enumerate(FORMATS[2:]):
-        commands[name] = 20 + number
-    responses = {"identify_response offset=%u data=%.*s": 0}
-    responses.update({name: 60 + number for number, name in enumerate(RESPONSES)})
-    return json.dumps(
-        {
-            "app": "test",
-            "license": "GPL",
-            "version": "1",
-            "build_versions": "",
-            "commands": commands,
-            "responses": responses,
-            "enumerations": {"pin": {f"P{port}0": [16 * i, 16] for i, port in enumerate("ABCDEFGH")}},
-            "config": {"CLOCK_FREQ": clock_hz, "MCU": "test", "ADC_MAX": 4095, "STATS_SUMSQ_BASE": 256},
-        }
-    ).encode()
-
 
 # ---- step commands ----
 
@@ -131,18 +61,6 @@ class StepTrace:
             self.positions.append(self.position)
 
 
-def parser(clock_hz: float = CLOCK_HZ) -> msgproto.MessageParser:
-    result = msgproto.MessageParser()
-    result.process_identify(dictionary(clock_hz), decompress=False)
-    return result
-
-
-def decode(contents: Sequence[bytes], clock_hz: float = CLOCK_HZ) -> list[dict[str, Any]]:
-    """All commands of a row of message contents."""
-    reader = parser(clock_hz)
-    return [params for content in contents for params in reader.parse_content(content)]
-
-
 # ---- the C helper directly ----
 
 
@@ -160,7 +78,7 @@ class CStepper:
         self.sk = FFI.gc(solver or LIB.cartesian_stepper_alloc(b"x"), LIB.itersolve_free)
         LIB.itersolve_set_stepcompress(self.sk, self.sc, step_dist)
         LIB.itersolve_set_trapq(self.sk, self.trapq)
-        self.track = StepTrace()
+        self.trace = StepTrace()
         self.messages: list[tuple[int, int]] = []  # (min_clock, req_clock)
         self._failed = FFI.new("int *")
 
@@ -183,10 +101,10 @@ class CStepper:
             message = message.next
         LIB.message_free_list(head)
         for params in decode(contents, self.clock_hz):
-            self.track.feed(params)
+            self.trace.feed(params)
 
     def step_times(self) -> np.ndarray:
-        return np.array(self.track.clocks) / self.clock_hz
+        return np.array(self.trace.clocks) / self.clock_hz
 
 
 @dataclass(frozen=True)
@@ -327,16 +245,16 @@ class BatchResult:
     commands: list[dict[str, Any]]
     printer: Any
 
-    def tracks(self) -> dict[str, StepTrace]:
+    def traces(self) -> dict[str, StepTrace]:
         """Steps by stepper name."""
         steppers = {
             s.get_oid(): name for name, s in self.printer.lookup_object("force_move").steppers.items()
         }
-        tracks = {name: StepTrace() for name in steppers.values()}
+        traces = {name: StepTrace() for name in steppers.values()}
         for params in self.commands:
             if params["#name"] in ("queue_step", "set_next_step_dir", "reset_step_clock"):
-                tracks[steppers[params["oid"]]].feed(params)
-        return tracks
+                traces[steppers[params["oid"]]].feed(params)
+        return traces
 
 
 def batch(

@@ -4,7 +4,7 @@
  *   0x00..0x7f   raw bytes follow (that many): straight into the receiver
  *   0x80..0xbf   content bytes follow (low six bits): wrapped into a sound block with the right sequence number, so
  *                that the fuzzer reaches the commands without guessing checksums
- *   0xc0..0xff   time passes: 2^(low five bits) ticks, at most 2^19; 2^20 for one input, because objects may be told to
+ *   0xc0..0xff   time passes: 2^(low five bits) ticks, at most 2^19; 2^20 for one input, because objects may be configured to
  *                look at something every tick
  *
  * What must hold, besides the sanitizers: every block sent is sound, and time never stands still.

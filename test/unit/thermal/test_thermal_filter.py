@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from chain_rig import FFI, LIB, new_chain, told
+from chain_rig import FFI, LIB, c_params, new_chain
 from thermal.models import heat_loss
 from thermal.records import SampleBlock, TempEstimate
 from thermal.sensing import blocks, features, heat_balance_monitor, temperature_filter
@@ -19,12 +19,12 @@ CHAIN = new_chain(filtered=temperature_filter.FilterParameters(LOSS, HEAT))
 
 
 class Filter:
-    """The filter alone: blocks whose temperature and heat are told."""
+    """The filter alone: blocks of given temperature and heat."""
 
     def __init__(self) -> None:
         self.state: Any = FFI.new("struct filter_state *")
         LIB.filter_reset(self.state)
-        self._parameters = FFI.addressof(told(CHAIN), "filter")
+        self._parameters = FFI.addressof(c_params(CHAIN), "filter")
 
     def block(self, n: int, power_w: float, temp_c: float, noise_c: float = 0.1) -> TempEstimate | None:
         one = blocks.Blocks()
@@ -63,7 +63,7 @@ def test_a_step_of_the_drive_is_followed_without_lag_because_the_heat_is_known()
     assert np.abs(out[100:] - np.array(temps)[100:]).max() < 0.4
 
 
-def test_heat_nobody_told_of_is_found_within_its_memory() -> None:
+def test_an_unknown_disturbance_is_found_within_its_memory() -> None:
     """Extrusion takes 13 K/s from one block to the next: harder than 50 ms of a real melt."""
     time_s = np.arange(1500) * BLOCK_S
     temps = 250.0 - np.where(time_s > 1.0, 13.0 * (time_s - 1.0), 0.0)
@@ -72,7 +72,7 @@ def test_heat_nobody_told_of_is_found_within_its_memory() -> None:
     assert on.state.rate_k_s == pytest.approx(-13.0, abs=3.0)
 
 
-def test_one_wild_block_is_left_out_and_several_are_believed() -> None:
+def test_one_wild_block_is_left_out_and_several_are_accepted() -> None:
     _, on = run(np.full(500, 200.0), np.full(500, 3.0), 0.1)
     assert on.block(500, 3.0, 320.0) is None
     good = on.block(501, 3.0, 200.0)
@@ -189,14 +189,14 @@ def test_a_start_with_a_hot_nozzle_takes_the_unknown_second_mass_for_no_drift() 
     loss = heat_balance_monitor.scaled(1.0, 25.0)
     parameters = heat_balance_monitor.HeatBalanceParameters(HEAT, loss, 0.03)
     for behind in (30.0, 70.0, 135.0):
-        state, temp, second, told = heat_balance_monitor.HeatBalanceState(), 135.0, behind, []
+        state, temp, second, drifts = heat_balance_monitor.HeatBalanceState(), 135.0, behind, []
         for n in range(1200):  # two minutes of cooling, exactly by the model
             heat_balance_monitor.observe(parameters, state, 0.1 * n, temp, 0.0, True)
-            told.append(state.drift_c)
+            drifts.append(state.drift_c)
             rate = loss.second_rate(temp, second)
             temp -= 0.1 * loss.skin_out_w(temp, second) / HEAT.at(temp)
             second += 0.1 * rate
-        said = [drift for drift in told if drift is not None]
+        said = [drift for drift in drifts if drift is not None]
         # it takes some 75 s to be sure, and then it is not silent for ever
         assert 300 < len(said) < 700
         assert max(map(abs, said)) < 2.0

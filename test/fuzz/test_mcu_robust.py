@@ -28,17 +28,10 @@ def test_whole_sessions_run_clean_under_address_and_undefined_behaviour_sanitize
         "ASAN_OPTIONS": "detect_leaks=0",  # the interpreter's own
     }
     skip = "not booting_again and not whole_move_queue and not holds_what_it_promises"  # slow, or read raw memory
-    options = [
-        "-q",
-        "-x",
-        "-s",
-        "-p",
-        "no:cacheprovider",
-        "-k",
-        skip,
-    ]  # -s: a sanitizer's report goes to stderr
+    # -s: a sanitizer's report goes to stderr
+    options = ["-x", "-s", "-p", "no:cacheprovider", "-k", skip]
     command = [sys.executable, "-m", "pytest", *options]
-    files = [str(Path(__file__).parent / name) for name in SESSIONS]
+    files = [str(ROOT / "test" / "c" / name) for name in SESSIONS]
     run = subprocess.run(
         [*command, *files], env=environment, cwd=ROOT, capture_output=True, text=True, check=False
     )
@@ -77,7 +70,7 @@ DECL_RESPONSE(r, "identify_response offset=%u data=%.*s");
 def build(tmp_path: Path, text: str) -> subprocess.CompletedProcess[str]:
     source = tmp_path / "unit.c"
     source.write_text(PREAMBLE + text)
-    script = ROOT / "scripts" / "build_dictionary.py"
+    script = ROOT / "scripts" / "build" / "build_dictionary.py"
     command = [sys.executable, script, "--out", tmp_path, "--cc", f"gcc -I{ROOT}/src", source]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 

@@ -17,8 +17,8 @@ import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parent.parent
-SHT_NOBITS, SHF_ALLOC, SHF_WRITE = 8, 2, 1
+ROOT = Path(__file__).resolve().parents[2]
+SHT_NOBITS, SHF_ALLOC = 8, 2
 STACK_SHARE_MAX = 0.75  # of its space: the rest is for what the scenarios have not met
 
 

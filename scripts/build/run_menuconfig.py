@@ -3,13 +3,17 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
+sys.path.append(str(Path(__file__).resolve().parents[1]))
+
 import in_venv  # noqa: F401  # isort: skip
 
 import argparse
 import curses
 import os
 import runpy
-import sys
 from collections.abc import Sequence
 
 BAD_USE = 2

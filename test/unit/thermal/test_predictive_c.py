@@ -1,4 +1,4 @@
-"""The model law in C against the same written out in Python, step by step through whatever may come."""
+"""Predictive control in C against the same written out in Python, step by step through random inputs."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def parameters(rng: random.Random, element: bool, second: bool, sensor: bool) ->
             "bore_s": maybe(0.05),
             "flow_s": maybe(0.02),
             "horizon_s": maybe(rng.choice([0.04, 2.0])),
-            "fade_s": maybe(rng.choice([0.045, 2.0])),
+            "tau_s": maybe(rng.choice([0.045, 2.0])),
             "slew_per_s": rng.choice([math.inf, math.inf, 500.0]),
             "delay_s": maybe(rng.choice([0.02, 0.6])),
             "ahead": rng.choice([0, 1, 5, 6, 7, 11, 12]),
@@ -92,13 +92,13 @@ def parameters(rng: random.Random, element: bool, second: bool, sensor: bool) ->
             continue
 
 
-def a_schedule(rng: random.Random, now_s: float, most: float) -> Schedule:
+def a_schedule(rng: random.Random, now_s: float, high: float) -> Schedule:
     kind = rng.random()
     if kind < 0.4:
-        return IDLE if kind < 0.2 else Schedule.constant(rng.uniform(0.0, most))
+        return IDLE if kind < 0.2 else Schedule.constant(rng.uniform(0.0, high))
     times = sorted(now_s + rng.uniform(-0.1, 0.3) for _ in range(rng.randint(1, 12)))
     return Schedule(
-        tuple(times), tuple(rng.choice([0.0, rng.uniform(0.0, most)]) for _ in times), rng.uniform(0, most)
+        tuple(times), tuple(rng.choice([0.0, rng.uniform(0.0, high)]) for _ in times), rng.uniform(0, high)
     )
 
 
@@ -114,7 +114,7 @@ def a_reference(rng: random.Random, now_s: float, target_c: float) -> Reference 
 
 
 class World:
-    """What a law is told: a clock, readings more or less like what it expects, anything else as it comes."""
+    """The law's inputs: a clock, readings near those it expects, and random values of all else."""
 
     def __init__(self, rng: random.Random, p: ModelParameters) -> None:
         self.rng, self.p, self.now_s = rng, p, rng.uniform(0.0, 1000.0)
@@ -152,7 +152,7 @@ class World:
     def inputs(self) -> ControlInput:
         rng, p = self.rng, self.p
         if rng.random() < 0.05:
-            self.now_s += rng.uniform(0.0, 2.0 * p.gap_s)  # nothing was heard for a while
+            self.now_s += rng.uniform(0.0, 2.0 * p.gap_s)  # no reading for a while
         self.lean += rng.choice([0.0, 0.0, 0.0, 2.0, -2.0])
         samples = self.samples() if rng.random() < 0.7 else ()
         self.now_s += 0.0 if samples else p.hold_s
@@ -276,7 +276,7 @@ def test_samples_in_c_are_those_of_python() -> None:
 def test_only_a_reference_flat_to_the_plans_end_needs_no_plan(beyond_s: float, slope_k_s: float) -> None:
     """Settled at 250 degC; the last corner lies so far beyond what is planned, the one before it in the past."""
     p = ModelParameters(
-        heat_j_k=0.414, loss_w_k=0.02, output_w=1.0, output_high=80.0, hold_s=0.008, fade_s=0.045, ahead=11
+        heat_j_k=0.414, loss_w_k=0.02, output_w=1.0, output_high=80.0, hold_s=0.008, tau_s=0.045, ahead=11
     )
     state, other = predictive_filter.begin(p, 250.0, 10.0), plant.begin(p, 250.0, 10.0)
     end_s = 10.02 + (p.ahead + 1) * p.hold_s + beyond_s
@@ -295,13 +295,13 @@ def test_only_a_reference_flat_to_the_plans_end_needs_no_plan(beyond_s: float, s
 def test_a_reference_from_c_is_the_same() -> None:
     ffi = chelper.get_ffi()[0]
     corners = [(1.0, 200.0), (2.0, 210.0), (2.0, 190.0), (4.0, 195.0)]
-    made, told = (
+    made, expected = (
         Reference.of_pairs(ffi.new("double[]", [x for c in corners for x in c]), 4),
         Reference.of(corners),
     )
-    assert (made.times_s, made.temps_c, made.end_s) == (told.times_s, told.temps_c, told.end_s)
+    assert (made.times_s, made.temps_c, made.end_s) == (expected.times_s, expected.temps_c, expected.end_s)
     for time_s in (0.0, 1.0, 1.5, 2.0, 3.0, 4.0, 9.0):
-        assert made.at(time_s) == told.at(time_s) == plant.reference_at(told, time_s)
+        assert made.at(time_s) == expected.at(time_s) == plant.reference_at(expected, time_s)
 
 
 @pytest.mark.parametrize("slants", [(0.0, 0.0), (0.0, 8.0), (8.0, 0.0)])
