@@ -129,7 +129,7 @@ void plant_init(struct plant *p, const double *values, uint64_t seed)
     tank_init(&p->tank);
     effects_init(p, seed);
     drive_stepped(p);
-    p->tank.fade = 0;
+    p->tank.unsettled = 0;
 }
 
 struct plant *plant_new(void)
@@ -350,14 +350,14 @@ static void sample_run(struct plant *p, uint16_t *out, uint32_t n, double decay_
     const float sigma = (float)p->v.noise_lsb, top = (float)p->v.adc_max;
     struct noise_rows rows = noise_run(&p->noise);
     uint32_t done = 0;
-    for (; done < n && p->tank.fade > 0; done++) {
+    for (; done < n && p->tank.unsettled > 0; done++) {
         const struct tank_point now = tank_now(&p->tank, tank_steady(&p->tank, &p->v, p->skin_c));
         const float level = level_of(p, tank_error(&p->tank, &p->v, now), disturbance_lsb);
         quantise(out + done, 1, rows, level, sigma, top);
         rows.a++, rows.b++, rows.sign++;
-        p->tank.fade *= decay_per_sample;
-        if (p->tank.fade < decay_done)
-            p->tank.fade = 0;
+        p->tank.unsettled *= decay_per_sample;
+        if (p->tank.unsettled < decay_done)
+            p->tank.unsettled = 0;
     }
     if (done == n)
         return;
@@ -370,10 +370,10 @@ void plant_sample(struct plant *p, uint16_t *out, uint32_t n, double period_s)
     if (!n)
         return;
     if (p->unsampled_s > unsampled_settled_s)
-        p->tank.fade = 0;
+        p->tank.unsettled = 0;
     p->unsampled_s = 0;
     follow_drive(p, period_s);
-    const double decay_per_sample = p->tank.fade > 0 ? exp(-period_s * 1e6 / p->v.tank_tau_us) : 0;
+    const double decay_per_sample = p->tank.unsettled > 0 ? exp(-period_s * 1e6 / p->v.tank_tau_us) : 0;
     const uint32_t longest = p->effects.noisy ? 16 : NOISE_RUN - 16; // 7.5 kHz for disturbances up to 3 kHz
     for (uint32_t done = 0; done < n;) {
         const uint32_t take = n - done < longest ? n - done : longest;

@@ -10,14 +10,14 @@
 // than 4 at every power). Fitted to Table 1 of Oskolkov 2021 (3 units rms) and compared with ngspice and a switched bridge:
 // I1 within 0.17 %, psi within 0.09 degrees, third harmonic at most 0.43 %.
 //
-// After a step the complex current and the offset fade from the old steady state to the new one with tau (27 us, 3.2
+// After a step the complex current and the offset settle from the old steady state to the new one with tau (27 us, 3.2
 // bridge periods): amplitude and phase move together, so a small old current is soon forgotten and a large one is not.
 //
 // On top, where a parameter asks for it (plant_bridge.c): S by a table, a curve in L1(T), R by a table over temperature
 // and current, and the turn and loss of the current by the bridge's dead time.
 //
 // The signal is limited, hence independent of the current's size, until the current is too small for the limiter
-// (limiter_a): without drive the output fades to error 0. Signal model 1 is Table 1's direct law instead of psi:
+// (limiter_a): without drive the output falls to error 0. Signal model 1 is Table 1's direct law instead of psi:
 //   error = a T exp(-b p) + c + d p.
 #include "plant_tank.h"
 
@@ -132,13 +132,13 @@ double tank_steady_error(struct tank *t, const struct plant_values *v, double sk
 
 struct tank_point tank_now(const struct tank *t, struct tank_point steady)
 {
-    return blend(steady, t->from, t->fade);
+    return blend(steady, t->from, t->unsettled);
 }
 
 void tank_set_drive(struct tank *t, const struct plant_values *v, const struct tank_drive *d, double skin_c)
 {
     t->from = tank_now(t, tank_steady(t, v, skin_c));
-    t->fade = 1;
+    t->unsettled = 1;
     t->drive = *d;
     t->cached = 0;
 }

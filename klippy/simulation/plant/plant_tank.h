@@ -24,9 +24,9 @@ struct tank {
     int cached;
     struct tank_point low, high;
     double low_error, high_error;
-    // Settling: the point at the last step, and how far it has faded (1 at the step, 0 = settled).
+    // Settling: the point at the last step, and how much of it is left (1 at the step, 0 = settled).
     struct tank_point from;
-    double fade;
+    double unsettled;
 };
 
 void tank_init(struct tank *t);
