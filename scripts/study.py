@@ -13,10 +13,12 @@ import in_venv  # noqa: F401  # isort: skip
 
 import argparse
 import importlib.util
+import signal
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
+from typing import Any
 
 from rich import progress as rich_progress
 from rich.console import Console
@@ -40,9 +42,13 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument("study", type=Path, metavar="STUDY.toml")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the results")
-    parser.add_argument("--workers", type=int, metavar="N", help="prints at a time (default: one for each core)")
+    parser.add_argument(
+        "--workers", type=int, metavar="N", help="prints at a time (default: one for each core)"
+    )
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a dask scheduler, as tcp://host:8786")
-    parser.add_argument("--run", metavar="KEY", help="repeat one print, with trace, log and report in DIR/runs/KEY")
+    parser.add_argument(
+        "--run", metavar="KEY", help="repeat one print, with trace, log and report in DIR/runs/KEY"
+    )
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     return parser.parse_args(argv)
 
@@ -80,7 +86,9 @@ def run(options: argparse.Namespace, study: Study) -> int:
     prepared = prepare(study, sample_path)
     if options.run:
         if options.run not in prepared.jobs:
-            raise StudyError(f"--run {options.run}: the study has no such print.{near(options.run, prepared.jobs)}")
+            raise StudyError(
+                f"--run {options.run}: the study has no such print.{near(options.run, prepared.jobs)}"
+            )
         row = repeat(prepared, options.run, options.out)["row"]
         print(f"{row['status']}: {row['reason']}; see {options.out / 'runs' / options.run}")
         return 0
@@ -102,11 +110,19 @@ def run(options: argparse.Namespace, study: Study) -> int:
     return finished.status
 
 
+def interrupt(*_: Any) -> None:
+    raise KeyboardInterrupt
+
+
 def main(argv: Sequence[str]) -> int:
     options = parse(argv)
+    signal.signal(signal.SIGTERM, interrupt)  # workers and prints end in order, and the table is written
     missing = [name for name in PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
-        print(f"study: Python package {missing[0]} is missing; scripts/setup.sh study installs it", file=sys.stderr)
+        print(
+            f"study: Python package {missing[0]} is missing; scripts/setup.sh study installs it",
+            file=sys.stderr,
+        )
         return BAD_STUDY
     try:
         return run(options, read_study(options.study))

@@ -14,14 +14,14 @@ import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from itertools import islice
 from typing import Any
 
 import dask
-from distributed import Client, KilledWorker, LocalCluster, as_completed, get_worker
-from distributed.worker import thread_state
+from distributed import Client, KilledWorker, LocalCluster, as_completed
 
-from .job import CRASHED, Job, WrongWorker, execute
+from .job import CRASHED, Job, WrongWorker
 from .studyfile import StudyError
 
 TASKS_A_THREAD = 3  # in the window: one runs, two wait
@@ -30,15 +30,19 @@ RETRIES = 3  # of a print that was killed from outside
 CONNECT_S = 20.0
 
 
-def run_task(job: Job) -> dict[str, Any]:
-    """One print, on a worker."""
-    worker, key = get_worker(), thread_state.key
+def make_task() -> Callable[[dict[str, Any]], dict[str, Any]]:
+    """One print, on a worker. A function within a function goes there by value: the scheduler needs no Ferrite."""
 
-    def wanted() -> bool:
-        task = worker.state.tasks.get(key)
-        return task is not None and task.state == "executing"
+    def run_task(facts: dict[str, Any]) -> dict[str, Any]:
+        from distributed import get_worker
+        from distributed.worker import thread_state
 
-    return execute(job, wanted=wanted)
+        from simulation.study.job import Job, execute
+
+        tasks, key = get_worker().state.tasks, thread_state.key
+        return execute(Job(**facts), wanted=lambda: key in tasks and tasks[key].state == "executing")
+
+    return run_task
 
 
 @contextmanager
@@ -55,7 +59,7 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
                 yield client
             return
         count = workers or os.cpu_count() or 1
-        options = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": None}
+        options = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": ":0"}
         with (
             LocalCluster(silence_logs=logging.CRITICAL, **options) as cluster,
             Client(cluster, set_as_default=False) as client,
@@ -67,6 +71,7 @@ def run_jobs(client: Client, jobs: Sequence[Job], on_result: Callable[[dict[str,
     """All jobs, in any order. Raises StudyError if a worker cannot take part."""
     waiting = iter(jobs)
     running: dict[str, Job] = {}
+    task = make_task()
 
     def submit() -> list[Any]:
         window = max(MIN_WINDOW, TASKS_A_THREAD * sum(client.nthreads().values()))
@@ -74,7 +79,7 @@ def run_jobs(client: Client, jobs: Sequence[Job], on_result: Callable[[dict[str,
         for job in islice(waiting, window - len(running)):
             name = f"print-{job.key}"
             running[name] = job
-            futures.append(client.submit(run_task, job, key=name, retries=RETRIES))
+            futures.append(client.submit(task, asdict(job), key=name, retries=RETRIES))
         return futures
 
     completed = as_completed(submit(), loop=client.loop)
@@ -94,5 +99,7 @@ def _result(future: Any, job: Job) -> dict[str, Any]:
         return {"key": job.key, "row": row, "seen": {}}
     except WrongWorker as e:
         raise StudyError(f"A worker cannot take part: {e}") from None
+    except ModuleNotFoundError as e:
+        raise StudyError(f"A worker cannot take part: {e}. Start it with PYTHONPATH=klippy.") from None
     except Exception as e:
         raise StudyError(f"A worker failed ({type(e).__name__}: {e}).") from e

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import operator
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -76,7 +76,7 @@ def _of_trace(columns: Mapping[str, Any], figure: Mapping[str, Any]) -> float | 
 def _reduce(values: Any, take: str) -> float:
     if take.startswith("p") and take[1:].isdecimal():
         return float(np.percentile(values, int(take[1:])))
-    reductions = {
+    reductions: dict[str, Callable[[Any], Any]] = {
         "min": np.min,
         "max": np.max,
         "mean": np.mean,

@@ -141,9 +141,7 @@ def copy_config(config: Path, folder: Path) -> Path:
     text = config.read_text(encoding="utf-8")
     base = config.resolve().parent
     copy = folder / config.name
-    copy.write_text(
-        _INCLUDE.sub(lambda m: f"{m[1]}{base / m[2].strip()}{m[3]}", text), encoding="utf-8"
-    )
+    copy.write_text(_INCLUDE.sub(lambda m: f"{m[1]}{base / m[2].strip()}{m[3]}", text), encoding="utf-8")
     return copy
 
 
@@ -166,7 +164,12 @@ def run_child(
     command = [sys.executable, "-m", f"{__package__}.child", str(answer)]
     with errors.open("w") as stderr:
         process = subprocess.Popen(
-            command, cwd=ROOT / "klippy", stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=stderr, text=True
+            command,
+            cwd=ROOT / "klippy",
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=stderr,
+            text=True,
         )
         try:
             process.communicate(json.dumps({**task, "parent": os.getpid(), "memory_mb": MEMORY_MB}), POLL_S)
@@ -177,11 +180,20 @@ def run_child(
                 process.kill()
                 process.wait()
     if process.returncode in (-signal.SIGKILL, -signal.SIGTERM):
-        raise InterruptedError("the print was killed from outside")  # of no meaning for the study: it is repeated
+        raise InterruptedError(
+            "the print was killed from outside"
+        )  # of no meaning for the study: it is repeated
     if process.returncode != 0 or not answer.exists():
         last = ([line for line in errors.read_text().splitlines() if line.strip()] or ["no message"])[-1]
         text = f"the process ended with status {process.returncode}: {last}"
-        return {"exit_status": 1, "status": CRASHED, "reason": text, "figures": {}, "settings": {}, "summary": {}}
+        return {
+            "exit_status": 1,
+            "status": CRASHED,
+            "reason": text,
+            "figures": {},
+            "settings": {},
+            "summary": {},
+        }
     result: dict[str, Any] = json.loads(answer.read_text())
     return result
 

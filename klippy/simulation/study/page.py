@@ -9,7 +9,6 @@ from typing import Any
 
 import jinja2
 import numpy as np
-from markupsafe import Markup
 
 from .analysis import Influence, Verdict, values_of
 from .results import Rows
@@ -61,7 +60,7 @@ def _statistics(values: Sequence[float]) -> dict[str, float]:
     return dict(zip(("min", "5 %", "median", "95 %", "max"), map(float, quantiles), strict=True))
 
 
-def histogram(values: Sequence[float], limit: Limit | None) -> Markup:
+def histogram(values: Sequence[float], limit: Limit | None) -> str:
     """An SVG picture; the limits are upright lines."""
     low, high = min(values), max(values)
     if low == high:
@@ -80,4 +79,4 @@ def histogram(values: Sequence[float], limit: Limit | None) -> Markup:
             parts.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="0" y2="{HEIGHT}"/>')
     parts.append(f'<text x="0" y="{HEIGHT + 13}">{low:.4g}</text>')
     parts.append(f'<text x="{WIDTH}" y="{HEIGHT + 13}" text-anchor="end">{high:.4g}</text></svg>')
-    return Markup("".join(parts))
+    return "".join(parts)

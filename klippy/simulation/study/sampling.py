@@ -71,10 +71,10 @@ def shares(plan: Plan, parameters: Sequence[Parameter]) -> Iterator[tuple[float,
     """The plan's points, 0 to 1 for each parameter."""
     if plan.kind == "grid":
         levels = [parameter.levels for parameter in parameters]
-        for point in itertools.product(*(range(count) for count in levels)):
+        for steps in itertools.product(*(range(count) for count in levels)):
             yield tuple(
                 (i + 0.5) / count if p.kind in ("choice", "constant") else i / (count - 1)
-                for i, count, p in zip(point, levels, parameters, strict=True)
+                for i, count, p in zip(steps, levels, parameters, strict=True)
             )
         return
     from scipy.stats import qmc

@@ -61,9 +61,7 @@ class Study:
         return error(self.path, self.lines, keys, text)
 
 
-def error(
-    path: Path, lines: Mapping[tuple[str, ...], int], keys: tuple[str, ...], text: str
-) -> StudyError:
+def error(path: Path, lines: Mapping[tuple[str, ...], int], keys: tuple[str, ...], text: str) -> StudyError:
     """`file, line N: key: text`; the line of a key within an inline table is that of the table."""
     line = next((lines[keys[:n]] for n in range(len(keys), 0, -1) if keys[:n] in lines), 0)
     name = ".".join(key if re.fullmatch(r"[\w-]+", key) else f'"{key}"' for key in keys)
@@ -216,10 +214,12 @@ def _read_parameters(table: _Table) -> Iterable[Parameter]:
     for name in list(table.values):
         section, dot, option = name.rpartition(".")
         if not dot or not section.strip() or not option.strip():
-            raise table.error(name, 'a parameter is "section.option", in quotes, as "extruder.pressure_advance".')
+            raise table.error(
+                name, 'a parameter is "section.option", in quotes, as "extruder.pressure_advance".'
+            )
         value = table.values[name]
         if isinstance(value, list):
-            value = {"dist": "choice", "values": value}
+            value = table.values[name] = {"dist": "choice", "values": value}
         if not isinstance(value, dict):
             table.take(name)
             yield Parameter(name, "constant", {"values": [value]})
@@ -230,7 +230,9 @@ def _read_parameters(table: _Table) -> Iterable[Parameter]:
 def _read_distribution(name: str, table: _Table) -> Parameter:
     relative = "scale" in table.values
     if relative == ("dist" in table.values):
-        raise table.error("", 'this needs either dist = "..." or, times the value of the config, scale = "...".')
+        raise table.error(
+            "", 'this needs either dist = "..." or, times the value of the config, scale = "...".'
+        )
     word = "scale" if relative else "dist"
     kind = table.take(word)
     if kind not in DISTRIBUTIONS:
@@ -245,7 +247,9 @@ def _read_distribution(name: str, table: _Table) -> Parameter:
         else:
             value = table.number(key)
             if value is None and key in needed:
-                raise table.error("", f"the distribution {kind!r} needs {', '.join(needed)}; {key!r} is missing.")
+                raise table.error(
+                    "", f"the distribution {kind!r} needs {', '.join(needed)}; {key!r} is missing."
+                )
             arguments[key] = value
     steps = table.whole("steps", 0)
     table.finish()
@@ -269,7 +273,9 @@ def _check_plan(study: Study) -> None:
         elif study.plan.kind == "grid" and parameter.steps < 2:
             raise study.error(keys, "in a grid a distribution needs steps = 2 or more, or a list of values.")
         elif study.plan.kind == "grid" and None in (parameter.arguments["low"], parameter.arguments["high"]):
-            raise study.error(keys, "in a grid a normal distribution needs low and high, its first and last step.")
+            raise study.error(
+                keys, "in a grid a normal distribution needs low and high, its first and last step."
+            )
         elif study.plan.kind != "grid" and parameter.steps:
             raise study.error(keys, f"'steps' is for a grid; the plan is {study.plan.kind!r}.")
     if study.plan.kind != "grid" and not any(p.kind != "constant" for p in study.parameters):
@@ -280,7 +286,9 @@ def _read_figures(table: _Table) -> dict[str, dict[str, Any]]:
     figures: dict[str, dict[str, Any]] = {}
     for name in list(table.values):
         if not FIGURE_NAME.fullmatch(name) or name == PRINTED:
-            raise table.error(name, f"a figure has a name of small letters, digits and _, and not '{PRINTED}'.")
+            raise table.error(
+                name, f"a figure has a name of small letters, digits and _, and not '{PRINTED}'."
+            )
         if isinstance(table.values[name], str):
             figures[name] = {"summary": table.take(name)}
             continue
@@ -294,7 +302,7 @@ def _read_figures(table: _Table) -> dict[str, dict[str, Any]]:
         for condition in str(where).split(" and ") if where else ():
             match = CONDITION.fullmatch(condition)
             if match is None:
-                raise one.error("where", f"{condition!r} is no condition; one is as \"flow_mm3_s > 0.5\".")
+                raise one.error("where", f'{condition!r} is no condition; one is as "flow_mm3_s > 0.5".')
             figures[name]["where"].append([match[1], match[2], float(match[3])])
         one.finish()
     if not figures:

@@ -43,7 +43,9 @@ def needed(path: Path) -> Iterator[str]:
 
 
 HOST = [p for p in (ROOT / "klippy").rglob("*.py") if "simulation" not in p.parts]
-PROGRAMS = [*(ROOT / "klippy" / "simulation").rglob("*.py"), *(ROOT / "scripts").glob("*.py")]
+STUDY = [*(ROOT / "klippy" / "simulation" / "study").rglob("*.py"), ROOT / "scripts" / "study.py"]
+SIMULATION = [p for p in (ROOT / "klippy" / "simulation").rglob("*.py") if p not in STUDY]
+PROGRAMS = [*SIMULATION, *(p for p in (ROOT / "scripts").glob("*.py") if p not in STUDY)]
 
 
 @pytest.mark.parametrize(
@@ -52,6 +54,7 @@ PROGRAMS = [*(ROOT / "klippy" / "simulation").rglob("*.py"), *(ROOT / "scripts")
         # a printer never plots; the swarm is an offline tool's
         ([p for p in HOST if p.name != "fit_thermistor.py"], "requirements.txt"),
         ([*HOST, *PROGRAMS], "requirements-sim.txt"),
+        ([*HOST, *PROGRAMS, *STUDY], "requirements-study.txt"),
     ],
 )
 def test_all_that_is_imported_is_on_the_list(files: list[Path], known: str) -> None:
@@ -66,10 +69,11 @@ def test_all_that_is_imported_is_on_the_list(files: list[Path], known: str) -> N
     ("files", "extras"),
     [
         ([p for p in HOST if p.name != "fit_thermistor.py"], []),
-        ([*(ROOT / "klippy" / "simulation").rglob("*.py"), ROOT / "scripts" / "simulate.py"], ["simulation"]),
+        ([*SIMULATION, ROOT / "scripts" / "simulate.py"], ["simulation"]),
+        ([*SIMULATION, *STUDY], ["simulation", "study"]),
         ([ROOT / "scripts" / "console.py"], ["console"]),
     ],
-    ids=["host", "simulation", "console"],
+    ids=["host", "simulation", "study", "console"],
 )
 def test_what_pip_installs_brings_what_its_programs_import(files: list[Path], extras: list[str]) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
