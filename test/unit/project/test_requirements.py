@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
+PACKAGES = importlib.metadata.packages_distributions()
 OWN = {path.stem for folder in ("klippy", "scripts", "test") for path in (ROOT / folder).rglob("*.py")}
 OWN |= {path.name for path in (ROOT / "klippy").iterdir()}
 
@@ -32,14 +33,13 @@ def pinned(name: str) -> set[str]:
 
 def needed(path: Path) -> Iterator[str]:
     """Packages a file imports, wherever in it."""
-    where = importlib.metadata.packages_distributions()
     for node in ast.walk(ast.parse(path.read_text())):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom) and not node.level:
             names = [node.module or ""]
         for name in (full.partition(".")[0] for full in names):
             if name not in sys.stdlib_module_names and name not in OWN:
-                yield where[name][0].lower()
+                yield PACKAGES[name][0].lower()
 
 
 HOST = [p for p in (ROOT / "klippy").rglob("*.py") if "simulation" not in p.parts]
