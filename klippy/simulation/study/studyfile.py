@@ -65,7 +65,8 @@ def error(path: Path, lines: Mapping[tuple[str, ...], int], keys: tuple[str, ...
     """`file, line N: key: text`; the line of a key within an inline table is that of the table."""
     line = next((lines[keys[:n]] for n in range(len(keys), 0, -1) if keys[:n] in lines), 0)
     name = ".".join(key if re.fullmatch(r"[\w-]+", key) else f'"{key}"' for key in keys)
-    return StudyError(f"{path.name}, line {line}: {name}: {text}" if line else f"{path.name}: {name}: {text}")
+    place = f"{path.name}, line {line}" if line else path.name
+    return StudyError(": ".join(part for part in (place, name, text) if part))
 
 
 def near(word: str, known: Iterable[str]) -> str:
@@ -117,7 +118,9 @@ class _Table:
 
     def need(self, key: str, what: str) -> Any:
         if key not in self.values:
-            raise self.error("", f"the key '{key}' is missing; it is {what}.")
+            close = difflib.get_close_matches(key, self.values, n=1)
+            hint = f" There is a '{close[0]}'." if close else ""
+            raise self.error("", f"the key '{key}' is missing; it is {what}.{hint}")
         return self.take(key)
 
     def number(self, key: str, default: float | None = None) -> float | None:
@@ -165,9 +168,11 @@ def read_study(path: Path) -> Study:
     config = (path.parent / written).resolve()
     if not config.is_file():
         raise top.error("config", f"there is no file {config}.")
+    if "files" not in top.values:
+        top.need("files", 'a list of one G-code file or more, as ["part.gcode"]')
     files = top.list_of("files", str, "G-code files", [])
     if not files:
-        raise top.error("files", 'this names one G-code file or more, such as ["part.gcode"].')
+        raise top.error("files", "this names no G-code file.")
     before = top.list_of("before", str, "lines of G-code", [])
     if before and before[-1].strip().upper() != "SAVE_CONFIG":
         raise top.error("before", "the last line has to be SAVE_CONFIG: the print starts from what it saved.")
