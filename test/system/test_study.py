@@ -228,14 +228,15 @@ def test_failed_prints_are_rows_with_a_command_that_repeats_them(tmp_path: Path)
 
 
 def test_calibrations_before_the_print_change_the_config_it_runs_on(tmp_path: Path) -> None:
-    before = 'before = ["PID_CALIBRATE HEATER=heater_bed TARGET=40", "SAVE_CONFIG"]\nfiles = '
+    before = 'before = ["PID_CALIBRATE HEATER=heater_bed TARGET=40 WAIT=1", "SAVE_CONFIG"]\nfiles = '
     path = without_parameters(write_study(tmp_path, kind="grid", old="files = ", new=before))
     shipped = CONFIG.read_bytes()
     done = study(path, tmp_path / "out", "--workers", "1")
     assert done.returncode == 0, done.stderr + done.stdout
     key = json.loads(journal(tmp_path / "out")[0])["key"]
     log = (tmp_path / "out" / "runs" / key / "host.log").read_text()
-    assert "pid_kp = 60\n" not in log and re.search(r"pid_kp = \d", log, re.IGNORECASE)
+    gains = [float(text) for text in re.findall(r"^pid_kp = (.*)$", log, re.MULTILINE)]
+    assert gains and 60.0 not in gains  # 60 is the config's
     assert CONFIG.read_bytes() == shipped
 
 

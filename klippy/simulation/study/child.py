@@ -39,7 +39,7 @@ def run(task: dict[str, Any], folder: Path) -> dict[str, Any]:
     keep = Path(task["keep"]) if task.get("keep") else None
     figures = task.get("figures", {})
     trace = (keep or folder) / "trace.csv" if keep or task.get("describe") or columns_of(figures) else None
-    log = keep / "host.log" if keep else None
+    log = Path(task["log"]) if task.get("log") else None
     handler: logging.Handler = logging.FileHandler(log, mode="w") if log else logging.NullHandler()
     handler.setFormatter(queuelogger.LineFormatter("%(message)s"))
     logging.basicConfig(level=logging.INFO if log else logging.CRITICAL + 1, handlers=[handler])

@@ -122,11 +122,16 @@ def _sessions(job: Job, folder: Path, keep: Path | None, wanted: Callable[[], bo
     for number, lines in enumerate(_split_sessions(job.before)):
         step = folder / f"before{number}.gcode"
         step.write_text("\n".join(lines) + "\n", encoding="utf-8")
-        answer = run_child({**common, "config": str(config), "gcode": str(step)}, folder, wanted)
+        log = (keep or folder) / f"before{number}.log"  # the trace of a calibration goes beside it
+        answer = run_child(
+            {**common, "config": str(config), "gcode": str(step), "log": str(log)}, folder, wanted
+        )
         if answer["exit_status"] != 0:
             return _row(STEP_FAILED, f"{shlex.quote(lines[0])}: {answer['reason']}", {}, folder)
     task = {**common, "config": str(config), "gcode": str(locate(job.gcode)), "until_s": job.until_s}
-    answer = run_child({**task, "figures": job.figures, "keep": str(keep) if keep else None}, folder, wanted)
+    if keep:
+        task |= {"keep": str(keep), "log": str(keep / "host.log")}
+    answer = run_child({**task, "figures": job.figures}, folder, wanted)
     return _row(answer["status"], answer["reason"], answer["figures"], folder)
 
 

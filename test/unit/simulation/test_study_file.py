@@ -91,6 +91,12 @@ def test_the_studies_that_come_with_ferrite_can_be_read(path: Path) -> None:
     assert read_study(path).parameters
 
 
+def test_the_example_of_the_reference_can_be_read(tmp_path: Path) -> None:
+    page = (ROOT / "docs" / "reference" / "Study_Files.md").read_text(encoding="utf-8")
+    example = page.partition("```toml\n")[2].partition("```")[0]
+    assert len(read(tmp_path, example.replace("../sim-induction.cfg", "printer.cfg")).parameters) == 2
+
+
 def test_a_latin_hypercube_has_one_point_in_each_eighth_of_each_parameter() -> None:
     parameters = [
         Parameter("a.b", "uniform", {"low": 10.0, "high": 18.0}),
