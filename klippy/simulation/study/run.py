@@ -14,7 +14,8 @@ from .prepare import Prepared
 from .results import Journal, Rows, write_failures, write_table
 from .studyfile import PRINTED, Study
 
-MET, NOT_MET, BAD_STUDY = 0, 1, 2
+MET, NOT_MET = 0, 1
+REPORT, NO_REPORT = "report.html", "no_report.txt"  # what repeating a print leaves last
 OnProgress = Callable[[int, int], None]  # finished prints, all prints
 
 
@@ -79,13 +80,12 @@ def repeat(prepared: Prepared, key: str, folder: Path) -> dict[str, Any]:
     keep.mkdir(parents=True, exist_ok=True)
     job = prepared.jobs[key]
     result = execute(job, keep.resolve())
-    if (keep / "summary.json").exists() and (keep / "trace.csv").exists():
-        from simulation.report import ReportError, write_report
+    from simulation.report import ReportError, write_report
 
-        try:
-            write_report(keep / "trace.csv", keep / "summary.json", job.gcode, html=keep / "report.html")
-        except ReportError as e:
-            (keep / "no_report.txt").write_text(f"{e}\n", encoding="utf-8")
+    try:
+        write_report(keep / "trace.csv", keep / "summary.json", job.gcode, html=keep / REPORT)
+    except ReportError as e:
+        (keep / NO_REPORT).write_text(f"{e}\n", encoding="utf-8")
     return result
 
 
@@ -95,9 +95,9 @@ def _write_reports(
     """Of the worst prints of each limit."""
     wanted = [key for verdict in verdicts for key in verdict.worst[: study.reports]]
     for key in dict.fromkeys(wanted):
-        if not (folder / "runs" / key / "summary.json").exists():
+        if not any((folder / "runs" / key / name).exists() for name in (REPORT, NO_REPORT)):
             repeat(prepared, key, folder)
-    return frozenset(key for key in prepared.jobs if (folder / "runs" / key / "report.html").exists())
+    return frozenset(key for key in prepared.jobs if (folder / "runs" / key / REPORT).exists())
 
 
 def _write_page(

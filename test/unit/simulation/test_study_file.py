@@ -88,7 +88,7 @@ def test_printed_has_a_limit_though_the_file_has_none(tmp_path: Path) -> None:
     "path", sorted((ROOT / "config" / "studies").glob("*.toml")), ids=lambda path: path.stem
 )
 def test_the_studies_that_come_with_ferrite_can_be_read(path: Path) -> None:
-    assert read_study(path).parameters
+    assert read_study(path).limits
 
 
 def test_the_example_of_the_reference_can_be_read(tmp_path: Path) -> None:
