@@ -453,12 +453,12 @@ class MCU:
 
     register_serial_response = register_response
 
-    def register_lot(
+    def register_batch(
         self, cb: Callable[[Any, int], None], msgformat: str, seconds: float = 0.0, most: int = 0
     ) -> None:
         """Call `cb(messages, count)` with undecoded messages, when there are `most` or one has waited so long."""
         try:
-            self._serial.register_lot(cb, msgformat, seconds, most)
+            self._serial.register_batch(cb, msgformat, seconds, most)
         except msgproto.error as e:
             self._fail(self._missing_command_text(msgformat, e))
 

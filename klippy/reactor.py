@@ -38,7 +38,7 @@ _NOW = 0.0
 _NEVER = 9999999999999999.0
 # A timer that asks for a moment nearer than this gets it so much later: less than the clock resolves is the same one,
 # and virtual time, which waits for timers, would stand.
-_STEP_LEAST_S = 1e-6
+_STEP_MIN_S = 1e-6
 _COMPACT_MARGIN = 256  # stale heap entries tolerated before the heap is rebuilt
 
 
@@ -449,8 +449,8 @@ class Reactor:
         waketime = timer.callback(now)
         if waketime is None:  # a wake timer may have been set again by the greenlet it woke
             return
-        if now <= waketime < now + _STEP_LEAST_S:
-            waketime = now + _STEP_LEAST_S
+        if now <= waketime < now + _STEP_MIN_S:
+            waketime = now + _STEP_MIN_S
         if timer.ticket or waketime < _NEVER:
             self.update_timer(timer, waketime)
 

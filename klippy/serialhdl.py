@@ -23,10 +23,10 @@ from reactor import Reactor, ReactorCompletion
 
 Params = msgproto.Params
 ResponseHandler = Callable[[Params], None]
-LotHandler = Callable[[Any, int], None]
+BatchHandler = Callable[[Any, int], None]
 
 PULL_MAX = 64
-LOT_MAX = 32
+BATCH_MAX = 32
 IDENTIFY_CHUNK = 40  # bytes of dictionary asked for at once: the answer fits a block
 CONNECT_TIMEOUT_S = 15.0  # an MCU behind a boot loader starts within a few seconds
 REOPEN_PAUSE_S = 0.5
@@ -84,8 +84,8 @@ class SerialReader:
         self._ffi, self._lib = chelper.get_ffi()
         self._port: serialport.Port | None = None
         self._pulled = self._ffi.new("struct pull_message[]", PULL_MAX)
-        self._lot = self._ffi.new("struct pull_message[]", LOT_MAX)
-        self._on_lot: LotHandler | None = None
+        self._batch = self._ffi.new("struct pull_message[]", BATCH_MAX)
+        self._on_batch: BatchHandler | None = None
         self._stats = self._ffi.new("struct serialqueue_stats *")
         self._tables = _Tables()
         self._notify_id = 0
@@ -100,7 +100,7 @@ class SerialReader:
         self._lib.serialqueue_reset(self._sq, file_mode)
         self._tables.waiters.clear()
         self._tables.notices.clear()
-        self._on_lot = None
+        self._on_batch = None
         self._clock = _Clock()
 
     # --- connecting ---
@@ -181,15 +181,17 @@ class SerialReader:
 
     # --- receiving ---
 
-    def register_lot(self, callback: LotHandler, msgformat: str, seconds: float = 0.0, most: int = 0) -> None:
+    def register_batch(
+        self, callback: BatchHandler, msgformat: str, seconds: float = 0.0, most: int = 0
+    ) -> None:
         """Hand messages of this format on undecoded, many at a time: `callback(messages, count)` in the reactor thread.
 
-        `messages` are C's struct pull_message, up to LOT_MAX. They wait until there are `most` of them or the oldest
+        `messages` are C's struct pull_message, up to BATCH_MAX. They wait until there are `most` of them or the oldest
         is so old. One format only; registering it again changes what it waits for.
         """
         message_id = self.msgparser.lookup_command(msgformat).id_bytes
-        self._on_lot = callback
-        self._lib.serialqueue_set_lot(self._sq, message_id, len(message_id), seconds, most)
+        self._on_batch = callback
+        self._lib.serialqueue_set_batch(self._sq, message_id, len(message_id), seconds, most)
 
     def _drain(self) -> None:
         """Take what the queue has for us. Called by the port in the reactor thread."""
@@ -204,12 +206,12 @@ class SerialReader:
                         notice(params)
                 elif params:
                     self._dispatch(params)
-        if self._on_lot is not None:
-            self._drain_lot(self._on_lot)
+        if self._on_batch is not None:
+            self._drain_batch(self._on_batch)
 
-    def _drain_lot(self, handler: LotHandler) -> None:
-        lot = self._lot
-        while count := self._lib.serialqueue_pull_lot(self._sq, lot, LOT_MAX, self.reactor.monotonic()):
+    def _drain_batch(self, handler: BatchHandler) -> None:
+        lot = self._batch
+        while count := self._lib.serialqueue_pull_batch(self._sq, lot, BATCH_MAX, self.reactor.monotonic()):
             try:
                 handler(lot, count)
             except Exception:

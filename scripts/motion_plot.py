@@ -135,7 +135,7 @@ def read_batch(dictionary: Path, output: Path, lengths: dict[str, tuple[str, flo
 
 
 @dataclass
-class _Track:
+class _Trace:
     pin: str
     clock: int = 0
     forward: int = 1
@@ -145,14 +145,14 @@ class _Track:
 
 
 def _decode(lines: Iterable[str], freq: float, lengths: dict[str, tuple[str, float]]) -> Iterable[Motor]:
-    tracks: dict[str, _Track] = {}
+    tracks: dict[str, _Trace] = {}
     for line in lines:
         name, _, rest = line.partition(" ")
         if name not in ("config_stepper", "reset_step_clock", "set_next_step_dir", "queue_step"):
             continue
         value = dict(word.split("=", 1) for word in rest.split() if "=" in word)
         if name == "config_stepper":
-            tracks[value["oid"]] = _Track(value["step_pin"])
+            tracks[value["oid"]] = _Trace(value["step_pin"])
             continue
         track = tracks[value["oid"]]
         if name == "reset_step_clock":  # 32 bits on the wire

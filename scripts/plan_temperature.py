@@ -56,7 +56,7 @@ class BadInput(Exception):
     """The text is for people."""
 
 
-def _least_change_c(text: str) -> float:
+def _min_change_c(text: str) -> float:
     """--step: 0.1 to 50 degC."""
     try:
         value = float(text)
@@ -86,7 +86,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         "--set", action="append", default=[], metavar="OPTION=VALUE", help="of [temperature_plan]"
     )
     parser.add_argument(
-        "--step", type=_least_change_c, default=2.0, help="--emit: least change written, degC (2)"
+        "--step", type=_min_change_c, default=2.0, help="--emit: least change written, degC (2)"
     )
     return parser.parse_args(argv)
 
@@ -149,7 +149,7 @@ def tell(found: plan_offline.OfflinePlan, plain: plan_offline.OfflinePlan, mater
             f"{100 * found.summary.hot_share:.0f} % is too hot even for the coolest melt: a lower minimum_speed_factor,"
             " max_layer_pause or more fan would help"
         )
-    slowest = min(move.pace for move in found.moves)
+    slowest = min(move.speed_factor for move in found.moves)
     if slowest < 1.0:
         low_c, _, high_c = plain.summary.interface_5_50_95_c[1]
         print(

@@ -166,7 +166,7 @@ class Supervisor:
         self._programs = programs
         self._port = port
         self._told = ""
-        self._moonraker_told = port is None
+        self._moonraker_announced = port is None
         self._ending = False
 
     def end(self, number: int, frame: object) -> None:
@@ -199,8 +199,8 @@ class Supervisor:
                 say(f"ready: the printer is ready; API server at {self._folder.socket}")
             elif info:
                 say(f"{state}: {info['state_message']}")
-        if not self._moonraker_told and self._port is not None and moonraker_is_up(self._port):
-            self._moonraker_told = True
+        if not self._moonraker_announced and self._port is not None and moonraker_is_up(self._port):
+            self._moonraker_announced = True
             say(f"moonraker: http://127.0.0.1:{self._port}/  (printer address for a web front end)")
 
 

@@ -16,11 +16,11 @@ DECL_RESPONSE(response_is_shutdown, "is_shutdown static_string_id=%hu");
 
 enum {
     /* So many timer events in one interrupt, then others get their turn.  Origin: some 50 us of steps on a 72 MHz chip. */
-    SPELL_EVENTS = 64,
-    /* So many spells without ever being in time: a timer asks to run again at once, for ever.  Origin: above any honest
+    INTERVAL_EVENTS = 64,
+    /* So many intervals without ever being in time: a timer asks to run again at once, for ever.  Origin: above any honest
      * burst (a few timers per stepper), below a second of hanging on the slowest machine. */
-    SPELLS_MAX = 300,
-    PAUSE_SPELLS = 16,     /* after so many without leaving the interrupt, tasks get PORT_TIMER_PAUSE_TICKS */
+    INTERVALS_MAX = 300,
+    PAUSE_INTERVALS = 16,     /* after so many without leaving the interrupt, tasks get PORT_TIMER_PAUSE_TICKS */
     LATE_MAX_US = 100000,  /* a timer that runs later than this: the machine is overloaded */
 };
 /* A timer nearer than this is waited for inside the interrupt, where leaving and coming again costs more. */
@@ -30,7 +30,7 @@ enum { WAIT_TICKS = PORT_TIMER_WAIT_TICKS };
 enum { WAIT_TICKS = 0 };
 #endif
 
-/* Time for the tasks when timers leave them none (after PAUSE_SPELLS); steps are late by that much then. */
+/* Time for the tasks when timers leave them none (after PAUSE_INTERVALS); steps are late by that much then. */
 #ifdef PORT_TIMER_PAUSE_TICKS
 enum { PAUSE_TICKS = PORT_TIMER_PAUSE_TICKS };
 #else
@@ -54,8 +54,8 @@ static struct {
     uint8_t announce_shutdown, announce_start;
     uint8_t timers_alive;             /* the timer interrupt has come since the watchdog was fed */
     uint8_t dispatching;              /* the head of the list is the timer that runs now */
-    uint16_t spells_late;             /* since a timer was last in time */
-    uint8_t spells_busy;              /* since tasks have last had a turn */
+    uint16_t intervals_late;             /* since a timer was last in time */
+    uint8_t intervals_busy;              /* since tasks have last had a turn */
     volatile uint8_t tasks_waiting;
 } sched;
 
@@ -74,8 +74,8 @@ power_on_state(void)
     sched.announce_start = 1;
     sched.timers_alive = 0;
     sched.dispatching = 0;
-    sched.spells_late = 0;
-    sched.spells_busy = 0;
+    sched.intervals_late = 0;
+    sched.intervals_busy = 0;
     sched.tasks_waiting = 0;
     sched_wake_task(&announce_wake);
 }
@@ -159,19 +159,19 @@ comes_soon(uint32_t late)
 {
     if (!(late >> 31))
         shutdown(SHUTDOWN_RESCHEDULED_IN_PAST);
-    sched.spells_late = 0;
+    sched.intervals_late = 0;
     if (-late <= WAIT_TICKS)
         return 1;
-    sched.spells_busy = 0;
+    sched.intervals_busy = 0;
     return 0;
 }
 
-/* The hot path of all stepping, laid out for a timer that stays the head of the list: it is left there while it runs. */
+/* The hot path of all stepping, deposited out for a timer that stays the head of the list: it is left there while it runs. */
 static void
 run_due_timers(void *unused)
 {
     (void)unused;
-    uint_fast8_t left = SPELL_EVENTS;
+    uint_fast8_t left = INTERVAL_EVENTS;
     struct timer *t = sched.timers;
     while (t) {
         uint32_t late = timer_read_time() - t->waketime;
@@ -187,8 +187,8 @@ run_due_timers(void *unused)
         if (UNLIKELY(!--left))
             break;
     }
-    sched.spells_busy++;
-    if (++sched.spells_late > SPELLS_MAX)
+    sched.intervals_busy++;
+    if (++sched.intervals_late > INTERVALS_MAX)
         shutdown(SHUTDOWN_RESCHEDULED_IN_PAST);
 }
 
@@ -197,7 +197,7 @@ static uint32_t
 after_pause(void)
 {
     uint32_t next = sched_next_waketime(), end = timer_read_time() + PAUSE_TICKS;
-    sched.spells_busy = 0;
+    sched.intervals_busy = 0;
     return timer_is_before(next, end) ? end : next;
 }
 
@@ -208,7 +208,7 @@ sched_timer_dispatch(void)
     sched.dispatching = sched.timers != NULL;
     sched_guarded(run_due_timers, NULL);
     sched.dispatching = 0;
-    return sched.spells_busy < PAUSE_SPELLS ? sched_next_waketime() : after_pause();
+    return sched.intervals_busy < PAUSE_INTERVALS ? sched_next_waketime() : after_pause();
 }
 
 /****************************************************************

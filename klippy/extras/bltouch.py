@@ -50,8 +50,8 @@ class BLTouch(ProbeSwitch):
         self._each_sample = config.getboolean("stow_on_each_sample", True)
         self._move_time_s = config.getfloat("pin_move_time", 0.680, above=0.0)
         self._touch_mode = config.getboolean("probe_with_touch_mode", False)
-        self._up_is_told = config.getboolean("pin_up_reports_not_triggered", True)
-        self._touch_mode_is_told = config.getboolean("pin_up_touch_mode_reports_triggered", True)
+        self._up_is_reported = config.getboolean("pin_up_reports_not_triggered", True)
+        self._touch_mode_is_reported = config.getboolean("pin_up_touch_mode_reports_triggered", True)
         self._output_mode = config.getchoice("set_output_mode", {None: None, "5V": "5V", "OD": "OD"}, None)
         self._control = self.printer.lookup_object("pins").setup_pin("pwm", config.get("control_pin"))
         self._control.setup_max_duration(0.0)
@@ -98,7 +98,7 @@ class BLTouch(ProbeSwitch):
     def lower_probe(self) -> None:
         for _ in range(TRIES):
             self._signal("pin_down", self._move_time_s)
-            if not self._touch_mode_is_told:
+            if not self._touch_mode_is_reported:
                 break
             self._signal("touch_mode")
             if not self._is_triggered():
@@ -111,13 +111,13 @@ class BLTouch(ProbeSwitch):
             )
         if self._touch_mode:
             self._signal("touch_mode")
-        elif self._touch_mode_is_told:
+        elif self._touch_mode_is_reported:
             self._signal("pin_down")
 
     def raise_probe(self) -> None:
         for _ in range(TRIES):
             self._signal("pin_up", self._move_time_s)
-            if not self._up_is_told or not self._is_triggered():
+            if not self._up_is_reported or not self._is_triggered():
                 return
             self._signal("reset", self._move_time_s)
         raise self.printer.command_error("BLTouch failed to raise probe")

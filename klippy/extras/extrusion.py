@@ -144,11 +144,11 @@ class Extrusion:
     def _extrude(self, script: list[str]) -> None:
         """Relative extrusion at 100 %, whatever M82, M220 and M221 say; after it, or an error, they are as before."""
         run = self._gcode.run_script_from_command
-        run("SAVE_GCODE_STATE NAME=extrusion_craft")
+        run("SAVE_GCODE_STATE NAME=extrusion_test")
         try:
             run("\n".join(["M83", "M220 S100", "M221 S100", *script]))
         finally:
-            run("RESTORE_GCODE_STATE NAME=extrusion_craft")
+            run("RESTORE_GCODE_STATE NAME=extrusion_test")
 
     def cmd_PRIME_OOZE(self, gcmd: GCodeCommand) -> None:
         if self.overrun is None:

@@ -51,7 +51,9 @@ class _Modes:
     extrude_factor: float = 1.0
     base_position: list[float] = field(default_factory=lambda: [0.0] * 4)  # toolhead position of G-code zero
     homing_position: list[float] = field(default_factory=lambda: [0.0] * 4)  # its value after G28
-    pace: float = 1.0  # further factor of moves that extrude, beside the user's own (temperature_plan)
+    plan_speed_factor: float = (
+        1.0  # further factor of moves that extrude, beside the user's own (temperature_plan)
+    )
 
 
 class GCodeMove:
@@ -68,7 +70,7 @@ class GCodeMove:
         self.is_printer_ready = False
         self._move: Any = None
         ffi, self._lib = chelper.get_ffi()
-        self._aim = ffi.new("struct gcode_aim *")
+        self._aim = ffi.new("struct gcode_destination *")
 
     # -- set-up --
 
@@ -188,7 +190,7 @@ class GCodeMove:
         except ValueError:
             raise self._bad_number(gcmd) from None
         aim = self._aim
-        self._lib.gcode_aim([self.modal_state()], [(values, given)], aim)
+        self._lib.gcode_destination([self.modal_state()], [(values, given)], aim)
         target = [*aim.target, *self.last_position[4:]]
         for number, value in further.items():
             target[number] = (
@@ -208,7 +210,7 @@ class GCodeMove:
         """struct gcode_modes."""
         modes = self.modes
         return (
-            self.last_position[:4], modes.speed, modes.base_position[:4], modes.speed_factor, modes.pace,
+            self.last_position[:4], modes.speed, modes.base_position[:4], modes.speed_factor, modes.plan_speed_factor,
             modes.extrude_factor, modes.absolute_coord, modes.absolute_extrude,
         )  # fmt: skip
 
@@ -334,7 +336,7 @@ class GCodeMove:
             state.extrude_factor,
             [*state.base_position[:3], state.base_position[3] + e_diff, *modes.base_position[4:]],
             list(state.homing_position),
-            modes.pace,
+            modes.plan_speed_factor,
         )
         if move:
             self.last_position = target

@@ -43,7 +43,7 @@ def kinematic_position(printer: Printer) -> list[float]:
     return [was if new is None else new for new, was in zip(place, toolhead.get_position(), strict=False)]
 
 
-def tell_save_config(gcmd: GCodeCommand, what: str) -> None:
+def report_save_config(gcmd: GCodeCommand, what: str) -> None:
     """The answer of every command that found a value for the config."""
     gcmd.respond_info(
         f"{what}\nThe SAVE_CONFIG command will update the printer config file\n"
@@ -171,7 +171,7 @@ class ManualProbe:
     def _propose(self, gcmd: GCodeCommand, position_mm: float) -> None:
         assert self._endstop is not None
         section = self._endstop[0]
-        tell_save_config(gcmd, f"{section}: position_endstop: {position_mm:.3f}")
+        report_save_config(gcmd, f"{section}: position_endstop: {position_mm:.3f}")
         self.printer.lookup_object("configfile").set(section, "position_endstop", f"{position_mm:.3f}")
 
     def cmd_Z_ENDSTOP_CALIBRATE(self, gcmd: GCodeCommand) -> None:

@@ -22,20 +22,20 @@ from .heater import run as heater_run
 from .heater import tuning as heater_tuning
 
 WARM_C = 45.0  # a heater hotter than this has not cooled down yet
-LEAST_RISE_C = 30.0
+MIN_RISE_C = 30.0
 MARGIN_C = 10.0  # of the default target below max_temp
 USUAL_C = {"heater_bed": 80.0}
 NOZZLE_POWER_W = 30.0
 EVEN_C = 5.0  # 6 W/K; off and on would leave the thermometer without a reading at each peak
 MELT_C = 230.0  # usual for the steps with filament ...
-COOLER_C, COOLER_LEAST_C = 45.0, 20.0  # ... and the second temperature so much below it
+COOLER_C, COOLER_MIN_C = 45.0, 20.0  # ... and the second temperature so much below it
 EXTRUDE_MARGIN_C = 5.0  # above min_extrude_temp at least
 AIR_MM = 20.0  # below the nozzle, for filament to come out
 PIECE_S, PIECE_AHEAD_S = (
     5.0,
     0.4,
 )  # filament is fed in moves of so long: ABORT ends it soon, and few joints disturb it
-LEAST_POWER_W = 1.0  # no heater of a printer is weaker
+MIN_POWER_W = 1.0  # no heater of a printer is weaker
 
 
 class ModelCalibrate:
@@ -68,7 +68,7 @@ class ModelCalibrate:
         usual_c = MELT_C if runner.induction and flow_mm3_s else 200.0
         usual_c = min(USUAL_C.get(heater.name, usual_c), heater.max_temp - MARGIN_C)
         target_c = gcmd.get_float(
-            "TARGET", usual_c, minval=round(now_c + LEAST_RISE_C, 1), maxval=heater.max_temp
+            "TARGET", usual_c, minval=round(now_c + MIN_RISE_C, 1), maxval=heater.max_temp
         )
         power_w = self._power(gcmd, runner)
         plan = self._plan(gcmd, runner, target_c, flow_mm3_s)
@@ -89,7 +89,7 @@ class ModelCalibrate:
         written = heater_tuning.options_of(runner.heater).get("heater_power_w")
         default = float(written) if written is not None else 0.0
         power_w = gcmd.get_float("POWER", default, minval=0.0)
-        if power_w < LEAST_POWER_W:
+        if power_w < MIN_POWER_W:
             raise gcmd.error(
                 "MODEL_CALIBRATE: the heater's power at full duty is needed once: POWER= in watts (voltage squared over"
                 " resistance)"
@@ -142,11 +142,11 @@ class ModelCalibrate:
         needed_c = heater_tuning.min_extrude_c(heater)
         if extruder.get_name() != heater.name:
             raise gcmd.error(f"MODEL_CALIBRATE: FLOW needs the extruder of heater '{heater.name}' in use")
-        span_c = COOLER_LEAST_C if plan.further else 0.0
-        least_c = needed_c + EXTRUDE_MARGIN_C + span_c
-        if plan.target_c < least_c:
+        span_c = COOLER_MIN_C if plan.further else 0.0
+        lowest_c = needed_c + EXTRUDE_MARGIN_C + span_c
+        if plan.target_c < lowest_c:
             raise gcmd.error(
-                f"MODEL_CALIBRATE: with FLOW the TARGET must be {least_c:.0f} C at least: filament is fed at it"
+                f"MODEL_CALIBRATE: with FLOW the TARGET must be {lowest_c:.0f} C at least: filament is fed at it"
                 + (f" and at {span_c:.0f} C less" if span_c else "")
                 + f", and min_extrude_temp is {needed_c:.0f} C"
             )

@@ -23,7 +23,7 @@ from .heater import tuning as heater_tuning
 
 TRACE = Path("/tmp/heattest.txt")  # where Klipper's users look for it
 BAND_C, INDUCTION_BAND_C = 0.5, 1.0
-LEAST_ABOVE_C = 10.0
+MIN_ABOVE_C = 10.0
 INDUCTION_SWING_C = 20.0  # a nozzle with 300 W swings so far beyond the target ...
 # ... within a fraction of a second.
 INDUCTION_TIMES = {"swing_s": 20.0, "heat_s": 60.0, "gain_s": 5.0, "lost_c": 60.0, "cycles": 12}
@@ -45,8 +45,8 @@ class PidCalibrate:
     def cmd_PID_CALIBRATE(self, gcmd: GCodeCommand) -> None:
         heater = heater_tuning.heater_of(self.printer, gcmd)
         runner = heater_run.Runner(self.printer, heater, "PID_CALIBRATE")
-        most_c = heater.max_temp - (INDUCTION_SWING_C if runner.induction else 0.0)
-        target_c = gcmd.get_float("TARGET", minval=heater.min_temp, maxval=most_c)
+        highest_c = heater.max_temp - (INDUCTION_SWING_C if runner.induction else 0.0)
+        target_c = gcmd.get_float("TARGET", minval=heater.min_temp, maxval=highest_c)
         keep_law = gcmd.get("KEEP_LAW", "").lower()
         if keep_law not in ("", "pid"):
             raise gcmd.error(
@@ -54,9 +54,9 @@ class PidCalibrate:
             )
         other = "" if keep_law or not runner.induction else _other_law(heater)
         now_c = runner.check_sensor(gcmd)
-        if target_c < now_c + LEAST_ABOVE_C:
+        if target_c < now_c + MIN_ABOVE_C:
             raise gcmd.error(
-                f"PID_CALIBRATE: heater '{heater.name}' is at {now_c:.1f} C; TARGET must be {LEAST_ABOVE_C:.0f} C above"
+                f"PID_CALIBRATE: heater '{heater.name}' is at {now_c:.1f} C; TARGET must be {MIN_ABOVE_C:.0f} C above"
                 " that, or the way there says nothing"
             )
         if runner.induction:

@@ -284,7 +284,7 @@ class PrinterProbe:
         manual_probe.ManualProbeHelper(self.printer, gcmd, finalize)
 
     def _propose(self, gcmd: GCodeCommand, z_offset: float) -> None:
-        manual_probe.tell_save_config(gcmd, f"{self.name}: z_offset: {z_offset:.3f}")
+        manual_probe.report_save_config(gcmd, f"{self.name}: z_offset: {z_offset:.3f}")
         self.printer.lookup_object("configfile").set(self.name, "z_offset", f"{z_offset:.3f}")
 
     def cmd_Z_OFFSET_APPLY_PROBE(self, gcmd: GCodeCommand) -> None:

@@ -179,7 +179,7 @@ class SpiSensor:
         self._range = (0, 0)
         self._callback: Callable[[float, float], None] | None = None
         self._report_ticks = 0
-        self._told_fault = 0
+        self._reported_fault = 0
         for message in chip.registers:
             spi.spi_send(message)
         mcu.register_response(self._on_result, "thermocouple_result", self.oid)
@@ -214,16 +214,16 @@ class SpiSensor:
         if fault:
             self._tell(fault)
             return
-        self._told_fault = 0
+        self._reported_fault = 0
         clock = self.mcu.clock32_to_clock64(params["next_clock"]) - self._report_ticks
         if self._callback is not None:
             self._callback(self.mcu.clock_to_print_time(clock), self.chip.to_temp_c(params["value"]))
 
     def _tell(self, fault: int) -> None:
         """Once a change: the MCU shuts down by itself if it stays."""
-        if fault == self._told_fault:
+        if fault == self._reported_fault:
             return
-        self._told_fault = fault
+        self._reported_fault = fault
         names = [text for mask, text in self.chip.faults if fault & mask]
         text = f"{self.chip.type_name} in section '{self.name}': {', '.join(names) or f'fault {fault:#04x}'}"
         logging.warning("%s", text)

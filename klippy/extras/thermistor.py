@@ -26,13 +26,13 @@ from .adc_temperature import PrinterADCtoTemperature
 
 ZERO_CELSIUS_K = 273.15
 RATIO_LOW, RATIO_HIGH = 1e-5, 1.0 - 1e-5  # keeps the logarithm finite at an open or shorted sensor
-LN_OHM_MOST = 300.0  # what min_temp near absolute zero would need no number can hold
+LN_OHM_MAX = 300.0  # what min_temp near absolute zero would need no number can hold
 HOTTEST_INVERSE_K = 1.0 / 2273.15  # a shorted sensor reads as 2000 degC, where the law itself has a pole
-BETA_LEAST_K, BETA_MOST_K = 500.0, 20000.0  # parts have 2000 to 6000
+BETA_MIN_K, BETA_MAX_K = 500.0, 20000.0  # parts have 2000 to 6000
 
 
 def _ohm(ln_ohm: float) -> float:
-    return math.exp(min(LN_OHM_MOST, max(-LN_OHM_MOST, ln_ohm)))
+    return math.exp(min(LN_OHM_MAX, max(-LN_OHM_MAX, ln_ohm)))
 
 
 class Law(Protocol):
@@ -227,7 +227,7 @@ def read_law(config: ConfigWrapper) -> Law:
     above_zero_k = -ZERO_CELSIUS_K
     temp1_c = config.getfloat("temperature1", above=above_zero_k)
     ohm1 = config.getfloat("resistance1", above=0.0)
-    beta_k = config.getfloat("beta", None, minval=BETA_LEAST_K, maxval=BETA_MOST_K)
+    beta_k = config.getfloat("beta", None, minval=BETA_MIN_K, maxval=BETA_MAX_K)
     if beta_k is not None:
         return fit_beta(temp1_c, ohm1, beta_k)
     points = [(temp1_c, ohm1)]

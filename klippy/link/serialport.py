@@ -69,7 +69,7 @@ class ThreadPort:
         self._pipe: tuple[int, int] = (-1, -1)
         self._handler: Any = None
         self._on_receive: Callable[[], None] = lambda: None
-        self._failure_told = False
+        self._failure_reported = False
 
     def attach(self, sq_pointer: Any, on_receive: Callable[[], None]) -> None:
         self._on_receive = on_receive
@@ -86,10 +86,10 @@ class ThreadPort:
         except BlockingIOError:
             pass
         self._on_receive()
-        if self._thread is not None and not self._failure_told:
+        if self._thread is not None and not self._failure_reported:
             code = self._lib.portthread_error(self._thread)
             if code:
-                self._failure_told = True
+                self._failure_reported = True
                 reason = "the other end closed it" if code < 0 else os.strerror(code)
                 logging.error("Port '%s' failed: %s", self._name, reason)
 

@@ -182,7 +182,7 @@ def _add_axis(machine: Machine, axis: AxisSettings, config: Config) -> int:
     if role == "E":
         return machine.world.add_axis(role, step, dir_pin, mm_per_step, both_edges=axis.both_edges)
     if _kinematics(config) == "delta" and axis.name in _TOWERS:
-        belief = _tower_belief(belief, config, where)
+        belief = _tower_assumption(belief, config, where)
     low = _first(axis.position_min_mm, _number(belief, "position_min", 0.0, where) - _SLACK_MM)
     high = _first(axis.position_max_mm, _number(belief, "position_max", 200.0, where) + _SLACK_MM)
     if not low < high:
@@ -273,7 +273,7 @@ def _couple_axes(machine: Machine, config: Config) -> None:
             machine.world.couple_axes(machine.axes[name], machine.axes[partner], own_share, partner_share)
 
 
-def _tower_belief(belief: Mapping[str, str], config: Config, where: str) -> Mapping[str, str]:
+def _tower_assumption(belief: Mapping[str, str], config: Config, where: str) -> Mapping[str, str]:
     """A delta's carriage, its place counted so that it meets its switch at the tower's position_endstop."""
     first = config.get("stepper_a", {})
     top_mm = _number({**first, **belief}, "position_endstop", 200.0, where)

@@ -2,7 +2,7 @@
 
 M104 acts when it is read, some motion before the path it stands at; the plan's own preview is far longer, so that is
 left out. What the file itself says with M104/M109 while it extrudes is taken out: the plan holds it already. Its own
-M220 are multiplied with the plan's pace (M220 slows travel, too, which the plan does not).
+M220 are multiplied with the plan's speed_factor (M220 slows travel, too, which the plan does not).
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ def write(source: Path, target: Path, plan: OfflinePlan, step_c: float) -> int:
 
 def _write(source: Path, out: BinaryIO, plan: OfflinePlan, step_c: float) -> int:
     commands = _commands(plan, step_c)
-    paces = {change.line: change.pace for change in plan.paces}
+    speed_changes = {change.line: change.speed_factor for change in plan.speed_changes}
     first, last = plan.moves[0].line, plan.moves[-1].line
     count, file_percent, factor = len(commands), 100.0, 1.0
     with source.open("rb") as lines:
         for number, line in enumerate(lines):
             if number in commands:
                 out.write(b"M104 S%d ;planned\n" % commands[number])
-            if number in paces:
-                pace = paces[number]
-                if pace.factor != factor:
-                    factor = pace.factor
+            if number in speed_changes:
+                speed_factor = speed_changes[number]
+                if speed_factor.factor != factor:
+                    factor = speed_factor.factor
                     out.write(b"M220 S%d ;planned\n" % round(file_percent * factor))
                     count += 1
-                if pace.pause_s > 0.0:
-                    out.write(b"G4 P%d ;planned\n" % round(1000.0 * pace.pause_s))
+                if speed_factor.pause_s > 0.0:
+                    out.write(b"G4 P%d ;planned\n" % round(1000.0 * speed_factor.pause_s))
                     count += 1
             kept = line
             told = _TARGET.match(line)
@@ -80,8 +80,8 @@ def _write(source: Path, out: BinaryIO, plan: OfflinePlan, step_c: float) -> int
 def _commands(plan: OfflinePlan, step_c: float) -> dict[int, int]:
     """Line -> target: where the planned nozzle temperature has moved by `step_c` since the last command."""
     commands: dict[int, int] = {}
-    told_c = plan.base_c
+    sent_c = plan.base_c
     for move in plan.moves:
-        if abs(move.wall_c - told_c) >= step_c:
-            told_c = commands[move.line] = round(move.wall_c)
+        if abs(move.wall_c - sent_c) >= step_c:
+            sent_c = commands[move.line] = round(move.wall_c)
     return commands

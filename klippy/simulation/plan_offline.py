@@ -18,9 +18,9 @@ from extras.temperature_plan.path_events import PathEvents
 from extras.temperature_plan.settings import Settings
 from thermal.models.melt_exchange import NozzleLimits
 from thermal.plan import weld
-from thermal.plan.layer_time import Pace
-from thermal.plan.planner import Laid, Summary
-from thermal.plan.session import BOOK_BEHIND_S, COMMIT_S, Session
+from thermal.plan.layer_time import LayerSpeed
+from thermal.plan.planner import Deposited, Summary
+from thermal.plan.session import COMMIT_S, RECORD_BEHIND_S, Session
 
 from .path_host import PathHost
 
@@ -47,14 +47,14 @@ class PlannedMove:
     substrate_c: float
     interface_c: float
     interface_fixed_c: float
-    pace: float  # part of the file's own speed
+    speed_factor: float  # part of the file's own speed
 
 
-class PaceChange(NamedTuple):
+class SpeedChange(NamedTuple):
     """Before this line of the file the print gets another speed, or waits."""
 
     line: int
-    pace: Pace
+    speed_factor: LayerSpeed
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,18 +66,18 @@ class OfflinePlan:
     summary: Summary
     duration_s: float
     base_c: float
-    paces: list[PaceChange]
+    speed_changes: list[SpeedChange]
     other_tool_line: int = -1  # where the file takes a tool with another nozzle first, from 0; -1: nowhere
 
 
-def steady(settings: Settings, plain: Summary, paced: Summary) -> Settings:
+def steady(settings: Settings, plain: Summary, slow_run: Summary) -> Settings:
     """The whole file is known: the weld is held at one temperature from the first road on.
 
-    `plain`: of the file at its own speed, whose fixed temperature tells the usual weld; `paced`: with hot layers slowed
-    down, which tells what the window can still make of the ends of the path.
+    `plain`: the file at its own speed, whose fixed temperature gives the usual weld. `slow_run`: hot layers slowed,
+    which shows what the window can still make of the ends of the path.
     """
-    least_c = settings.options.interface_c or 0.0
-    kept_c = weld.held_c(plain.interface_5_50_95_c[1][1], paced.band_c, least_c)
+    lowest_c = settings.options.interface_c or 0.0
+    kept_c = weld.held_c(plain.interface_5_50_95_c[1][1], slow_run.band_c, lowest_c)
     return replace(settings, options=replace(settings.options, interface_c=round(kept_c), follow_mm=0.0))
 
 
@@ -90,15 +90,15 @@ class WholeFile(NamedTuple):
 
 
 def plan_whole(settings: Settings, run: Callable[[Settings], OfflinePlan]) -> WholeFile:
-    """Once to see what the file is like, once more to see what its pace makes of that, and then for good; less if the
-    config says how. `run` plans the file."""
+    """One run for the usual weld, one with hot layers slowed down, then the final one; fewer if the config fixes these.
+    `run` plans the file."""
     plain = run(replace(settings, slowest=1.0, longest_pause_s=0.0))
-    paces = settings.slowest < 1.0 or settings.longest_pause_s > 0.0
+    speed_changes = settings.slowest < 1.0 or settings.longest_pause_s > 0.0
     if settings.options.follow_mm > 0.0 and plain.moves:
-        paced = run(settings) if paces else plain
-        settings = steady(settings, plain.summary, paced.summary)
+        slow_run = run(settings) if speed_changes else plain
+        settings = steady(settings, plain.summary, slow_run.summary)
         return WholeFile(run(settings), plain, settings)
-    return WholeFile(run(settings) if paces else plain, plain, settings)
+    return WholeFile(run(settings) if speed_changes else plain, plain, settings)
 
 
 class _Line(NamedTuple):
@@ -150,10 +150,10 @@ class OfflineRun(PathEvents):
         self._settings = settings
         self._lines = _Lines(_Line(0, 0, 1.0))
         self._roads: deque[_Road] = deque()
-        self._rows: list[Laid] = []  # of the first road
+        self._rows: list[Deposited] = []  # of the first road
         self._moves: list[PlannedMove] = []
         self._corners: list[tuple[float, float]] = []
-        self._paces: list[PaceChange] = []
+        self._speed_changes: list[SpeedChange] = []
         self._other_tool_line = -1
         self._begin_s = self._planned_s = math.nan  # of the path; settled up to then
 
@@ -171,7 +171,7 @@ class OfflineRun(PathEvents):
         duration_s = max(0.0, self.session.lead.end_s - self._begin_s) if self._moves else 0.0
         summary, base_c = self.session.plan.summary(), self.session.target.base_c
         return OfflinePlan(
-            self._moves, corners, summary, duration_s, base_c, self._paces, self._other_tool_line
+            self._moves, corners, summary, duration_s, base_c, self._speed_changes, self._other_tool_line
         )
 
     # The host's reader
@@ -237,12 +237,12 @@ class OfflineRun(PathEvents):
         self.session.take()
         super().begin_layer()
 
-    def on_speed(self, speed: Pace) -> None:
+    def on_speed(self, speed: LayerSpeed) -> None:
         if not self.session.requested.state.layer:
-            speed = Pace(speed.factor)  # nobody waits in the middle of a layer
-        before = self._paces[-1].pace.factor if self._paces else 1.0
+            speed = LayerSpeed(speed.factor)  # nobody waits in the middle of a layer
+        before = self._speed_changes[-1].speed_factor.factor if self._speed_changes else 1.0
         if speed.factor != before or speed.pause_s > 0.0:
-            self._paces.append(PaceChange(self._lines.now.number, speed))
+            self._speed_changes.append(SpeedChange(self._lines.now.number, speed))
 
     # Plan
 
@@ -256,13 +256,13 @@ class OfflineRun(PathEvents):
             corners = zip(turn.reference.times_s, turn.reference.temps_c, strict=True)
             self._corners += [(s - self._begin_s, c) for s, c in corners if from_s <= s < until_s]
         self._planned_s = min(until_s, session.lead.end_s)
-        self._collect(self._planned_s - BOOK_BEHIND_S)
+        self._collect(self._planned_s - RECORD_BEHIND_S)
         if session.is_round():
             self.choose_speed()
 
     def _collect(self, until_s: float) -> None:
         """Rows to the roads they belong to."""
-        self.session.book(until_s)
+        self.session.record(until_s)
         roads = self._roads
         for row in self.session.take_rows():
             while len(roads) > 1 and roads[1].start_s <= row.start_s:
@@ -278,7 +278,7 @@ class OfflineRun(PathEvents):
             self._moves.append(_planned(road, road.start_s - self._begin_s, rows))
 
 
-def _planned(road: _Road, start_s: float, rows: Sequence[Laid]) -> PlannedMove:
+def _planned(road: _Road, start_s: float, rows: Sequence[Deposited]) -> PlannedMove:
     def mean(name: str) -> float:
         return sum(getattr(row, name) for row in rows) / len(rows)
 

@@ -60,7 +60,7 @@ COLUMNS: tuple[tuple[str, Callable[[Any], str]], ...] = (
     ("flow dev", lambda r: f"{r.flow_deviation_c:.2f}"),
     ("flow steady", lambda r: f"{r.flow_steady_c:.2f}"),
     ("+step s", lambda r: f"{r.step_s:.3f}"),
-    ("least", lambda r: f"{r.step_least_s:.3f}"),
+    ("least", lambda r: f"{r.step_min_s:.3f}"),
 )
 # Rows of the comparison: how many times as large as model's.
 FACTORS: tuple[tuple[str, Callable[[Any], float], float], ...] = (

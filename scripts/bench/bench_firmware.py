@@ -116,7 +116,7 @@ def line(text: str, value: object, note: str = "") -> None:
     print(f"  {text:<46} {value!s:>12}  {note}")
 
 
-def tell_sampling(f: dict[str, Any]) -> None:
+def report_sampling(f: dict[str, Any]) -> None:
     print("STM32F334 image on the emulator, bridge sampled (2 cycles an instruction assumed for all times)")
     line("flash, B", f["flash_bytes"], "of 57344 allowed")
     line("static RAM, B", f["static_ram_bytes"], "the rest up to 11264 is objects, moves and stack")
@@ -140,7 +140,7 @@ def tell_sampling(f: dict[str, Any]) -> None:
     line("emulator, times real: this load", f["emulator_times_real"])
 
 
-def tell_speed(bench: rates.Bench, f: dict[str, Any]) -> None:
+def report_speed(bench: rates.Bench, f: dict[str, Any]) -> None:
     known = bench.published
     how = f"{bench.cycles_per_instruction} cycles an instruction assumed"
     exact = "cycles as in the datasheet"
@@ -176,10 +176,10 @@ def main(argv: Sequence[str]) -> int:
     if not options.quick:
         figures |= printing(10.0)
     figures["emulator_idle_times_real"] = round(idle_speed(), 1)
-    tell_sampling(figures)
+    report_sampling(figures)
     for bench in rates.BENCHES.values():
         figures[bench.name] = speed(bench, QUICK_STEPS if options.quick else rates.STEPS)
-        tell_speed(bench, figures[bench.name])
+        report_speed(bench, figures[bench.name])
     if options.json is not None:
         options.json.parent.mkdir(parents=True, exist_ok=True)
         options.json.write_text(json.dumps(figures, indent=2) + "\n")

@@ -52,7 +52,7 @@ NOZZLE_C, BED_C = 245, 100
 HARD_SECTION = {"material": "PC", "bed_temp": "100", "chamber_temp": "25"}
 HARD_NOZZLE_C = 265
 UA_W_K, HEAT_MJ_M3K, INLET_C = 0.0276, 2.1, 25.0  # of the reference plant
-LEAST_FLOW_MM3_S = 0.3
+MIN_FLOW_MM3_S = 0.3
 AVERAGE_S = 0.5
 STEP_C, STEP_S, STEPS = 15.0, 1.5, 14
 STEP_SEEDS = (1, 2, 3, 4, 5, 6, 7, 8)
@@ -143,7 +143,7 @@ def tracking(run: Table, plan: Any, offset_s: float, fixed_c: float | None = Non
     times = trace["t_s"] + offset_s
     row = np.searchsorted(plan["start_s"], times, side="right") - 1
     flow = trace["flow_mm3_s"]
-    laid = (row >= 0) & (flow > LEAST_FLOW_MM3_S)
+    laid = (row >= 0) & (flow > MIN_FLOW_MM3_S)
     row = np.clip(row, 0, None)
     laid &= times < plan["end_s"][row]
     row, weight, melt = row[laid], flow[laid], trace["melt_c"][laid]
@@ -304,7 +304,7 @@ def offline_row(kind: str, found: Table, us: float) -> str:
         f"         {low_fixed:5.0f}..{high_fixed:3.0f} C {found['spread_fixed_c']:5.1f}"
         f"   {found['spread_c'] / found['spread_fixed_c']:6.2f}"
         f"     {1 - found['bonded_share']:8.3%} {1 - found['bonded_share_fixed']:8.3%}"
-        f"   {found['slowest_pace']:6.2f} {longer:7.1%} {us:7.1f}"
+        f"   {found['min_speed_factor']:6.2f} {longer:7.1%} {us:7.1f}"
     )
 
 

@@ -42,7 +42,7 @@ from extras.induction import settings as induction_settings
 from lookahead import LookAheadQueue
 from simulation.path_host import PathHost, PathPrinter
 from thermal.control.control_api import Reference
-from thermal.plan.requests import Wishes, read_comment
+from thermal.plan.requests import Requests, read_comment
 
 AHEAD_S = 2.0  # toolhead.BUFFER_FULL_S
 NOZZLE_C = 245.0
@@ -51,7 +51,7 @@ WIDER = "[stepper_x]\nposition_max: 200\n"  # the flat part reaches X 190
 FILES = ("benchy.gcode", "cubhelix.gcode", "brace.gcode")
 INSTRUCTION_MOVES = 3000
 MEMORY_MOVES = (100_000, 1_000_000)
-Planned = tuple[Any, Wishes]  # Move of the look-ahead, what holds for it
+Planned = tuple[Any, Requests]  # Move of the look-ahead, what holds for it
 
 
 def sample_config(section: dict[str, str]) -> ConfigWrapper:
@@ -136,7 +136,7 @@ class Section(temperature_plan.TemperaturePlanner):
     def timer(self, time_s: float) -> float:
         return self._on_timer(time_s)
 
-    def mark(self, state: Wishes) -> None:
+    def mark(self, state: Requests) -> None:
         self._mark(state)
 
 
@@ -161,7 +161,7 @@ def replay(moves: Iterable[Planned], planned: bool) -> tuple[int, float]:
     printer = Printer()
     section = Section(printer)
     queue = LookAheadQueue()
-    count, time_s, state, watch = 0, 1.0, Wishes(), Watch(planned)
+    count, time_s, state, watch = 0, 1.0, Requests(), Watch(planned)
     for move, wishes in moves:
         count += 1
         if planned and wishes is not state:
@@ -197,7 +197,7 @@ class Collector:
 
     def __init__(self) -> None:
         self.moves: list[Planned] = []
-        self._state = Wishes()
+        self._state = Requests()
 
     def on_ready(self, printer: PathPrinter) -> None:
         printer.lookup_object("toolhead").register_move_listener(self._on_moves)
@@ -331,7 +331,7 @@ def in_real_time(section: str, seconds: float) -> str:
                 process.wait()
     faults = "".join(f"; {fault}" for fault in found.faults)
     return (
-        f"ahead by {found.least_ahead_s:.2f} s at least, {found.stalls} stalls,"
+        f"ahead by {found.min_ahead_s:.2f} s at least, {found.stalls} stalls,"
         f" host busy for {100.0 * used_s / seconds:.1f} % of a core{faults}"
     )
 

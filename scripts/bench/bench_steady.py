@@ -59,7 +59,7 @@ path: {folder}
 class Steadiness:
     """What the real-time print was like."""
 
-    least_ahead_s: float = float("inf")
+    min_ahead_s: float = float("inf")
     stalls: int = 0
     seconds: float = 0.0
     faults: list[str] = field(default_factory=list)
@@ -138,7 +138,7 @@ def watch(client: bench_api.Client, seconds: float) -> Steadiness:
             break
         toolhead = status["toolhead"]
         ahead_s = toolhead["print_time"] - toolhead["estimated_print_time"]
-        result.least_ahead_s = min(result.least_ahead_s, ahead_s)
+        result.min_ahead_s = min(result.min_ahead_s, ahead_s)
         result.stalls = toolhead["stalls"]
     return result
 
@@ -244,7 +244,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             f"idle: objects/query {steady.query_ms:.2f} ms, first step {steady.first_step_s:.3f} s after its line"
         )
         print(
-            f"{steady.seconds:.0f} s in real time under load: plan ahead by {steady.least_ahead_s:.2f} s at least,"
+            f"{steady.seconds:.0f} s in real time under load: plan ahead by {steady.min_ahead_s:.2f} s at least,"
         )
         print(f"{steady.stalls} stalls")
         missed += steady.faults

@@ -64,7 +64,7 @@ read_samples_before(uint64_t clock)
 }
 
 static void
-tell_phase(uint16_t phase)
+send_phase(uint16_t phase)
 {
     read_samples_before(sim_clock);
     bridge.edge_clock = SIM_NEVER;
@@ -84,7 +84,7 @@ bridge_pwm_setup(uint8_t id, uint32_t period_ticks)
         shutdown(SHUTDOWN_BRIDGE_PERIOD);
     bridge.period_ticks = period_ticks;
     bridge.base_clock = sim_clock;
-    tell_phase(0);
+    send_phase(0);
     return (struct bridge_pwm){ id };
 }
 
@@ -101,7 +101,7 @@ bridge_pwm_off(struct bridge_pwm b)
 {
     (void)b;
     if (bridge.period_ticks)
-        tell_phase(0);
+        send_phase(0);
 }
 
 struct sync_adc
@@ -156,7 +156,7 @@ void
 sim_bridge_run(void)
 {
     if (bridge.edge_clock <= sim_clock)
-        tell_phase(bridge.pending_phase);
+        send_phase(bridge.pending_phase);
     if (bridge.half_clock > sim_clock)
         return;
     read_samples_before(sim_clock + 1);

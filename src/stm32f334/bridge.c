@@ -314,7 +314,7 @@ bridge_stop(void)
 }
 
 static void
-tell_fault(void *unused)
+report_fault(void *unused)
 {
     (void)unused;
     uint32_t flags = HRTIM_ISR;
@@ -327,7 +327,7 @@ tell_fault(void *unused)
 void
 bridge_fault_irq(void)
 {
-    sched_guarded(tell_fault, 0);
+    sched_guarded(report_fault, 0);
 }
 
 /* Only the clock security raises it: the crystal has stopped, the chip runs on at 8 MHz from its own oscillator, time is lost

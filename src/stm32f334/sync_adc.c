@@ -178,7 +178,7 @@ give_half(void *samples)
 }
 
 static void
-tell_stopped(void *unused)
+report_stopped(void *unused)
 {
     (void)unused;
     try_shutdown(SHUTDOWN_SAMPLES_STOPPED);
@@ -206,7 +206,7 @@ samples_irq(void)
     } else if (arrived == whole) {
         sched_guarded(give_half, second);
     } else if (arrived & error) {
-        sched_guarded(tell_stopped, 0);
+        sched_guarded(report_stopped, 0);
     } else { /* both: this interrupt comes late, by one half or more; the older one first */
         uint32_t now = timer_read_time() + sync.period_ticks;
         while ((int32_t)(now - sync.base_clock) >= (int32_t)sync.half_ticks)
@@ -224,5 +224,5 @@ adc_irq(void)
     ADC_ISR(ADC1_BASE) = ADC_ISR_OVR;
     stop();
     bridge_pwm_off((struct bridge_pwm){ 0 });
-    sched_guarded(tell_stopped, 0);
+    sched_guarded(report_stopped, 0);
 }

@@ -208,7 +208,7 @@ def test_cut_block_below_a_sixteenth_is_discarded(held, worth):
     assert fast.c.discarded == (0 if worth else held)
 
 
-def test_dropped_block_is_told_as_lost_with_the_next():
+def test_dropped_block_is_reported_as_lost_with_the_next():
     fast = Fast(3, 10, 0)
     fast.step(7)
     fast.feed([1] * 74, 0)

@@ -266,7 +266,7 @@ def test_software_i2c_writes_and_reads_in_one_transfer() -> None:
     assert slave.log == ["S", "90", "a5", "0f", "S", "91", "a", "a", "n", "P"]
 
 
-def test_software_i2c_reads_without_writing_and_keeps_its_pace() -> None:
+def test_software_i2c_reads_without_writing_and_keeps_its_speed() -> None:
     mcu, slave = software_slave()
     assert mcu.ask("i2c_transfer", oid=0, write=b"", read_len=1)["response"] == b"\x11"
     slave.read(SDA, 0)
@@ -276,7 +276,7 @@ def test_software_i2c_reads_without_writing_and_keeps_its_pace() -> None:
 
 
 @pytest.mark.parametrize(("address", "nack_from", "status"), [(0x21, 99, "START_NACK"), (ADDRESS, 2, "NACK")])
-def test_software_i2c_tells_who_did_not_answer(address: int, nack_from: int, status: str) -> None:
+def test_software_i2c_reports_who_did_not_answer(address: int, nack_from: int, status: str) -> None:
     mcu, slave = software_slave(address=address)
     slave.nack_from = nack_from
     answer = mcu.ask("i2c_transfer", oid=0, write=b"\x01\x02\x03", read_len=0)

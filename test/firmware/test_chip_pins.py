@@ -58,7 +58,7 @@ def test_i2c_writes_and_reads_in_one_transfer() -> None:
     assert answer.clock - before > 7 * 9 * FREQ // 100_000  # two addresses and five bytes at 100 kHz
 
 
-def test_a_device_that_is_not_there_is_told() -> None:
+def test_a_device_that_is_not_there_is_reported() -> None:
     device = chip(
         ("config_i2c", {"oid": 0}),
         ("i2c_set_bus", {"oid": 0, "i2c_bus": 0, "rate": 400_000, "address": 0x20}),

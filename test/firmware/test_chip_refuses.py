@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from block_codec import one_step
 from chip_rig import FREQ, Firmware
 from measure import PERIOD, clock_offset
 
@@ -43,7 +44,7 @@ def try_to_heat(chip: Firmware) -> str:
         chip.send(name, **values)
     for _ in range(5):
         clock = (chip.now - clock_offset(chip) + FREQ // 200) & 0xFFFFFFFF
-        chip.post("queue_induction_phase", oid=0, clock=clock, phase=20000)
+        chip.post("queue_induction_plan", oid=0, clock=clock, steps=one_step(20000))
         chip.run(0.03)
     return chip.shutdown_reason() or ""
 
@@ -102,19 +103,21 @@ def test_a_chip_that_cannot_speak_does_nothing(gate: str) -> None:
 def test_a_clock_that_goes_while_heating_is_found_at_the_next_switching_on(gate: str) -> None:
     chip = Firmware()
     assert try_to_heat(chip) == ""
-    chip.post("queue_induction_phase", oid=0, clock=(chip.now - clock_offset(chip)) & 0xFFFFFFFF, phase=0)
+    chip.post(
+        "queue_induction_plan", oid=0, clock=(chip.now - clock_offset(chip)) & 0xFFFFFFFF, steps=one_step(0)
+    )
     chip.run(0.01)
     chip.bridge_sets.clear()
     chip.chip.mutate("clock_stuck", CLOCKS[gate])
     clock = (chip.now - clock_offset(chip) + FREQ // 200) & 0xFFFFFFFF
-    chip.post("queue_induction_phase", oid=0, clock=clock, phase=20000)
+    chip.post("queue_induction_plan", oid=0, clock=clock, steps=one_step(20000))
     chip.run(0.03)
     assert "clock" in (chip.shutdown_reason() or "")
     assert not energised(chip)
 
 
 @pytest.mark.parametrize("mutation", ["no_crystal", "no_pll"])
-def test_without_its_clock_the_chip_tells_and_does_not_heat(mutation: str) -> None:
+def test_without_its_clock_the_chip_reports_and_does_not_heat(mutation: str) -> None:
     """64 or 8 MHz from its own oscillator, on the right baud rate and without a reset: a host hears why."""
     chip = Firmware(settle_s=0.0, mutations=(mutation,))
     chip.run(1.5)  # it waits long for the crystal
@@ -138,7 +141,7 @@ def test_a_dip_of_the_supply_is_remembered() -> None:
     assert not energised(chip)
 
 
-def test_the_fault_line_stops_a_running_bridge_and_is_told() -> None:
+def test_the_fault_line_stops_a_running_bridge_and_is_reported() -> None:
     chip = Firmware()
     assert try_to_heat(chip) == ""
     before = chip.now
@@ -181,7 +184,7 @@ def keep_asking(chip: Firmware, seconds: float) -> None:
     end = chip.now + round(seconds * FREQ)
     while chip.now < end and chip.chip.counters()["resets"] == 0:
         clock = (chip.now - clock_offset(chip) + FREQ // 200) & 0xFFFFFFFF
-        chip.post("queue_induction_phase", oid=0, clock=clock, phase=20000)
+        chip.post("queue_induction_plan", oid=0, clock=clock, steps=one_step(20000))
         chip.run(0.03)
 
 
@@ -255,7 +258,7 @@ def test_timers_that_stop_running_are_found_though_tasks_and_samples_go_on() -> 
     assert off_after(chip, since) < 1.0
 
 
-def test_a_second_fault_is_told_like_the_first() -> None:
+def test_a_second_fault_is_reported_like_the_first() -> None:
     """Shut down, cleared by the host, heating again: hardware and firmware watch as before."""
     chip = heating()
     for _ in range(2):

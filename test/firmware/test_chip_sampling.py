@@ -10,7 +10,7 @@ from measure import PERIOD, TRAVEL, Sampling, everything_cost, run_sampling
 SECONDS = 1.5  # ten in scripts/bench/bench_firmware.py
 SAMPLES_IRQ = 16 + 11  # DMA1 channel 1
 BLOCK, Y = 192, 5
-MOST_PER_SAMPLE = 4.0  # a plain loop over the samples is 4.5 alone
+MAX_PER_SAMPLE = 4.0  # a plain loop over the samples is 4.5 alone
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +64,7 @@ def test_the_phases_in_the_compare_registers_are_those_commanded(run: Sampling) 
 
 def test_a_sample_costs_few_instructions(run: Sampling) -> None:
     """All of the interrupt: entry, sums, extremes, blocks, guard, exit."""
-    assert run.spent(SAMPLES_IRQ) / run.samples <= MOST_PER_SAMPLE
+    assert run.spent(SAMPLES_IRQ) / run.samples <= MAX_PER_SAMPLE
 
 
 @pytest.mark.parametrize(("block", "most"), [((1024, 2), 4.0), ((192, 2), 6.1)])

@@ -100,7 +100,7 @@ def test_the_host_reads_the_temperature_the_factory_would() -> None:
 
 
 @pytest.mark.parametrize("temp_c", [28.0, 66.6])
-def test_a_printer_on_the_image_tells_the_chips_temperature(tmp_path: Path, temp_c: float) -> None:
+def test_a_printer_on_the_image_reports_the_chips_temperature(tmp_path: Path, temp_c: float) -> None:
     """The model's sensor is 8 K off a typical one: without the factory's words it would show. A code of the converter
     is 0.19 K; the reading and the line through the two words are each half of one off at most."""
     config, part = tmp_path / "printer.cfg", tmp_path / "part.gcode"
@@ -111,8 +111,8 @@ def test_a_printer_on_the_image_tells_the_chips_temperature(tmp_path: Path, temp
     run = Simulation(RunOptions(config, part, overrides=overrides, builds={"mcu": "stm32f334"}))
     outcome = run.run()
     assert outcome.status == PRINTED, outcome.reason
-    told_c = run.printer.lookup_object("temperature_sensor board").get_status(0.0)["temperature"]
-    assert told_c == pytest.approx(temp_c, abs=2 * HALF_CODE_C + 0.005)
+    sent_c = run.printer.lookup_object("temperature_sensor board").get_status(0.0)["temperature"]
+    assert sent_c == pytest.approx(temp_c, abs=2 * HALF_CODE_C + 0.005)
 
 
 def test_pins_and_the_sensor_take_turns() -> None:

@@ -208,7 +208,7 @@ def test_openocd_itself_takes_the_command_and_looks_for_the_debugger(out: str) -
 
 
 @pytest.mark.parametrize("port", PORTS)
-def test_size_tells_budget_change_and_stack(port: str, out: str) -> None:
+def test_size_reports_budget_change_and_stack(port: str, out: str) -> None:
     run = run_make(f"PORT={port}", f"OUT={out}", "size")
     assert run.returncode == 0, run.stdout + run.stderr
     record = json.loads((ROOT / "src" / port / "size.json").read_text())

@@ -359,7 +359,7 @@ def test_i2c_is_as_fast_as_asked_for_and_no_faster_than_the_chip(rate: int) -> N
     assert fastest - 400 <= cycles[0] - cycles[1] < 1.06 * fastest + 600 * length
 
 
-def test_a_device_that_is_not_there_is_told_and_the_bus_goes_on() -> None:
+def test_a_device_that_is_not_there_is_reported_and_the_bus_goes_on() -> None:
     mega = i2c_device()
     mega.i2c_reply = lambda address, wrote, count: (3, bytes(count))
     for wrote, reading, told in ((b"\x01", 1, "START_NACK"), (b"", 3, "START_READ_NACK")):
@@ -396,7 +396,7 @@ def test_a_led_chain_gets_its_bits_with_the_length_of_pulse_that_both_kinds_of_l
     assert min(low) > 8 and max(low) < 64  # 450 ns at least, under what the LEDs take for the end
 
 
-def test_a_led_chain_that_an_interrupt_has_stretched_is_told_to_be_sent_again() -> None:
+def test_a_led_chain_that_an_interrupt_has_stretched_is_reported_to_be_sent_again() -> None:
     step, direction = STEP_PINS[0]
     motor = {
         "oid": 1,

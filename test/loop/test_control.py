@@ -38,7 +38,7 @@ def test_model_reaches_every_promised_figure(plant: str, overshoot_c: float) -> 
     assert (r.late, r.trips, r.fault) == (0, 0, "")
 
 
-@pytest.mark.parametrize("other", ["pid", "practical", "watermark"])
+@pytest.mark.parametrize("other", ["pid", "two_period", "watermark"])
 def test_model_beats_the_other_laws_in_every_figure(other: str) -> None:
     ours, theirs = measured("model", "reference"), measured(other, "reference")
     for figure in (
@@ -151,10 +151,10 @@ def test_a_drifted_thermometer_neither_runs_away_nor_hunts() -> None:
     assert trace["skin_c"].max() < 245.0
 
 
-@pytest.mark.parametrize("told_lsb", [0.0, 1.0])
-def test_an_adc_without_noise_does_not_make_the_loop_hunt(told_lsb: float) -> None:
+@pytest.mark.parametrize("sent_lsb", [0.0, 1.0])
+def test_an_adc_without_noise_does_not_make_the_loop_hunt(sent_lsb: float) -> None:
     """A code is 1.25 degC wide and says the same from one end to the other: believed to 0.1 it rippled by 2.4."""
-    front = FeatureParameters(noise_lsb=told_lsb)
+    front = FeatureParameters(noise_lsb=sent_lsb)
     rig = Rig(Plant(5, noise_lsb=0.0), default_parameters(law=true_law(), front=front), 5)
     rig.run(0.6)
     rig.set_target(250.0)

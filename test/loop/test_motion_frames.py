@@ -52,7 +52,7 @@ def finish(config: Path, tmp_path: Path, gcode: str, *overrides: tuple[str, str,
 
 
 @pytest.mark.parametrize("kinematics", ["corexy", "corexz", "hybrid_corexy", "hybrid_corexz"])
-def test_a_core_machine_homes_and_goes_where_it_is_told(kinematics: str, tmp_path: Path) -> None:
+def test_a_core_machine_homes_and_goes_where_it_is_reported(kinematics: str, tmp_path: Path) -> None:
     axes = finish(CONFIG, tmp_path, GCODE, ("printer", "kinematics", kinematics))
     # a step of a belt that both motors share is 0.0125 mm; z of a corexz is homed to a step of its own, too
     assert axes["x"]["position_mm"] == pytest.approx(70.0, abs=0.03)

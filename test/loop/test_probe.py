@@ -60,7 +60,7 @@ def test_samples_too_far_apart_are_taken_again_and_then_refused(tmp_path: Path) 
     assert result.text.count("Probe samples exceed tolerance. Retrying...") == 3
 
 
-def test_a_probe_that_never_triggers_is_told(tmp_path: Path) -> None:
+def test_a_probe_that_never_triggers_is_reported(tmp_path: Path) -> None:
     """The bed lies lower than z may go."""
     result = run(
         tmp_path, "G28\nPROBE\n", *FLAT, ("stepper_z", "endstop_pin", "PC12"), ("stepper_z", "position_endstop", "0"),
@@ -70,7 +70,7 @@ def test_a_probe_that_never_triggers_is_told(tmp_path: Path) -> None:
     assert "No trigger on probe after full movement" in result.reason
 
 
-def test_a_probe_that_is_triggered_already_is_told(tmp_path: Path) -> None:
+def test_a_probe_that_is_triggered_already_is_reported(tmp_path: Path) -> None:
     result = run(
         tmp_path, "G28\nQUERY_PROBE\nPROBE\n", *FLAT, ("stepper_z", "endstop_pin", "PC12"),
         ("stepper_z", "position_endstop", "0"), *bed(bed_height=20),

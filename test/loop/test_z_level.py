@@ -116,7 +116,7 @@ def test_a_gantry_too_far_off_is_left_alone(tmp_path: Path) -> None:
     assert "greater than max_adjust 1.5" in result.reason
 
 
-def test_the_screws_are_told_in_turns(tmp_path: Path) -> None:
+def test_the_screws_are_reported_in_turns(tmp_path: Path) -> None:
     """M4: 0.7 mm a turn; the bed rises 0.32 mm over 160 mm of x and falls 0.15 mm over 150 mm of y."""
     result = run(tmp_path, "G28\nSCREWS_TILT_CALCULATE\n", *bed(noise=0.0, bump_height=0.0), *FAST)
     assert result.status == PRINTED, result.reason

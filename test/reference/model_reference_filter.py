@@ -104,8 +104,8 @@ def advance(
     h = dt_s / steps
     air_w_k = p.loss_w_k + fan * p.fan_w_k
     ambient_c, cold_k4, radiation = p.ambient_c, p.air_k4, STEFAN_BOLTZMANN * p.radiation_m2
-    bore_fade = math.exp(-h / p.bore_s) if p.bore_s else 0.0
-    sensor_fade = math.exp(-h / p.sensor_s) if p.sensor_s else 0.0
+    bore_decay = math.exp(-h / p.bore_s) if p.bore_s else 0.0
+    sensor_decay = math.exp(-h / p.sensor_s) if p.sensor_s else 0.0
     for _ in range(steps):
         if flow != flow_in:
             flow = flow_in + (flow - flow_in) * (math.exp(-h / p.flow_s) if p.flow_s else 0.0)
@@ -125,19 +125,19 @@ def advance(
         before_c = temp_c
         temp_c += h * net / (p.heat_j_k * (1.0 + p.heat_slope_per_k * (temp_c - 25.0)))
         middle_c = 0.5 * (before_c + temp_c)
-        sensor_c = middle_c + (sensor_c - middle_c) * sensor_fade if p.sensor_s else temp_c
-        bore_c = middle_c + (bore_c - middle_c) * bore_fade if p.bore_s else temp_c
+        sensor_c = middle_c + (sensor_c - middle_c) * sensor_decay if p.sensor_s else temp_c
+        bore_c = middle_c + (bore_c - middle_c) * bore_decay if p.bore_s else temp_c
     return Nodes(element_c, temp_c, second_c, sensor_c, bore_c, flow)
 
 
 # The filter
 
-GAIN_LEAST, GAIN_MOST = 0.1, 10.0
-TOGETHER_MOST = 7  # samples of one innovation
+GAIN_MIN, GAIN_MAX = 0.1, 10.0
+TOGETHER_MAX = 7  # samples of one innovation
 SURPRISE = 14.0  # innovation squared over its variance beyond which the disturbance is taken to have changed
 SURPRISED_W = 3.0  # by about this much at once
 # Innovations that lean one way: their sum, each in its own sigma and fading so fast a message, is 1.5 by chance.
-LEAN_KEEP, LEAN_MOST = 0.75, 4.0  # nearly three times that: the disturbance moves ...
+LEAN_KEEP, LEAN_MAX = 0.75, 4.0  # nearly three times that: the disturbance moves ...
 LEAN_SHARE = 0.5  # ... by about this much of disturbance_start_w a message
 JUMP_C, JUMP_SIGMA = 3.0, 6.0  # farther off than this within a message no heat goes: the thermometer jumped
 JUMPED_C = 10.0  # 1 sigma of such a jump
@@ -170,7 +170,7 @@ class ModelState(NamedTuple):
     gain: float = 1.0
     covariance: Matrix = ()
     innovation_c: float = 0.0  # newest: measured minus expected
-    heard_s: float = -math.inf  # newest measurement
+    measured_s: float = -math.inf  # newest measurement
     output: float = 0.0  # newest output decided
     driven: float = 0.0  # output in force at the newest measurement
     offset_c: float = 0.0  # taken off the readings ...
@@ -263,8 +263,8 @@ def taken_over(p: ModelParameters, state: ModelState, disturbance_w: float) -> M
     rows = [list(row) for row in state.covariance]
     for place, sigma in doubts.items():
         rows[place][place] = min(rows[place][place], sigma * sigma)
-    most_w = p.disturbance_max_w
-    known_w = min(most_w, max(-most_w, disturbance_w))
+    max_w = p.disturbance_max_w
+    known_w = min(max_w, max(-max_w, disturbance_w))
     return state._replace(disturbance_w=known_w, covariance=tuple(map(tuple, rows)))
 
 
@@ -337,7 +337,7 @@ class _Run(NamedTuple):
     time_s: float
     weight: float  # sum of 1/variance
     innovation_c: float  # weighted mean
-    heard_s: float
+    measured_s: float
     output: float  # mean over the time walked
     rebased_c: float  # 1 sigma of what a step of the drive may have moved the reading, 0: there was none
     driven: float
@@ -382,7 +382,7 @@ def _walk(
     p: ModelParameters, state: ModelState, samples: Sequence[Sample], flow: Schedule, fan: Schedule
 ) -> _Run:
     """Through the outputs of these samples; within one of them the expected temperature is a straight line."""
-    nodes, now_s, heard_s = state.nodes, state.time_s, state.heard_s
+    nodes, now_s, measured_s = state.nodes, state.time_s, state.measured_s
     weight = pulled = passed = 0.0
     rebased_c, driven = 0.0, state.driven
     offset_c, offset_output = state.offset_c, state.offset_output
@@ -411,7 +411,7 @@ def _walk(
             weight += share
             levered += share * lever
             pulled += share * off_c
-            heard_s, driven = sample.time_s, sample.output
+            measured_s, driven = sample.time_s, sample.output
         passed += sample.output * span_s
         now_s += span_s
     elapsed_s = now_s - state.time_s
@@ -423,7 +423,7 @@ def _walk(
         now_s,
         weight,
         mean_c,
-        heard_s,
+        measured_s,
         output,
         rebased_c,
         driven,
@@ -476,7 +476,7 @@ def _widened(p: ModelParameters, places: Layout, rows: list[list[float]], run: _
         return 0.0
     spread = _spread_of(places, rows, run)
     lean = LEAN_KEEP * lean + run.innovation_c / math.sqrt(spread)
-    if abs(lean) > LEAN_MOST:
+    if abs(lean) > LEAN_MAX:
         rows[places.disturbance][places.disturbance] += (LEAN_SHARE * p.disturbance_start_w) ** 2
     elif run.innovation_c * run.innovation_c / spread > SURPRISE:
         rows[places.disturbance][places.disturbance] += SURPRISED_W * SURPRISED_W
@@ -493,14 +493,14 @@ def observe(
     """The state after these samples, in order of time."""
     if not samples:
         return state
-    if not state.known or samples[-1].end_s - state.heard_s > p.gap_s:
+    if not state.known or samples[-1].end_s - state.measured_s > p.gap_s:
         measured = [s for s in samples if s.temp_c == s.temp_c]
         if not measured:
             return state
         begun = begin(p, measured[-1].temp_c, measured[-1].end_s, state)
         return begun._replace(usual=measured[-1].output / p.output_high)
-    for first in range(0, len(samples), TOGETHER_MOST):
-        state = _observe_piece(p, state, samples[first : first + TOGETHER_MOST], flow, fan)
+    for first in range(0, len(samples), TOGETHER_MAX):
+        state = _observe_piece(p, state, samples[first : first + TOGETHER_MAX], flow, fan)
     return state
 
 
@@ -523,9 +523,9 @@ def _observe_piece(
     gains = [value / spread for value in column]
     rows = [[v - k * c for v, c in zip(row, column, strict=True)] for row, k in zip(rows, gains, strict=True)]
     by_c = run.innovation_c
-    gain = min(GAIN_MOST, max(GAIN_LEAST, state.gain + gains[places.gain] * by_c))
-    most_w = p.disturbance_max_w
-    disturbance_w = min(most_w, max(-most_w, state.disturbance_w + gains[places.disturbance] * by_c))
+    gain = min(GAIN_MAX, max(GAIN_MIN, state.gain + gains[places.gain] * by_c))
+    max_w = p.disturbance_max_w
+    disturbance_w = min(max_w, max(-max_w, state.disturbance_w + gains[places.disturbance] * by_c))
     nodes = _moved(p, places, run.nodes, gains, by_c)
     slant_c, usual = 0.0, state.usual
     if places.slant >= 0:
@@ -541,7 +541,7 @@ def _observe_piece(
         gain,
         tuple(map(tuple, rows)),
         by_c,
-        run.heard_s,
+        run.measured_s,
         state.output,
         run.driven,
         run.offset_c,

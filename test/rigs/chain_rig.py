@@ -26,7 +26,7 @@ def new_chain(
     read: block_temperature.EstimatorParameters | None = None,
     watch: supervision.SuperviseParameters | None = None,
     drive: DriveLaw | None = None,
-    filtered: temperature_filter.TrackParameters | None = None,
+    filtered: temperature_filter.FilterParameters | None = None,
 ) -> pipeline.Chain:
     made = pipeline.Chain()
     made.use(
@@ -34,7 +34,7 @@ def new_chain(
         read or block_temperature.EstimatorParameters(laws.ExpLaw()),
         watch or supervision.SuperviseParameters(0.0, 300.0),
         drive or DriveLaw(),
-        filtered or temperature_filter.TrackParameters(heat_loss.LossLaw()),
+        filtered or temperature_filter.FilterParameters(heat_loss.LossLaw()),
     )
     return made
 
@@ -51,7 +51,7 @@ def estimate(
     one = blocks.Blocks()
     one.count = 1
     raw = one.raw[0]
-    raw.error_units, raw.noise_units, raw.phase_ticks = error, noise, phase
+    raw.signal_units, raw.noise_units, raw.phase_ticks = error, noise, phase
     LIB.chain_estimate(told(new_chain(read=parameters)), one.raw)
     return one.estimate(0)
 

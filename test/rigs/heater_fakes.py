@@ -53,7 +53,7 @@ class FakeMcu:
         self.sent: list[list[int]] = []
         self.response: Callable[[dict[str, Any]], None] | None = None
         self.lot: Callable[[Any, int], None] = lambda messages, count: None
-        self.lot_most = 0
+        self.batch_max = 0
         self._callbacks: list[Callable[[], None]] = []
 
     def estimated_print_time(self, eventtime: float) -> float:
@@ -72,10 +72,10 @@ class FakeMcu:
     def register_response(self, callback: Callable[[dict[str, Any]], None], name: str, oid: int) -> None:
         self.response = callback
 
-    def register_lot(
+    def register_batch(
         self, callback: Callable[[Any, int], None], msgformat: str, seconds: float = 0.0, most: int = 0
     ) -> None:
-        self.lot, self.lot_most = callback, most
+        self.lot, self.batch_max = callback, most
 
     def add_config_cmd(self, cmd: str, is_init: bool = False) -> None:
         (self.init if is_init else self.config).append(cmd)

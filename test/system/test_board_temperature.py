@@ -24,7 +24,7 @@ def with_sensor(tmp_path: Path, base: Path = CONFIG, more: str = "") -> Path:
     return machine(tmp_path, BOARD + more, base)
 
 
-def told_c(config: Path, overrides: tuple[tuple[str, str, str], ...] = ()) -> float:
+def sent_c(config: Path, overrides: tuple[tuple[str, str, str], ...] = ()) -> float:
     """What the printer's status says of the board after two seconds."""
     part = config.with_name("part.gcode")
     part.write_text("G4 P2000\n")
@@ -37,17 +37,17 @@ def told_c(config: Path, overrides: tuple[tuple[str, str, str], ...] = ()) -> fl
 
 
 @pytest.mark.parametrize(("overrides", "temp_c"), [((), 40.0), (((*WHERE, "71.5"),), 71.5)])
-def test_a_chip_tells_its_temperature(
+def test_a_chip_reports_its_temperature(
     tmp_path: Path, overrides: tuple[tuple[str, str, str], ...], temp_c: float
 ) -> None:
     # the status has two decimals
-    assert told_c(with_sensor(tmp_path), overrides) == pytest.approx(temp_c, abs=0.5 * CODE_C + 0.005)
+    assert sent_c(with_sensor(tmp_path), overrides) == pytest.approx(temp_c, abs=0.5 * CODE_C + 0.005)
 
 
 def test_each_board_has_a_temperature_of_its_own(tmp_path: Path) -> None:
     heater = "sensor_mcu: heater\n\n[simulator mcu heater]\nchip_temperature: 12\n"
     config = with_sensor(tmp_path, TWO_MCUS, heater)
-    assert told_c(config) == pytest.approx(12.0, abs=0.5 * CODE_C + 0.005)
+    assert sent_c(config) == pytest.approx(12.0, abs=0.5 * CODE_C + 0.005)
 
 
 def test_a_chip_too_hot_ends_the_print_by_its_sensors_name(simulate: Simulate, tmp_path: Path) -> None:

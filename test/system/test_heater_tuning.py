@@ -67,7 +67,7 @@ def within_three_sigma(text: str, label: str, true: float) -> None:
 
 
 @pytest.mark.parametrize(("mass", "loss"), [(1.3, 0.7), (0.7, 1.3)])
-def test_another_nozzle_lies_within_three_sigma_of_what_is_told(
+def test_another_nozzle_lies_within_three_sigma_of_what_is_reported(
     simulate: Simulate, tmp_path: Path, mass: float, loss: float
 ) -> None:
     plant = "simulator nozzle nozzle."
@@ -80,7 +80,9 @@ def test_another_nozzle_lies_within_three_sigma_of_what_is_told(
     within_three_sigma(text, "losses, x reference", loss)
 
 
-def test_another_hotend_lies_within_three_sigma_of_what_is_told(simulate: Simulate, tmp_path: Path) -> None:
+def test_another_hotend_lies_within_three_sigma_of_what_is_reported(
+    simulate: Simulate, tmp_path: Path
+) -> None:
     """A quarter heavier, a quarter less loss: 2.5 + 18.75 J/K, 52.9 mW/K, fan untouched."""
     plant = "simulator load extruder."
     settings = (f"{plant}mass_factor=1.25", f"{plant}loss_factor=0.75")
@@ -201,7 +203,7 @@ def test_an_ended_run_leaves_the_heater_off_and_nothing_changed(simulate: Simula
 def test_the_published_table_swings_a_strong_nozzle_and_the_cutoff_bounds_it(
     simulate: Simulate, tmp_path: Path, cutoff_c: int, peak_c: float
 ) -> None:
-    more = f"[induction_heater nozzle]\ncontrol: practical\npractical_cutoff: {cutoff_c}\n"
+    more = f"[induction_heater nozzle]\ncontrol: two_period\npractical_cutoff: {cutoff_c}\n"
     more += "[simulator nozzle nozzle]\npreset: strong\n"
     run = simulate("M109 S250\nG4 P5000\nM104 S0\n", config=machine(tmp_path, more))
     assert run.status == 0, run.stderr  # M109 ended, no guard tripped

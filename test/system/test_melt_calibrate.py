@@ -67,7 +67,7 @@ def test_an_extruder_without_filament_changes_nothing(simulate: Simulate, tmp_pa
         ("FLOW=-1", "", "FLOW must have minimum of 0.0"),
     ],
 )
-def test_what_would_spoil_the_run_is_told_before_anything_is_heated(
+def test_what_would_spoil_the_run_is_reported_before_anything_is_heated(
     simulate: Simulate, tmp_path: Path, line: str, more: str, words: str
 ) -> None:
     gcode = f"G4 P300\nMODEL_CALIBRATE HEATER=extruder {line}\n"
@@ -76,6 +76,6 @@ def test_what_would_spoil_the_run_is_told_before_anything_is_heated(
     assert max(run.column("power_w")) < 2.0
 
 
-def test_a_nozzle_near_the_bed_is_told_to_go_up(simulate: Simulate, tmp_path: Path) -> None:
+def test_a_nozzle_near_the_bed_is_reported_to_go_up(simulate: Simulate, tmp_path: Path) -> None:
     run = simulate(f"G28\nG1 Z5 F600\n{RUN}", config=machine(tmp_path, ""))
     assert run.status == 2 and "FLOW needs 20 mm of air below the nozzle" in run.stderr

@@ -80,7 +80,7 @@ def test_a_file_that_asks_for_the_impossible_ends_with_its_error(
     assert run.summary["faults"]
 
 
-def test_a_config_of_a_real_printer_is_told_from_a_broken_sensor(simulate: Simulate) -> None:
+def test_a_config_of_a_real_printer_is_distinguished_from_a_broken_sensor(simulate: Simulate) -> None:
     config = CONFIG.with_name("example-cartesian.cfg")
     assert_clear(simulate("G28\n", config=config), 2, "no [simulator ...] section", "sim-induction.cfg")
 

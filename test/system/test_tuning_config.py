@@ -15,7 +15,7 @@ def play(simulate: Simulate, tmp_path: Path, more: str) -> tuple[int, str]:
     return run.status, run.stderr
 
 
-def assert_told_where(text: str, more: str, section: str, option: str) -> None:
+def assert_reported_where(text: str, more: str, section: str, option: str) -> None:
     """The message names section and option, and the file and line in which a user finds the option (or the section)."""
     lines = ["[include]", *more.splitlines()]
     at = next((i for i, line in enumerate(lines, 1) if line.startswith(f"{option}:")), None)
@@ -40,7 +40,7 @@ def assert_told_where(text: str, more: str, section: str, option: str) -> None:
         ("heater_bed", "max_delta", "0", "control: watermark\n"),
         ("heater_bed", "max_delta", "200", "control: watermark\n"),  # it would not begin to heat
         ("induction_heater nozzle", "max_delta", "200", "control: watermark\n"),
-        ("heater_bed", "practical_turn", "0", "control: practical\n"),
+        ("heater_bed", "two_period_turn", "0", "control: two_period\n"),
         ("heater_bed", "max_power", "0", ""),
         ("heater_bed", "model_hat", "3", ""),
         ("heater_profile heater_bed x", "pid_Kp", "-3", "control: pid\npid_Ki: 1\npid_Kd: 1\n"),
@@ -56,10 +56,10 @@ def test_an_impossible_tuning_is_refused_with_section_option_file_and_line(
     written = f"[{section}]\n{more}{option}: {value}\n"
     status, text = play(simulate, tmp_path, written)
     assert status == 2
-    assert_told_where(text, written, section, option)
+    assert_reported_where(text, written, section, option)
 
 
-def test_a_profile_of_no_heater_is_told_at_once(simulate: Simulate, tmp_path: Path) -> None:
+def test_a_profile_of_no_heater_is_reported_at_once(simulate: Simulate, tmp_path: Path) -> None:
     status, text = play(simulate, tmp_path, "[heater_profile oven x]\ncontrol: pid\n")
     assert status == 2
     assert "'heater_profile oven x': Unknown heater 'oven' (known: extruder, heater_bed)" in text
@@ -113,4 +113,4 @@ def test_an_impossible_model_of_a_bed_is_refused_with_section_and_option(
     named = (
         option if option != "model_element_j_per_k" else "model_element_w_per_k"
     )  # the one without the other
-    assert_told_where(text, written, "heater_bed", named)
+    assert_reported_where(text, written, "heater_bed", named)

@@ -29,7 +29,7 @@ def play(simulate: Simulate, tmp_path: Path, lines: str, more: str = "") -> tupl
         ("PID_CALIBRATE TARGET=200", "missing HEATER"),
     ],
 )
-def test_a_bad_command_is_told_and_nothing_is_heated(
+def test_a_bad_command_is_reported_and_nothing_is_heated(
     simulate: Simulate, tmp_path: Path, line: str, words: str
 ) -> None:
     status, text, power = play(simulate, tmp_path, f"G4 P300\n{line}\n")

@@ -67,7 +67,7 @@ def outputs(printer: Any) -> None:
 # --- start ---
 
 
-def test_dictionary_is_fetched_and_the_status_tells_it(session: LinkSession, build: str) -> None:
+def test_dictionary_is_fetched_and_the_status_reports_it(session: LinkSession, build: str) -> None:
     status: dict[str, Any] = {}
     state, _ = session.host(lambda p: status.update(p.lookup_object("mcu").get_status(0.0)))
     assert state == "ready"

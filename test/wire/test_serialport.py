@@ -151,7 +151,7 @@ def test_messages_of_a_lot_wake_the_host_together(board_path: str) -> None:
             return len(lots)
 
         def expect(seconds: float, most: int) -> None:
-            serial.register_lot(
+            serial.register_batch(
                 lambda messages, count: lots.append([messages[i].data[2] for i in range(count)]),
                 "pong data=%*s",
                 seconds,
@@ -174,7 +174,7 @@ def test_messages_of_a_lot_wake_the_host_together(board_path: str) -> None:
         wait_for(4, 1.0)
         assert lots[:2] == [[1, 2], [3]] and [number for lot in lots[2:] for number in lot] == [4, 5]
         with pytest.raises(msgproto.error, match="format mismatch"):
-            serial.register_lot(lambda messages, count: None, "pong oid=%c")
+            serial.register_batch(lambda messages, count: None, "pong oid=%c")
 
     in_reactor(body)
 

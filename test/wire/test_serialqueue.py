@@ -513,10 +513,10 @@ def test_only_a_lot_waits_and_only_for_so_many_and_so_long() -> None:
         return lib.serialqueue_receive(sq, block, len(block), now), float(lib.serialqueue_host_due(sq))
 
     def lot(now: float) -> list[bytes]:
-        count = lib.serialqueue_pull_lot(sq, pulled, 8, now)
+        count = lib.serialqueue_pull_batch(sq, pulled, 8, now)
         return [ffi.buffer(pulled[i].data, pulled[i].len)[2:] for i in range(count)]
 
-    lib.serialqueue_set_lot(sq, b"\x81\x05", 2, 0.015, 3)
+    lib.serialqueue_set_batch(sq, b"\x81\x05", 2, 0.015, 3)
     assert lib.serialqueue_host_due(sq) == never
     assert receive(b"\x81\x05one", 7.0) == (0, soon)
     assert receive(b"\x81\x05two", 7.005) == (0, soon)
@@ -531,7 +531,7 @@ def test_only_a_lot_waits_and_only_for_so_many_and_so_long() -> None:
     assert receive(b"\x81\x06", 8.0) == (1, 0.0)
     assert lib.serialqueue_pull(sq, pulled, 8) == 1
     assert lot(8.0) == []
-    lib.serialqueue_set_lot(sq, b"\x81\x05", 2, 0.015, 0)  # patience is over
+    lib.serialqueue_set_batch(sq, b"\x81\x05", 2, 0.015, 0)  # patience is over
     assert lib.serialqueue_host_due(sq) == 0.0
     assert lot(8.0) == [b"still"]
     assert receive(b"\x81\x05now", 9.0) == (1, 0.0)

@@ -91,7 +91,7 @@ write_port(struct portthread *pt)
 
 // Wake the host when something waits for it that can not wait longer. Returns when to look again.
 static double
-tell_host(struct portthread *pt)
+report_to_host(struct portthread *pt)
 {
     if (!pt->has_news)
         return SERIALQUEUE_NEVER;
@@ -118,10 +118,10 @@ port_loop(void *arg)
 {
     struct portthread *pt = arg;
     while (!atomic_load(&pt->stopping)) {
-        double next_told = tell_host(pt);
+        double next_report = report_to_host(pt);
         int broken = atomic_load(&pt->error);
         double next_wake = broken ? SERIALQUEUE_NEVER : write_port(pt);
-        next_wake = next_told < next_wake ? next_told : next_wake;
+        next_wake = next_report < next_wake ? next_report : next_wake;
         int has_output = pt->out_start != pt->out_end;
         struct pollfd fds[2] = {
             {.fd = pt->wake_read, .events = POLLIN},

@@ -7,7 +7,7 @@ struct portthread;
 struct serialqueue;
 
 // The thread writes one byte to notify_fd (non-blocking) whenever messages wait for the host (and
-// may wait no longer: serialqueue_set_lot), and once when the port
+// may wait no longer: serialqueue_set_batch), and once when the port
 // fails. Both descriptors stay the caller's to close, after portthread_stop. NULL if no thread could be started.
 struct portthread *portthread_start(struct serialqueue *sq, int fd, int notify_fd);
 void portthread_kick(struct portthread *pt);  // something was queued

@@ -46,7 +46,7 @@ start_over(struct serialqueue *sq, int file_mode)
     }
     sq->active = NULL;
     sq_drop_received(sq);
-    sq->lot_id_len = sq->lot_most = 0;
+    sq->batch_id_len = sq->batch_max = 0;
     memset(&sq->draft, 0, sizeof(sq->draft));
     sq->file.start = sq->file.end = 0;
     sq->file_mode = file_mode;

@@ -106,10 +106,10 @@ struct serialqueue {
     // receiving
     uint8_t rx[4 * MSGBLOCK_MAX];
     int rx_len;
-    struct rx_list received, lot; // for serialqueue_pull, serialqueue_pull_lot
-    uint8_t lot_id[4];
-    int lot_id_len, lot_most;
-    double lot_patience_s;
+    struct rx_list received, lot; // for serialqueue_pull, serialqueue_pull_batch
+    uint8_t batch_id[4];
+    int batch_id_len, batch_max;
+    double batch_patience_s;
     struct file_buffer file;
     struct serialqueue_stats stats;
 };

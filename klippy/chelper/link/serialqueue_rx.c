@@ -10,8 +10,8 @@ deliver(struct serialqueue *sq, const struct pull_message *message)
     struct rx_node *node = sq_checked_alloc(NULL, sizeof(*node));
     node->message = *message;
     node->next = NULL;
-    int apart = sq->lot_id_len && message->len >= sq->lot_id_len
-                && !memcmp(message->data, sq->lot_id, (size_t)sq->lot_id_len);
+    int apart = sq->batch_id_len && message->len >= sq->batch_id_len
+                && !memcmp(message->data, sq->batch_id, (size_t)sq->batch_id_len);
     struct rx_list *list = apart ? &sq->lot : &sq->received;
     if (list->first)
         list->last->next = node;
@@ -159,11 +159,11 @@ parse_rx(struct serialqueue *sq, double now)
 
 // When the lot is the host's: 0 at once, SERIALQUEUE_NEVER while it is empty.
 static double
-lot_due(const struct serialqueue *sq)
+batch_due(const struct serialqueue *sq)
 {
     if (!sq->lot.count)
         return SERIALQUEUE_NEVER;
-    return sq->lot.count >= sq->lot_most ? 0.0 : sq->lot.first->message.receive_time + sq->lot_patience_s;
+    return sq->lot.count >= sq->batch_max ? 0.0 : sq->lot.first->message.receive_time + sq->batch_patience_s;
 }
 
 int
@@ -180,19 +180,19 @@ serialqueue_receive(struct serialqueue *sq, const uint8_t *data, int len, double
         len -= part;
         parse_rx(sq, now);
     }
-    int waiting = sq->received.count + (lot_due(sq) <= now ? sq->lot.count : 0);
+    int waiting = sq->received.count + (batch_due(sq) <= now ? sq->lot.count : 0);
     pthread_mutex_unlock(&sq->lock);
     return waiting;
 }
 
 void
-serialqueue_set_lot(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int most)
+serialqueue_set_batch(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int most)
 {
     pthread_mutex_lock(&sq->lock);
-    sq->lot_id_len = id_len > 0 && id_len <= (int)sizeof(sq->lot_id) ? id_len : 0;
-    memcpy(sq->lot_id, id, (size_t)sq->lot_id_len);
-    sq->lot_most = most;
-    sq->lot_patience_s = patience_s;
+    sq->batch_id_len = id_len > 0 && id_len <= (int)sizeof(sq->batch_id) ? id_len : 0;
+    memcpy(sq->batch_id, id, (size_t)sq->batch_id_len);
+    sq->batch_max = most;
+    sq->batch_patience_s = patience_s;
     pthread_mutex_unlock(&sq->lock);
 }
 
@@ -200,7 +200,7 @@ double
 serialqueue_host_due(struct serialqueue *sq)
 {
     pthread_mutex_lock(&sq->lock);
-    double due = sq->received.count ? 0.0 : lot_due(sq);
+    double due = sq->received.count ? 0.0 : batch_due(sq);
     pthread_mutex_unlock(&sq->lock);
     return due;
 }
@@ -229,10 +229,10 @@ serialqueue_pull(struct serialqueue *sq, struct pull_message *out, int max)
 }
 
 int
-serialqueue_pull_lot(struct serialqueue *sq, struct pull_message *out, int max, double now)
+serialqueue_pull_batch(struct serialqueue *sq, struct pull_message *out, int max, double now)
 {
     pthread_mutex_lock(&sq->lock);
-    int count = lot_due(sq) <= now ? pull(&sq->lot, out, max) : 0;
+    int count = batch_due(sq) <= now ? pull(&sq->lot, out, max) : 0;
     pthread_mutex_unlock(&sq->lock);
     return count;
 }

@@ -114,7 +114,7 @@ queue_move(void *context, const double *target, double speed)
 }
 
 void
-gcode_aim(const struct gcode_modes *modes, const struct gcode_words *words, struct gcode_aim *aim)
+gcode_destination(const struct gcode_modes *modes, const struct gcode_words *words, struct gcode_destination *aim)
 {
     const double *last = modes->last;
     double *target = aim->target;
@@ -128,8 +128,8 @@ gcode_aim(const struct gcode_modes *modes, const struct gcode_words *words, stru
     }
     aim->modal_speed = words->given >> WORD_F & 1 ? words->value[WORD_F] * MM_PER_MIN : modes->speed;
     double factor = modes->speed_factor;
-    if (modes->pace != 1. && target[3] > last[3] && (target[0] != last[0] || target[1] != last[1]))
-        factor *= modes->pace;
+    if (modes->plan_speed_factor != 1. && target[3] > last[3] && (target[0] != last[0] || target[1] != last[1]))
+        factor *= modes->plan_speed_factor;
     aim->speed = aim->modal_speed * factor;
 }
 
@@ -137,8 +137,8 @@ gcode_aim(const struct gcode_modes *modes, const struct gcode_words *words, stru
 static int
 run_words(struct row_state *s, const struct gcode_words *words)
 {
-    struct gcode_aim aim;
-    gcode_aim(&s->modes, words, &aim);
+    struct gcode_destination aim;
+    gcode_destination(&s->modes, words, &aim);
     const double *target = aim.target;
     if (!(aim.modal_speed > 0.) || !(aim.speed >= MIN_SPEED_MM_S)
         || !isfinite(target[0] + target[1] + target[2] + target[3] + aim.modal_speed))

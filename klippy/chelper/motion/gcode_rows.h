@@ -5,7 +5,7 @@
  *
  * Only what needs no one's attention is done here. A line that is written in an unusual way, leaves the machine's
  * box, breaks a limit or is no G0/G1 is left alone, whole, for Python, which reads any line, knows the error texts,
- * and for the rest calls the same functions (gcode_aim, path_stage.h, move.h). mm, mm/s, mm/s^2.
+ * and for the rest calls the same functions (gcode_destination, path_stage.h, move.h). mm, mm/s, mm/s^2.
  */
 #include "move.h"
 #include "path_stage.h"
@@ -15,7 +15,7 @@ struct lookahead;
 /* Doubles only: Python packs them in one go. Positions are in toolhead coordinates. */
 struct gcode_modes {
     double last[4], speed;                         /* after the last line; before the factors */
-    double base[4], speed_factor, pace, extrude_factor, absolute_coord, absolute_extrude;
+    double base[4], speed_factor, plan_speed_factor, extrude_factor, absolute_coord, absolute_extrude;
 };
 /* What a line says: X, Y, Z, E and F. */
 struct gcode_words {
@@ -23,7 +23,7 @@ struct gcode_words {
     unsigned int given;             /* bit per word */
 };
 /* Where it leads: speed with the factors, and as it stays. */
-struct gcode_aim {
+struct gcode_destination {
     double target[4], modal_speed, speed;
 };
 /* Doubles first: Python packs them in one go. */
@@ -39,7 +39,7 @@ struct row_state {
     struct lookahead *lookahead;
 };
 
-void gcode_aim(const struct gcode_modes *modes, const struct gcode_words *words, struct gcode_aim *aim);
+void gcode_destination(const struct gcode_modes *modes, const struct gcode_words *words, struct gcode_destination *aim);
 /* Runs lines of text[0..len) from the front, until one is left to Python, no whole line remains, or planning is
  * due. Returns how many characters are done with; always ends behind a line end. */
 int rows_run(struct row_state *state, const char *text, int len);

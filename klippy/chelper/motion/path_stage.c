@@ -66,7 +66,7 @@ bed_walk_next(struct bed_walk *walk, double *corner)
         for (int i = 0; i < 4; i++)
             corner[i] = walk->start[i] + walk->share * (walk->end[i] - walk->start[i]);
         double change = correction(walk->bed, corner);
-        if (fabs(change - walk->last) < walk->bed->most_change)
+        if (fabs(change - walk->last) < walk->bed->max_change)
             continue;
         walk->last = change;
         walk->number++;

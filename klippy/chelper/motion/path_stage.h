@@ -17,7 +17,7 @@ struct bed_surface {
     double shift[3];                /* added to x, y and, for the fade, z before looking up */
     double fade_start, fade_end, fade_target;
     double check_distance;          /* of places on a path */
-    double most_change;             /* of the correction without a corner */
+    double max_change;             /* of the correction without a corner */
 };
 
 /* Goes through the corrected corners of one straight move. */

@@ -116,7 +116,7 @@ take_place(struct steppersync *ss, uint64_t clock)
 
 /* The member whose next message is needed first, if by `clock`. */
 static struct queue_message **
-most_urgent(struct steppersync *ss, uint64_t clock)
+first_due(struct steppersync *ss, uint64_t clock)
 {
     struct queue_message **best = NULL;
     for (int i = 0; i < ss->member_count; i++) {
@@ -137,7 +137,7 @@ steppersync_flush(struct steppersync *ss, uint64_t clock, uint64_t history_clock
             *failed = i;
         stepcompress_forget_before(ss->members[i].sc, history_clock);
     }
-    while ((urgent = most_urgent(ss, clock))) {
+    while ((urgent = first_due(ss, clock))) {
         struct queue_message *m = *urgent;
         *urgent = m->next;
         if (m->notify_id)

@@ -324,7 +324,7 @@ class BedMesh:
     def cmd_BED_MESH_OUTPUT(self, gcmd: GCodeCommand) -> None:
         """BED_MESH_OUTPUT [PGP=1]: the mesh for people; PGP=1 the places that would be probed, too."""
         if gcmd.get_int("PGP", 0):
-            self._tell_points(gcmd)
+            self._report_points(gcmd)
         mesh, surface = self.current, self.surface
         if mesh is None or surface is None:
             gcmd.respond_info("Bed has not been probed")
@@ -339,7 +339,7 @@ class BedMesh:
             f"Interpolation Algorithm: {mesh.mesh_params()['algo']}\nMeasured points:\n{_table(surface.heights)}"
         )
 
-    def _tell_points(self, gcmd: GCodeCommand) -> None:
+    def _report_points(self, gcmd: GCodeCommand) -> None:
         probe = self.printer.lookup_object("probe", None)
         x_offset, y_offset = probe.get_offsets()[:2] if probe is not None else (0.0, 0.0)
         try:

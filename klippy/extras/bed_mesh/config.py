@@ -10,7 +10,7 @@ from typing import Any
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
 
-from .points import ALGORITHMS, LEAST_COUNT, MeshError, MeshShape, Region
+from .points import ALGORITHMS, MIN_COUNT, MeshError, MeshShape, Region
 
 PROFILE_VERSION = 1
 _REGION = re.compile(r"faulty_region_(\d+)_(min|max)")
@@ -78,7 +78,7 @@ def _read_shape(config: ConfigWrapper) -> MeshShape:
     radius = config.getfloat("mesh_radius", None, above=0.0)
     if radius is not None:
         x, y = config.getfloatlist("mesh_origin", (0.0, 0.0), count=2)
-        count = config.getint("round_probe_count", 5, minval=LEAST_COUNT)
+        count = config.getint("round_probe_count", 5, minval=MIN_COUNT)
         return MeshShape.round((x, y), radius, count, **more)
     low, high = (config.getfloatlist(option, count=2) for option in ("mesh_min", "mesh_max"))
     counts = _pair(config.getintlist("probe_count", (3,)), "probe_count")
@@ -142,7 +142,7 @@ def changed_shape(shape: MeshShape, gcmd: GCodeCommand) -> MeshShape:
         return MeshShape.round(
             place("MESH_ORIGIN", shape.origin),
             gcmd.get_float("MESH_RADIUS", shape.radius, above=0.0),
-            gcmd.get_int("ROUND_PROBE_COUNT", shape.counts[0], minval=LEAST_COUNT),
+            gcmd.get_int("ROUND_PROBE_COUNT", shape.counts[0], minval=MIN_COUNT),
             **more,
         ).checked()
     return replace(

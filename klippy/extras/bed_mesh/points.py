@@ -15,7 +15,7 @@ from typing import Any
 from ..probing import surface_fit
 
 Place = tuple[float, float]
-LEAST_COUNT = 3
+MIN_COUNT = 3
 ALGORITHMS = ("lagrange", "bicubic")
 
 
@@ -91,8 +91,8 @@ class MeshShape:
 
     def checked(self) -> MeshShape:
         """The shape with an algorithm that can do it. Raises MeshError."""
-        if min(self.counts) < LEAST_COUNT:
-            raise MeshError(f"a mesh needs {LEAST_COUNT} points along each axis at least")
+        if min(self.counts) < MIN_COUNT:
+            raise MeshError(f"a mesh needs {MIN_COUNT} points along each axis at least")
         if self.radius is not None and self.counts[0] % 2 == 0:
             raise MeshError("round_probe_count must be odd: the centre is probed")
         if not (self.low[0] < self.high[0] and self.low[1] < self.high[1]):
@@ -101,15 +101,13 @@ class MeshShape:
             return self
         few, many = min(self.counts), max(self.counts)
         algorithm = self.algorithm
-        if algorithm == "bicubic" and few < surface_fit.BICUBIC_LEAST:
+        if algorithm == "bicubic" and few < surface_fit.BICUBIC_MIN:
             algorithm = "lagrange"
-        if algorithm == "lagrange" and many > surface_fit.LAGRANGE_MOST:
-            advice = (
-                "use algorithm bicubic" if few >= surface_fit.BICUBIC_LEAST else "probe 4 points at least"
-            )
+        if algorithm == "lagrange" and many > surface_fit.LAGRANGE_MAX:
+            advice = "use algorithm bicubic" if few >= surface_fit.BICUBIC_MIN else "probe 4 points at least"
             raise MeshError(
                 f"{self.counts[0]} x {self.counts[1]} points are too many for lagrange interpolation, which goes to "
-                f"{surface_fit.LAGRANGE_MOST}; {advice}"
+                f"{surface_fit.LAGRANGE_MAX}; {advice}"
             )
         return replace(self, algorithm=algorithm)
 
@@ -199,11 +197,9 @@ class MeshShape:
         if self.radius is not None:
             return self._adapted_round((low[0], low[1]), (high[0], high[1]))
         shares = [(high[k] - low[k]) / (self.high[k] - self.low[k]) for k in (0, 1)]
-        counts = [
-            max(LEAST_COUNT, math.ceil(n * share)) for n, share in zip(self.counts, shares, strict=True)
-        ]
-        if max(counts) > surface_fit.LAGRANGE_MOST:  # then it has to be bicubic
-            counts = [max(surface_fit.BICUBIC_LEAST, n) for n in counts]
+        counts = [max(MIN_COUNT, math.ceil(n * share)) for n, share in zip(self.counts, shares, strict=True)]
+        if max(counts) > surface_fit.LAGRANGE_MAX:  # then it has to be bicubic
+            counts = [max(surface_fit.BICUBIC_MIN, n) for n in counts]
         return replace(
             self, low=(low[0], low[1]), high=(high[0], high[1]), counts=(counts[0], counts[1])
         ).checked()
@@ -215,7 +211,7 @@ class MeshShape:
         radius = min(0.5 * math.dist(low, high), self.radius - math.dist(origin, self.origin))
         if radius <= 0.0:
             raise MeshError("the objects to be printed lie outside of the mesh")
-        count = max(LEAST_COUNT, math.ceil(self.counts[0] * radius / self.radius)) | 1
+        count = max(MIN_COUNT, math.ceil(self.counts[0] * radius / self.radius)) | 1
         return MeshShape.round(
             origin, radius, count, pps=self.pps, algorithm=self.algorithm, tension=self.tension
         ).checked()

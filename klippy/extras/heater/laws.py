@@ -18,13 +18,13 @@ from thermal.records import ParameterError
 
 PID_BUSY_C = 1.0  # M109 returns when this near to the target ...
 PID_BUSY_SLOPE_C_S = 0.1  # ... and changing slower than this
-PRACTICAL_BUSY_C = 5.0  # its cycle does not come nearer
+TWO_PERIOD_BUSY_C = 5.0  # its cycle does not come nearer
 
-MAX_DELTA_MOST_C = 50.0  # with more a watermark heater counts as arrived before it has begun
+MAX_DELTA_MAX_C = 50.0  # with more a watermark heater counts as arrived before it has begun
 
 # What a model controller of an ordinary heater wants: a small deviation is run down within seconds.
 MODEL_FADE_LAGS = 2.0  # of all the lags
-MODEL_LEAST_FADE_S = 1.0
+MODEL_MIN_FADE_S = 1.0
 MODEL_SIGMA_C = 0.1
 MODEL_GAP_S = 10.0
 MODEL_GAIN_START = 0.05  # the calibration knows the drive about so well
@@ -34,7 +34,7 @@ MODEL_DELAY_S = 0.6  # reading to PWM: heaters.PWM_DELAY_S and one report
 OPTIONS: dict[str, tuple[str, ...]] = {
     "pid": ("pid_kp", "pid_ki", "pid_kd"),
     "watermark": ("max_delta",),
-    "practical": ("practical_turn", "practical_cutoff"),
+    "two_period": ("two_period_turn", "two_period_cutoff"),
     "mcu_onoff": (),
     "model": (
         "heater_power_w",
@@ -128,21 +128,21 @@ class WatermarkLaw(HeaterLaw):
         return smoothed_c < target_c - float(self.parameters.max_delta_c)
 
 
-class PracticalLaw(HeaterLaw):
+class TwoPeriodLaw(HeaterLaw):
     """Liu 2019's table."""
 
     def is_busy(self, smoothed_c: float, target_c: float) -> bool:
-        return abs(target_c - smoothed_c) > PRACTICAL_BUSY_C
+        return abs(target_c - smoothed_c) > TWO_PERIOD_BUSY_C
 
 
-class ModelLaw(HeaterLaw):
+class PredictiveLaw(HeaterLaw):
     """Kalman filter and prediction; knows temperatures with the heater off as well."""
 
     def _resting(self) -> Any:
         return self.state
 
     def take_over(self, before: HeaterLaw, temp_c: float, target_c: float, duty: float) -> None:
-        if isinstance(before, ModelLaw):
+        if isinstance(before, PredictiveLaw):
             self.state = before.state
         super().take_over(before, temp_c, target_c, duty)
 
@@ -157,21 +157,21 @@ def _read_pid(config: ConfigWrapper, max_power: float, smooth_s: float) -> tuple
 
 
 def _read_watermark(config: ConfigWrapper, max_power: float, smooth_s: float) -> tuple[Any, Any]:
-    max_delta_c = config.getfloat("max_delta", 2.0, above=0.0, maxval=MAX_DELTA_MOST_C)
+    max_delta_c = config.getfloat("max_delta", 2.0, above=0.0, maxval=MAX_DELTA_MAX_C)
     return pid.WATERMARK, pid.WatermarkParameters(max_delta_c, max_power)
 
 
-def read_practical(config: ConfigWrapper, output_high: float) -> two_period.PracticalParameters:
-    """The options of `control: practical`; `output_high` is full drive in the heater's unit (duty or watts)."""
-    return two_period.PracticalParameters(
+def read_two_period(config: ConfigWrapper, output_high: float) -> two_period.TwoPeriodParameters:
+    """The options of `control: two_period`; `output_high` is full drive in the heater's unit (duty or watts)."""
+    return two_period.TwoPeriodParameters(
         output_high,
-        config.getfloat("practical_turn", 0.3, above=0.0, maxval=5.0),
-        config.getfloat("practical_cutoff", 15.0, above=0.0, maxval=50.0),
+        config.getfloat("two_period_turn", 0.3, above=0.0, maxval=5.0),
+        config.getfloat("two_period_cutoff", 15.0, above=0.0, maxval=50.0),
     )
 
 
-def _read_practical(config: ConfigWrapper, max_power: float, smooth_s: float) -> tuple[Any, Any]:
-    return two_period.PRACTICAL, read_practical(config, max_power)
+def _read_two_period(config: ConfigWrapper, max_power: float, smooth_s: float) -> tuple[Any, Any]:
+    return two_period.TWO_PERIOD, read_two_period(config, max_power)
 
 
 def model_parameters(values: dict[str, float], max_power: float) -> ModelParameters:
@@ -193,7 +193,7 @@ def model_parameters(values: dict[str, float], max_power: float) -> ModelParamet
         melt_ua_w_k=values["model_melt_w_per_k"],
         hold_s=0.3,
         horizon_s=max(1.0, 1.5 * lags_s),
-        fade_s=max(MODEL_LEAST_FADE_S, MODEL_FADE_LAGS * lags_s),
+        fade_s=max(MODEL_MIN_FADE_S, MODEL_FADE_LAGS * lags_s),
         delay_s=MODEL_DELAY_S,
         sigma_c=MODEL_SIGMA_C,
         disturbance_w=MODEL_DISTURBANCE_SHARE * power_w,
@@ -242,8 +242,8 @@ Reader = Callable[[Any, float, float], tuple[Any, Any]]
 LAWS: dict[str, tuple[Reader, type[HeaterLaw]]] = {
     "pid": (_read_pid, PidLaw),
     "watermark": (_read_watermark, WatermarkLaw),
-    "practical": (_read_practical, PracticalLaw),
-    "model": (_read_model, ModelLaw),
+    "two_period": (_read_two_period, TwoPeriodLaw),
+    "model": (_read_model, PredictiveLaw),
     "mcu_onoff": (_read_mcu_onoff, WatermarkLaw),
 }
 

@@ -1,7 +1,7 @@
 """What is going to take heat from an induction nozzle: the planned extrusion and the part fan, for its control law.
 
 Moves stand in the extruder's motion queue a fraction of a second before they happen; asking the queue costs nothing
-while nothing is printed and does not slow the planning of moves down, as being told of every move would.
+while nothing is printed and does not slow the planning of moves down, as a callback for each move would.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ BEHIND_S = 0.050  # blocks that are still to arrive lie this far back
 AHEAD_S = 0.200  # beyond any horizon, and until the next look
 LOOK_S = 0.025
 SPANS_MAX = 256
-RETRACT_MOST_MM = 50.0
-FLOW_LEAST = 0.01  # mm^3/s; less is standing still
+RETRACT_MAX_MM = 50.0
+FLOW_MIN = 0.01  # mm^3/s; less is standing still
 SAME_SHARE = 0.02  # neighbouring spans nearer than this are one
 
 
@@ -63,7 +63,7 @@ class FlowAhead:
             new_mm, peak_mm = _new_filament(span, peak_mm)
             self._passed.append((span.print_time + span.duration, peak_mm))
             mean = new_mm / span.duration * extruder.filament_area if span.duration > 0.0 else 0.0
-            mean = mean if mean > FLOW_LEAST else 0.0
+            mean = mean if mean > FLOW_MIN else 0.0
             if span.print_time > until_s + 1e-6 and flow:
                 times.append(until_s)
                 flows.append(0.0)
@@ -83,7 +83,7 @@ def _new_filament(span: Any, peak_mm: float) -> tuple[float, float]:
     """Length of new filament over a span, and the farthest fed after it: what was drawn back and comes again is not
     new, no cold filament follows it."""
     length_mm = span.x_r * (span.start_v + 0.5 * span.accel * span.duration) * span.duration
-    if span.start_x < peak_mm - RETRACT_MOST_MM:
+    if span.start_x < peak_mm - RETRACT_MAX_MM:
         peak_mm = span.start_x  # another origin
     end_mm = span.start_x + length_mm
     return max(0.0, min(length_mm, end_mm - peak_mm)), max(peak_mm, end_mm)

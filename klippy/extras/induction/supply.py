@@ -1,7 +1,7 @@
 """The bridge's supply voltage, measured, for an [induction_heater]: options vdc_pin, vdc_scale.
 
 Heat goes with V^1.5 and the steel's saturation with V, so a sagging supply costs power and moves the thermometer.
-Without a sensor the option `vdc` is believed.
+Without a sensor the option `vdc` is used.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ REPORT_S = 0.050
 SAMPLE_S = 0.001
 SAMPLES = 8
 SMOOTH = 0.3  # share of a new report: ripple of the mains is not the supply's mean
-LEAST_V = 5.0  # below, the wire is off or the supply is: keep what was known
+MIN_V = 5.0  # below, the wire is off or the supply is: keep what was known
 
 
 class SupplySensor:
-    """An ADC pin behind a divider; tells the heater when the voltage moves."""
+    """An ADC pin behind a divider; the heater gets each change of the voltage."""
 
     def __init__(self, adc: Any, volt_full_scale: float) -> None:
         self.volt_full_scale = volt_full_scale
@@ -33,7 +33,7 @@ class SupplySensor:
 
     def _on_adc(self, read_time: float, value: float) -> None:
         volt = value * self.volt_full_scale
-        if volt < LEAST_V:
+        if volt < MIN_V:
             return
         self.volt = volt if self.volt is None else self.volt + SMOOTH * (volt - self.volt)
         if self._heater is not None:

@@ -14,9 +14,9 @@ import chelper
 
 Matrix = list[list[float]]
 # Polynomials through more points than this swing between them (Runge); Klipper's limit.
-LAGRANGE_MOST = 6
+LAGRANGE_MAX = 6
 # A cubic piece looks at two points to either side.
-BICUBIC_LEAST = 4
+BICUBIC_MIN = 4
 
 
 # ---- planes ----------------------------------------------------------------------------------------------------
@@ -172,12 +172,12 @@ class Surface:
             (self._rows - 1) / (high[1] - low[1]),
         )
 
-    def follow(self, fade: Fade, shift: Sequence[float], check_distance: float, most_change: float) -> None:
+    def follow(self, fade: Fade, shift: Sequence[float], check_distance: float, max_change: float) -> None:
         """How split_line goes along this surface: looked up at x, y and (for the fade) z plus `shift`."""
         record = self.record
         record.fade_start, record.fade_end, record.fade_target = fade.start, fade.end, fade.target
         record.shift = tuple(shift)
-        record.check_distance, record.most_change = check_distance, most_change
+        record.check_distance, record.max_change = check_distance, max_change
 
     def holds(self, x: float, y: float) -> bool:
         """Is the point within the rectangle?"""
@@ -229,7 +229,7 @@ class Fade:
 def split_line(surface: Surface, start: Sequence[float], end: Sequence[float]) -> list[list[float]]:
     """Corrected corners of the path from start (not given again) to end; a place is x, y, z, e and what else moves.
 
-    The correction is looked at every `check_distance` along the bed, and where it has changed by `most_change` since
+    The correction is looked at every `check_distance` along the bed, and where it has changed by `max_change` since
     the last corner there is a new one (`Surface.follow`).
     """
     ffi, lib = chelper.get_ffi()

@@ -17,9 +17,9 @@ from typing import Any
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
 from roles import Printer
-from thermal.plan.layer_time import Pace
+from thermal.plan.layer_time import LayerSpeed
 from thermal.plan.materials import MATERIALS, Material
-from thermal.plan.planner import Laid, Summary
+from thermal.plan.planner import Deposited, Summary
 from thermal.plan.session import Session, Turn
 
 from .path_events import PathEvents
@@ -42,7 +42,7 @@ class TemperaturePlanner(PathEvents):
         self._record: Any = None  # a file, and its csv writer
         self._rows: Any = None
         self._printing = False
-        self._has_told = False  # of this print, that it is slowed down
+        self._has_reported = False  # of this print, that it is slowed down
 
     def _on_connect(self) -> None:
         """All sections are read: find the heater."""
@@ -69,8 +69,8 @@ class TemperaturePlanner(PathEvents):
             if not low_c <= temp_c <= high_c:
                 raise self.printer.config_error(
                     f"Option '{option}' in section 'temperature_plan': '{place}: {temp_c:g}' is no melt that heater"
-                    f" '{self.settings.heater}' can lay: {low_c:g} C (min_extrude_temp) to {high_c:g} C ({HEADROOM_C:g}"
-                    f" below max_temp) are ({self.settings.written_at[option]})."
+                    f" '{self.settings.heater}' can give: {low_c:g} C (min_extrude_temp) to {high_c:g} C"
+                    f" ({HEADROOM_C:g} below max_temp) are ({self.settings.written_at[option]})."
                 )
 
     def renew(self) -> None:
@@ -82,14 +82,14 @@ class TemperaturePlanner(PathEvents):
         """An empty bed."""
         limits = nozzle_limits(self.settings, self.heater.parameters, self.min_extrude_c)
         self.session.begin(limits, self.heater.now_s() if self.session.lead.reference is not None else 0.0)
-        self._has_told = False
+        self._has_reported = False
         self.set_speed(1.0)
 
     def register(self) -> None:
         self.printer.register_event_handler("klippy:connect", self._on_connect)
         self.printer.register_event_handler("klippy:ready", self._on_ready)
         self.printer.register_event_handler("klippy:shutdown", self._stop)
-        self.printer.register_event_handler("klippy:disconnect", self._close_books)
+        self.printer.register_event_handler("klippy:disconnect", self._settle)
         self.printer.register_event_handler("print_stats:begin", self._begin_print)
         self.register_requests()
         self._gcode.register_command(
@@ -107,7 +107,7 @@ class TemperaturePlanner(PathEvents):
             stream = open(self.settings.record, "w", newline="", encoding="utf-8")  # noqa: SIM115  # until the end
             self.printer.register_event_handler("klippy:disconnect", self._close_record)
             self._record, self._rows = stream, csv.writer(stream)
-            self._rows.writerow(Laid._fields)
+            self._rows.writerow(Deposited._fields)
         self.listen()
         first = self._reactor.NOW if self.enabled else self._reactor.NEVER
         self._timer = self._reactor.register_timer(self._on_timer, first)
@@ -122,13 +122,13 @@ class TemperaturePlanner(PathEvents):
     def on_due(self) -> None:
         self._reactor.update_timer(self._timer, self._reactor.NOW)
 
-    def on_speed(self, speed: Pace) -> None:
-        if speed.factor < 1.0 and not self._has_told:
-            self._has_told = True
-            interface_c = self.session.plan.pace_interface_c
+    def on_speed(self, speed: LayerSpeed) -> None:
+        if speed.factor < 1.0 and not self._has_reported:
+            self._has_reported = True
+            interface_c = self.session.plan.speed_interface_c
             self._gcode.respond_info(
-                f"A hot layer is laid at {100 * speed.factor:.0f} % of the file's speed, so that its weld stays near"
-                f" {interface_c:.0f} C. A higher interface_temp, more fan or minimum_speed_factor: 1 keep the speed"
+                f"A hot layer is deposited at {100 * speed.factor:.0f} % of the file's speed, so that its weld stays"
+                f" near {interface_c:.0f} C. A higher interface_temp, more fan or minimum_speed_factor: 1 keeps it"
             )
 
     # The plan
@@ -201,7 +201,7 @@ class TemperaturePlanner(PathEvents):
 
     def _begin_print(self) -> None:
         """Before the first line of the file: what that asks for counts already."""
-        self._close_books()
+        self._settle()
         self._begin()
         self.session.forget_requests()
         self._printing = True
@@ -210,16 +210,16 @@ class TemperaturePlanner(PathEvents):
         """A print is over when what was queued at the end of its file is deposited."""
         over = self._printing and self._print_stats.state not in ("printing", "paused")
         if over and now_s > self.session.lead.end_s and not self.session.path.facts().waiting:
-            self._close_books()
+            self._settle()
             self.session.full_speed()
             self.set_speed(1.0)
 
-    def _close_books(self) -> None:
+    def _settle(self) -> None:
         """Of this print, if there is one."""
         if not self._printing:
             return
         self._printing = False
-        self.session.book(math.inf)
+        self.session.record(math.inf)
         self._write_rows()
         if self.enabled and self.session.plan.summary().pieces:
             self._gcode.respond_info(report_line(self.session.plan.summary(), self.session.material))
@@ -266,7 +266,7 @@ class TemperaturePlanner(PathEvents):
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
         session, now_s = self.session, self.heater.now_s() if self._timer is not None else 0.0
-        books, base_c = session.plan.summary(), session.target.base_c
+        totals, base_c = session.plan.summary(), session.target.base_c
         active = session.lead.reference is not None
         return {
             "enabled": self.enabled,
@@ -278,24 +278,24 @@ class TemperaturePlanner(PathEvents):
             "layer": int(session.path.facts().layer),
             "feature": session.requested.state.feature,
             "speed_factor": round(session.speed_factor, 3),
-            "length": round(books.length_mm, 1),
-            "bonded_share": round(books.bonded_share[0], 4),
-            "bonded_share_fixed": round(books.bonded_share[1], 4),
+            "length": round(totals.length_mm, 1),
+            "bonded_share": round(totals.bonded_share[0], 4),
+            "bonded_share_fixed": round(totals.bonded_share[1], 4),
         }
 
 
-def report_line(books: Summary, material: Material) -> str:
-    """What was laid, with the plan and as one fixed temperature would have laid it."""
-    if not books.pieces:
-        return f"Temperature plan ({material.name}): nothing laid yet"
-    (low, _, high), (low_fixed, _, high_fixed) = books.interface_5_50_95_c
-    planned, fixed = books.bonded_share
+def report_line(totals: Summary, material: Material) -> str:
+    """What was deposited, with the plan and as one fixed temperature would have deposited it."""
+    if not totals.pieces:
+        return f"Temperature plan ({material.name}): nothing deposited yet"
+    (low, _, high), (low_fixed, _, high_fixed) = totals.interface_5_50_95_c
+    planned, fixed = totals.bonded_share
     slowed = ""
-    if books.slowed_s >= 1.0:
-        slowed = f"; hot layers were slowed down, {books.slowed_s:.0f} s longer"
+    if totals.slowed_s >= 1.0:
+        slowed = f"; hot layers were slowed down, {totals.slowed_s:.0f} s longer"
     return (
-        f"Temperature plan ({material.name}, welds above {material.bonding_c:.0f} C): {books.length_mm / 1000:.1f} m"
-        f" laid, {100 * planned:.1f} % welded, {100 * fixed:.1f} % without the plan;"
+        f"Temperature plan ({material.name}, welds above {material.bonding_c:.0f} C): {totals.length_mm / 1000:.1f} m"
+        f" deposited, {100 * planned:.1f} % welded, {100 * fixed:.1f} % without the plan;"
         f" interface {low:.0f}..{high:.0f} C (5..95 %), {low_fixed:.0f}..{high_fixed:.0f} C without{slowed}"
     )
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from thermal.plan import requests
-from thermal.plan.layer_time import Pace
+from thermal.plan.layer_time import LayerSpeed
 from thermal.plan.session import Session
 
 from .settings import Settings
@@ -64,12 +64,12 @@ class PathEvents:
     def on_due(self) -> None:
         """So much new motion has come that it is worth another plan."""
 
-    def on_speed(self, speed: Pace) -> None:
+    def on_speed(self, speed: LayerSpeed) -> None:
         """Hot layers get this speed from now on."""
 
     # Names of places, as the G-code comes by
 
-    def _mark(self, state: requests.Wishes) -> None:
+    def _mark(self, state: requests.Requests) -> None:
         """`state` holds from the end of what is queued now."""
         session = self.session
         if not self.enabled or not self._is_listening:
@@ -102,7 +102,7 @@ class PathEvents:
     def _request(self, gcmd: Any, temp_c: float, until: str, duration_s: float) -> None:
         if temp_c and temp_c < self.min_extrude_c:
             raise gcmd.error(
-                f"A segment cannot be laid at {temp_c:.0f} C: min_extrude_temp is {self.min_extrude_c:.0f} C"
+                f"A segment cannot be deposited at {temp_c:.0f} C: min_extrude_temp is {self.min_extrude_c:.0f} C"
             )
         if not self.enabled:
             gcmd.respond_info(
@@ -135,12 +135,12 @@ class PathEvents:
 
     def begin_layer(self) -> None:
         """The file says that a layer begins; called before its first move is queued."""
-        if self.enabled and self._is_listening and self.session.pacer.is_used:
+        if self.enabled and self._is_listening and self.session.speeds.is_used:
             pause_s = self.choose_speed().pause_s
             if pause_s > 0.0:
                 self._toolhead.dwell(pause_s)
 
-    def choose_speed(self) -> Pace:
+    def choose_speed(self) -> LayerSpeed:
         """What comes now is as fast as the layer below it bears."""
         speed = self.session.choose_speed()
         self.set_speed(speed.factor)
@@ -150,6 +150,6 @@ class PathEvents:
     def set_speed(self, factor: float) -> None:
         """Part of the file's speed for moves that extrude."""
         modes = self.printer.lookup_object("gcode_move").modes
-        if factor != modes.pace:
-            modes.pace = factor
-            self._mark(replace(self.session.requested.state, pace=factor))
+        if factor != modes.plan_speed_factor:
+            modes.plan_speed_factor = factor
+            self._mark(replace(self.session.requested.state, speed_factor=factor))

@@ -14,7 +14,7 @@ from thermal.models.melt_exchange import NozzleLimits
 from thermal.plan import requests
 from thermal.plan.deposit import Surroundings
 from thermal.plan.materials import MATERIALS, Material
-from thermal.plan.planner import Craft
+from thermal.plan.planner import PlanOptions
 from thermal.plan.session import PlanSettings
 
 FOLLOW_MM = 60000.0  # a fair part of a print: the weld is held where the user's own target has it on average
@@ -31,7 +31,7 @@ class Settings(PlanSettings):
     melt_mm3: float
     power_share: float
     enabled: bool
-    record: str | None  # file for a row of each laid piece
+    record: str | None  # file for a row of each deposited piece
     written_at: Mapping[str, str]  # options of the table: file and line
 
 
@@ -49,9 +49,9 @@ def _read(config: ConfigWrapper, option: str, reader: Callable[[str], Any]) -> A
         raise _refusal(config, option, str(e)) from None
 
 
-def _table(config: ConfigWrapper, material: Material) -> requests.WishTable:
+def _table(config: ConfigWrapper, material: Material) -> requests.RequestTable:
     """All that is asked for by name. The window would clamp what lies outside it, and the user never know."""
-    table = requests.WishTable(
+    table = requests.RequestTable(
         {requests.feature_name(k): v for k, v in _read(config, "features", requests.read_names).items()},
         {k.upper(): v for k, v in _read(config, "objects", requests.read_names).items()},
         _read(config, "layers", requests.read_ranges),
@@ -62,7 +62,7 @@ def _table(config: ConfigWrapper, material: Material) -> requests.WishTable:
             raise _refusal(
                 config,
                 option,
-                f"'{place}: {temp_c:g}' is no melt of {material.name}, which is laid at {material.low_c:g} to"
+                f"'{place}: {temp_c:g}' is no melt of {material.name}, which is deposited at {material.low_c:g} to"
                 f" {material.high_c:g} C; melt_min and melt_max say otherwise if need be",
             )
     return table
@@ -104,14 +104,14 @@ def _material(config: ConfigWrapper) -> Material:
 def nozzle_limits(settings: Settings, parameters: LoopParameters, min_extrude_c: float) -> NozzleLimits:
     """What an [induction_heater] lets the plan do. Its melt exchange is as the heater knows it (MODEL_CALIBRATE with
     FLOW measures it), unless [temperature_plan] says otherwise."""
-    holder, own = parameters.plausible.loss, parameters.melt
+    holder, own = parameters.heat_balance.loss, parameters.melt
     return NozzleLimits(
         min_c=parameters.supervise.temp_low_c,
         max_c=parameters.supervise.temp_high_c - HEADROOM_C,
         min_extrude_c=min_extrude_c,
         power_w=settings.power_share * parameters.control.power_max_w,
         loss=parameters.loss,
-        capacity=parameters.track.heat,
+        capacity=parameters.filter.heat,
         exchange=replace(own, ua_w_k=settings.exchange_w_k or own.ua_w_k, volume_mm3=settings.melt_mm3),
         holder_w_k=holder.link_w_k**2 / (holder.link_w_k + holder.second_w_k),
         holder_s=holder.second_j_k / (holder.link_w_k + holder.second_w_k),
@@ -124,7 +124,7 @@ def read_settings(config: ConfigWrapper) -> Settings:
     material = _material(config)
     margin_c = config.getfloat("bonding_margin", 15.0, minval=0.0, maxval=150.0)
     wanted_c = config.getfloat("interface_temp", None, above=0.0, maxval=500.0)
-    least_c = material.bonding_c + margin_c
+    lowest_c = material.bonding_c + margin_c
     filament_mm = 1.75
     if config.has_section(name):
         filament_mm = config.getsection(name).getfloat("filament_diameter", 1.75, above=0.0)
@@ -137,8 +137,8 @@ def read_settings(config: ConfigWrapper) -> Settings:
             still_w_m2k=config.getfloat("still_air", 30.0, above=0.0),
             fan_w_m2k=config.getfloat("fan_air", 60.0, minval=0.0),
         ),
-        options=Craft(
-            interface_c=(wanted_c or least_c) if config.getboolean("bonding", True) else None,
+        options=PlanOptions(
+            interface_c=(wanted_c or lowest_c) if config.getboolean("bonding", True) else None,
             follow_mm=FOLLOW_MM if wanted_c is None else 0.0,
             core=config.getboolean("flow", False),
             zone_mm=config.getfloat("melt_zone_length", 20.0, above=0.0),

@@ -22,7 +22,7 @@
 static const double pi = 3.14159265358979323846, phase_full_ticks = 45000.0;
 static const double sigma_sb = 5.670374e-8, kelvin = 273.15, cp_reference_c = 25.0;
 static const double max_step_s = 2e-3, unsampled_settled_s = 5e-3;
-static const double fade_done = 1e-7; // below this the tank counts as settled (error < 1e-4 units)
+static const double decay_done = 1e-7; // below this the tank counts as settled (error < 1e-4 units)
 
 const struct plant_param plant_params[] = {
 #define PLANT_ROW(name, unit, reference, strong, lo, hi, doc) {#name, unit, doc, reference, strong, lo, hi},
@@ -316,7 +316,7 @@ static void follow_drive(struct plant *p, double period_s)
     tank_changed(&p->tank);
 }
 
-static void sample_run(struct plant *p, uint16_t *out, uint32_t n, double fade_per_sample)
+static void sample_run(struct plant *p, uint16_t *out, uint32_t n, double decay_per_sample)
 {
     const float sigma = (float)p->v.noise_lsb, top = (float)p->v.adc_max;
     struct noise_rows rows = noise_run(&p->noise);
@@ -325,8 +325,8 @@ static void sample_run(struct plant *p, uint16_t *out, uint32_t n, double fade_p
         const struct tank_point now = tank_now(&p->tank, tank_steady(&p->tank, &p->v, p->skin_c));
         quantise(out + done, 1, rows, level_of(p, tank_error(&p->tank, &p->v, now)), sigma, top);
         rows.a++, rows.b++, rows.sign++;
-        p->tank.fade *= fade_per_sample;
-        if (p->tank.fade < fade_done)
+        p->tank.fade *= decay_per_sample;
+        if (p->tank.fade < decay_done)
             p->tank.fade = 0;
     }
     if (done < n)
@@ -341,10 +341,10 @@ void plant_sample(struct plant *p, uint16_t *out, uint32_t n, double period_s)
         p->tank.fade = 0;
     p->unsampled_s = 0;
     follow_drive(p, period_s);
-    const double fade_per_sample = p->tank.fade > 0 ? exp(-period_s * 1e6 / p->v.tank_tau_us) : 0;
+    const double decay_per_sample = p->tank.fade > 0 ? exp(-period_s * 1e6 / p->v.tank_tau_us) : 0;
     for (uint32_t done = 0; done < n;) {
         const uint32_t take = n - done < NOISE_RUN - 16 ? n - done : NOISE_RUN - 16;
-        sample_run(p, out + done, take, fade_per_sample);
+        sample_run(p, out + done, take, decay_per_sample);
         done += take;
     }
     if (fault_is(p, PLANT_SIGNAL_STUCK)) {

@@ -118,7 +118,7 @@ def _temperature(trace: Trace, masks: Masks) -> list[Figure]:
 
 def _material(trace: Trace, masks: Masks, layers: Sequence[Layer]) -> list[Figure]:
     if not masks.extrudes.any():
-        return [Figure("Printed", "nothing", "the file lays down no plastic")]
+        return [Figure("Printed", "nothing", "the file deposits down no plastic")]
     flow = trace.flow_mm3_s[masks.extrudes]
     melt = trace.melt_c[masks.extrudes]
     low, high = np.percentile(melt, (1, 99))

@@ -19,32 +19,32 @@ from .data import LAYER_STEP_MM
 
 PAGE = Path(__file__).parent / "page" / "plan.html"
 HUNDREDTH_MM = 100.0
-MOST_MOVES = 300_000  # above, neighbours are left out: the page stays under 5 MB
+MAX_MOVES = 300_000  # above, neighbours are left out: the page stays under 5 MB
 
 
 def figures(plan: OfflinePlan, material: Material, plain: Summary | None = None) -> dict[str, Any]:
     """The table of the page, for programs. `plain`: of the file at its own speed, if the plan slows it down; that is
     what "fixed" means then."""
-    books, fixed_books = plan.summary, plain or plan.summary
-    planned, fixed = books.interface_5_50_95_c[0], fixed_books.interface_5_50_95_c[1]
+    totals, fixed_totals = plan.summary, plain or plan.summary
+    planned, fixed = totals.interface_5_50_95_c[0], fixed_totals.interface_5_50_95_c[1]
     return {
         "material": material.name,
         "bonding_c": material.bonding_c,
-        "length_mm": round(books.length_mm, 1),
+        "length_mm": round(totals.length_mm, 1),
         "moves": len(plan.moves),
         "duration_s": round(plan.duration_s, 1),
-        "bonded_share": round(books.bonded_share[0], 5),
-        "bonded_share_fixed": round(fixed_books.bonded_share[1], 5),
+        "bonded_share": round(totals.bonded_share[0], 5),
+        "bonded_share_fixed": round(fixed_totals.bonded_share[1], 5),
         "interface_5_50_95_c": [round(v, 1) for v in planned],
         "interface_5_50_95_fixed_c": [round(v, 1) for v in fixed],
-        "spread_c": round(books.spread_c[0], 1),
-        "spread_fixed_c": round(fixed_books.spread_c[1], 1),
-        "spread_fixed_same_pace_c": round(books.spread_c[1], 1),
-        "melt_against_wanted_rms_c": round(books.melt_rms_c, 2),
-        "cold_share": round(books.cold_share, 4),
-        "hot_share": round(books.hot_share, 4),
-        "slowest_pace": round(min((move.pace for move in plan.moves), default=1.0), 3),
-        "pauses_s": round(sum(change.pace.pause_s for change in plan.paces), 1),
+        "spread_c": round(totals.spread_c[0], 1),
+        "spread_fixed_c": round(fixed_totals.spread_c[1], 1),
+        "spread_fixed_same_speed_c": round(totals.spread_c[1], 1),
+        "melt_against_wanted_rms_c": round(totals.melt_rms_c, 2),
+        "cold_share": round(totals.cold_share, 4),
+        "hot_share": round(totals.hot_share, 4),
+        "min_speed_factor": round(min((move.speed_factor for move in plan.moves), default=1.0), 3),
+        "pauses_s": round(sum(change.speed_factor.pause_s for change in plan.speed_changes), 1),
     }
 
 
@@ -81,7 +81,7 @@ def _layer_starts(moves: Sequence[PlannedMove]) -> list[int]:
 
 def write(path: Path, name: str, plan: OfflinePlan, material: Material, plain: Summary | None = None) -> None:
     """Raises OSError."""
-    moves = plan.moves[:: 1 + len(plan.moves) // MOST_MOVES]
+    moves = plan.moves[:: 1 + len(plan.moves) // MAX_MOVES]
     ways = np.array([(*m.start_mm[:2], *m.end_mm[:2]) for m in moves])
     low = ways.reshape(-1, 2).min(axis=0)
     ways = (ways - np.tile(low, 2)) * HUNDREDTH_MM

@@ -42,7 +42,7 @@ from .step_test import MELT, MELT_PROOF, STAGES, Row
 ELEMENT_SHARE = 0.2
 COLUMNS = Row._fields
 HELD_OUT = ("validate", "coast")
-LEAST_ROWS = 30
+MIN_ROWS = 30
 DOUBT = 0.30  # relative 1 sigma of heat or loss beyond which a run told nothing
 VALID_C, VALID_SHARE = (
     1.0,
@@ -56,7 +56,7 @@ FIT_STEP_S = 0.1  # of the integration
 # too heavy, the same in every part of the run. Half of that as 1 sigma of any number.
 FORM_SHARE = 0.01
 FILAMENT_SHARE, INLET_C = 0.1, 3.0  # 1 sigma of the heat of a volume of filament, and of where it enters
-UNTOLD = 0.5  # a number in more doubt than this is not told
+UNREPORTED = 0.5  # a number in more doubt than this is not told
 FLAT_C = 0.01  # rms that the readings move with a number (per e-fold): less is not seen
 
 
@@ -199,7 +199,7 @@ def _sigma(jacobian: Any, residual: Any) -> Any:
     return sigma
 
 
-def _untold(ua_w_k: float, rows: Sequence[Row]) -> float:
+def _unreported(ua_w_k: float, rows: Sequence[Row]) -> float:
     """Relative 1 sigma of an exchange told at one flow: it rests on a heat and an inlet of the filament taken as given.
 
     heat = c f (1 - exp(-x)) (T - Tin), x = UA/(c f): filament that leaves as hot as the metal (x of 3 and more) takes
@@ -215,7 +215,7 @@ def _untold(ua_w_k: float, rows: Sequence[Row]) -> float:
         (1.0 - share) * FILAMENT_SHARE, INLET_C / (sum(fed) / len(fed) - min(r.temp_c for r in rows))
     )
     found = given / max(share, 1e-9)
-    return found if found < UNTOLD else math.inf
+    return found if found < UNREPORTED else math.inf
 
 
 def fit_rows(rows: list[Row], power_w: float, ambient_c: float, is_nozzle: bool) -> LoadFit:
@@ -224,7 +224,7 @@ def fit_rows(rows: list[Row], power_w: float, ambient_c: float, is_nozzle: bool)
     rows = [row for row in thin(rows) if row.stage in STAGES or row.stage.startswith(MELT)]
     train = [r for r in rows if r.stage not in HELD_OUT]
     held = len(rows) - len(train)
-    if len(train) < LEAST_ROWS or held < LEAST_ROWS // 3:
+    if len(train) < MIN_ROWS or held < MIN_ROWS // 3:
         raise LoadFitError("too few readings")
     names = (
         NOZZLE
@@ -255,7 +255,7 @@ def fit_rows(rows: list[Row], power_w: float, ambient_c: float, is_nozzle: bool)
     sigma = _sigma(found.jac, shown)
     if STEPS["flow"] in names:
         at = names.index(STEPS["flow"])
-        sigma[at] = math.hypot(sigma[at], _untold(math.exp(found.x[at]), train))
+        sigma[at] = math.hypot(sigma[at], _unreported(math.exp(found.x[at]), train))
     fit = _result(names, found.x, sigma, shown, check, rise_k)
     _judge(fit, names)
     return fit

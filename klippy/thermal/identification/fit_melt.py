@@ -32,14 +32,14 @@ from .step_test import MELT, MELT_PROOF, Row
 
 SETTLE_S = 1.0  # of a step: the temperature arrives, the flow of the step before runs out ...
 SETTLE_SHARE = 0.6  # ... of the hold: the second mass too
-LEAST_S = 2.0  # a slope over less is noise
+MIN_S = 2.0  # a slope over less is noise
 STEADY_SHARE = 0.05  # flows nearer than this are one
 HELD_C = 2.0  # a step is at its temperature within this: far above noise, and the fall to it is left out
 NOISE_W = 0.005  # of a slope over some seconds: 0.1 degC a reading, 0.45 J/K
 SHAPE_SHARE = 0.005  # of the heat of the melt: no filament is a constant c
 LOSS_SHARE = 0.02  # 1 sigma of d before the run
 INLET_C = 15.0  # 1 sigma of the filament's temperature about the room's before the run
-LEAST_HEAT = 0.25  # of what any filament takes: less is none
+MIN_HEAT = 0.25  # of what any filament takes: less is none
 LIMIT_W, LIMIT_SHARE = 0.05, 0.03  # the kept step's heat is predicted within this, or this share of it
 DOUBT = 0.06  # relative 1 sigma of UA/c beyond which the run told nothing
 RANGES = {"c": (0.5, 6.0), "ua": (0.003, 0.3)}  # MJ/m3K, W/K: no filament, no nozzle beyond
@@ -120,7 +120,7 @@ def held_steps(rows: Sequence[Row], heat: HeatCapacity, loss: TwoNodeLoss) -> li
     if missed:
         _check_filament(steps, loss.ambient_c)
         raise MeltFitError(
-            f"step '{missed}' has no {LEAST_S:g} s at one temperature and flow: did the extruder stop?"
+            f"step '{missed}' has no {MIN_S:g} s at one temperature and flow: did the extruder stop?"
         )
     return steps
 
@@ -133,9 +133,9 @@ def _steady(stage: str, columns: tuple[Any, Any, Any], begin: int, end: int) -> 
     if len(settled):
         middle = float(np.median(flow[settled]))
         settled = settled[np.abs(flow[settled] - middle) <= STEADY_SHARE * max(middle, 1e-3)]
-        last = settled[time_s[settled] >= time_s[settled[-1]] - LEAST_S]
+        last = settled[time_s[settled] >= time_s[settled[-1]] - MIN_S]
         settled = settled[np.abs(temp_c[settled] - np.median(temp_c[last])) <= HELD_C]
-    if len(settled) < 20 or time_s[settled[-1]] - time_s[settled[0]] < LEAST_S:
+    if len(settled) < 20 or time_s[settled[-1]] - time_s[settled[0]] < MIN_S:
         return None
     return slice(int(settled[0]), int(settled[-1]) + 1)
 
@@ -184,7 +184,7 @@ def _check_filament(told: Sequence[Held], ambient_c: float) -> None:
     fast = max(moving, key=lambda h: h.flow_mm3_s)
     taken_w = fast.heat_w - sum(still) / len(still)
     usual_w = START.heat_w_k(fast.flow_mm3_s) * (fast.temp_c - ambient_c)
-    if taken_w < LEAST_HEAT * usual_w:
+    if taken_w < MIN_HEAT * usual_w:
         raise MeltFitError(
             f"at {fast.flow_mm3_s:.1f} mm3/s the filament took {taken_w:.2f} W, and {usual_w:.1f} W are usual: no"
             " filament is loaded, it slips, or the nozzle is clogged"

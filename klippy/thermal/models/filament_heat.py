@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import math
 
-ROOT_COUNT = 20  # exp(-z20^2 * LEAST_FOURIER) is below 1e-16: no further term counts
-LEAST_FOURIER = 0.01  # below it the core has seen less than 1e-9 of the wall's step
+ROOT_COUNT = 20  # exp(-z20^2 * MIN_FOURIER) is below 1e-16: no further term counts
+MIN_FOURIER = 0.01  # below it the core has seen less than 1e-9 of the wall's step
 SINGULAR = 1e-4  # relative distance from chi h = U at which equation 9 is 0/0
 
 
@@ -118,7 +118,7 @@ CORE_TERMS = _core_terms()
 
 def core_fraction(fourier: float) -> float:
     """theta_c(Fo): share of the wall's step that has reached the axis of a cylinder, 0..1."""
-    if fourier < LEAST_FOURIER:
+    if fourier < MIN_FOURIER:
         return 0.0
     return min(1.0, max(0.0, 1.0 - sum(a * math.exp(-z2 * fourier) for z2, a in CORE_TERMS)))
 
@@ -129,7 +129,7 @@ def fourier_for_core(fraction: float) -> float:
         raise ValueError(
             f"The share of the wall's step at the core must lie between 0 and 1, not {fraction}."
         )
-    low, high = LEAST_FOURIER, 10.0
+    low, high = MIN_FOURIER, 10.0
     for _ in range(60):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if core_fraction(middle) < fraction else (low, middle)

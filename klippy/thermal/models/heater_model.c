@@ -62,7 +62,7 @@ model_advance(const struct model_params *p, struct model_nodes *nodes, const str
     double steps = dt_s <= p->step_s ? 1.0 : ceil(dt_s / p->step_s), h = dt_s / steps;
     struct model_nodes n = *nodes;
     double air_w_k = p->loss_w_k + fan * p->fan_w_k, radiation = STEFAN_BOLTZMANN * p->radiation_m2;
-    double bore_fade = fading(h, p->bore_s), sensor_fade = fading(h, p->sensor_s);
+    double bore_decay = fading(h, p->bore_s), sensor_decay = fading(h, p->sensor_s);
     for (double step = 0.0; step < steps; step++) {
         if (n.flow != flow_mm3_s)
             n.flow = flow_mm3_s + (n.flow - flow_mm3_s) * fading(h, p->flow_s);
@@ -82,8 +82,8 @@ model_advance(const struct model_params *p, struct model_nodes *nodes, const str
         double before_c = n.temp_c;
         n.temp_c += h * net / model_capacity_j_k(p, n.temp_c);
         double middle_c = 0.5 * (before_c + n.temp_c);
-        n.sensor_c = p->sensor_s ? middle_c + (n.sensor_c - middle_c) * sensor_fade : n.temp_c;
-        n.bore_c = p->bore_s ? middle_c + (n.bore_c - middle_c) * bore_fade : n.temp_c;
+        n.sensor_c = p->sensor_s ? middle_c + (n.sensor_c - middle_c) * sensor_decay : n.temp_c;
+        n.bore_c = p->bore_s ? middle_c + (n.bore_c - middle_c) * bore_decay : n.temp_c;
     }
     *nodes = n;
 }

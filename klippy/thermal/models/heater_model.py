@@ -32,8 +32,8 @@ from .heat_loss import ZERO_CELSIUS_K
 STEPS_PER_LAG = 10.0  # an Euler step is this much shorter than the fastest lag: 5 % of that lag in error
 LONGEST_STEP_S = 0.25
 STEPS_PER_HOLD = 30.0  # more steps of integration between two outputs take longer than the time they describe
-CLIMB_LEAST_K_S, CLIMB_MOST_K_S = 1e-3, 1e5  # at full power; a chamber makes 0.02, a light nozzle 1000
-RISE_LEAST_K = 2.0  # full power holds a heater at least so much above the room
+CLIMB_MIN_K_S, CLIMB_MAX_K_S = 1e-3, 1e5  # at full power; a chamber makes 0.02, a light nozzle 1000
+RISE_MIN_K = 2.0  # full power holds a heater at least so much above the room
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,17 +130,17 @@ class ModelParameters:
         for name in ("heat_slope_per_k", "output_slope_per_k"):
             value = getattr(self, name)
             require(-1e-3 <= value <= 5e-3, f"model: {name} of {value:g} turns the sign within the range")
-        climb_k_s = self.most_w / (self.heat_j_k + self.element_j_k)
+        climb_k_s = self.max_w / (self.heat_j_k + self.element_j_k)
         require(
-            CLIMB_LEAST_K_S <= climb_k_s <= CLIMB_MOST_K_S,
-            f"model: full power of {self.most_w:.3g} W would heat {self.heat_j_k + self.element_j_k:.3g} J/K by"
+            CLIMB_MIN_K_S <= climb_k_s <= CLIMB_MAX_K_S,
+            f"model: full power of {self.max_w:.3g} W would heat {self.heat_j_k + self.element_j_k:.3g} J/K by"
             f" {climb_k_s:.2g} K/s",
         )
         through_w_k = self.loss_w_k + (min(self.link_w_k, self.second_loss_w_k) if self.second_j_k else 0.0)
         require(
-            self.most_w >= RISE_LEAST_K * through_w_k,
-            f"model: full power of {self.most_w:.3g} W holds a heater that loses {through_w_k:.3g} W/K only"
-            f" {self.most_w / (through_w_k or 1.0):.2g} K above the room",
+            self.max_w >= RISE_MIN_K * through_w_k,
+            f"model: full power of {self.max_w:.3g} W holds a heater that loses {through_w_k:.3g} W/K only"
+            f" {self.max_w / (through_w_k or 1.0):.2g} K above the room",
         )
         linked = self.link_w_k > 0.0
         require(
@@ -150,7 +150,7 @@ class ModelParameters:
         require((self.element_j_k > 0.0) == linked, "model: an element needs both heat and link, or neither")
 
     @property
-    def most_w(self) -> float:
+    def max_w(self) -> float:
         return self.output_w * self.output_high
 
     def packed(self) -> Any:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from .heat_loss import HeatCapacity, LossLaw, loss_w
 
 WAY_STEP_C = 2.0
-LEAST_K_S = 0.5  # near the surroundings nothing cools any more; by then no plan is waited for
+MIN_K_S = 0.5  # near the surroundings nothing cools any more; by then no plan is waited for
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +93,7 @@ def idle_way(
         next_c = min(end_c, now_c + WAY_STEP_C) if end_c > now_c else max(end_c, now_c - WAY_STEP_C)
         held_k_s = limits.holder_w_k * (next_c - holder_c) / limits.capacity.at(next_c)
         up, down = heating_k_s(limits, next_c, 0.0) - held_k_s, cooling_k_s(limits, next_c, 0.0) + held_k_s
-        step_s = abs(next_c - now_c) / max(LEAST_K_S, up if end_c > now_c else down)
+        step_s = abs(next_c - now_c) / max(MIN_K_S, up if end_c > now_c else down)
         holder_c += (next_c - holder_c) * -math.expm1(-step_s / limits.holder_s)
         now_s, now_c = now_s + step_s, next_c
         corners.append((now_s, now_c))

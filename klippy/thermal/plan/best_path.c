@@ -32,7 +32,7 @@ static void move(struct flank *f, double by_c)
     f->offset -= f->gain * by_c;
 }
 
-/* The derivative of weight/2 (T - aim)^2 comes on top. */
+/* The derivative of weight/2 (T - target)^2 comes on top. */
 static void add_square(struct flank *f, const struct best_node *node)
 {
     f->gain += node->weight;

@@ -2,7 +2,7 @@
 #define FERRITE_TEMPPLAN_BEST_H
 /*
  * The path of least squares under slope limits: temperatures T of nodes in order of time, each bounded and no farther
- * from the one before than `fall_c` down and `rise_c` up, for which the sum of weight (T - aim)^2 is least.
+ * from the one before than `fall_c` down and `rise_c` up, for which the sum of weight (T - target)^2 is least.
  * The theory is in thermal/plan/set_points.py.
  */
 
@@ -13,7 +13,7 @@ struct best_node {
     double melt_w_k;                /* what the melt takes meanwhile */
     double fall_c, rise_c;          /* limits on the way here */
     double temp_c;                  /* result */
-    int stretch;                    /* number of the stretch of the same wish that it belongs to */
+    int stretch;                    /* number of the stretch of the same request that it belongs to */
 };
 
 /* How fast the nozzle may go from start_c to end_c, K/s. */

@@ -9,7 +9,7 @@ enum { FIRST_COLUMNS = 1024 };
 
 /* As in thermal/plan/deposit.py, where the reasons are. */
 static const double SAME_PASS_CELLS = 1.5, SAME_LAYER = 0.5, NEXT_LAYER = 1.5, TAKEN_OFF_MM = 2.0;
-static const double FAR_MM = 3.0, FIRST_STEP = 0.4, GROWTH = 2.5, LEAST_COVER = 0.05, LEAST_MM2 = 1e-6;
+static const double FAR_MM = 3.0, FIRST_STEP = 0.4, GROWTH = 2.5, MIN_COVER = 0.05, MIN_MM2 = 1e-6;
 
 static uint64_t place(int32_t x, int32_t y)
 {
@@ -70,16 +70,16 @@ struct column *map_column(struct deposit_map *map, int32_t x, int32_t y)
 
 /* -- a column's heat -- */
 
-/* Loops over the nodes of a pile: nearly every pile is full, and with a count known in advance they are unrolled. */
+/* Loops over the nodes of a stack: nearly every stack is full, and with a count known in advance they are unrolled. */
 #define PER_NODE _Pragma("GCC unroll 6")
 #define ALWAYS_INLINE inline __attribute__((always_inline))
 
-/* Arrays begin as zeros, though only what the `count` nodes need is read: gcc's analyzer cannot follow that. In a full pile,
+/* Arrays begin as zeros, though only what the `count` nodes need is read: gcc's analyzer cannot follow that. In a full stack,
  * where all of it is written, that costs nothing. */
 
 /* Of the balance of the nodes: mass, exchange with the next, and with the surroundings, all in mm and mm/s. */
 struct balance {
-    double mass[PILE_NODES], link[PILE_NODES], out[PILE_NODES], gain[PILE_NODES];
+    double mass[STACK_NODES], link[STACK_NODES], out[STACK_NODES], gain[STACK_NODES];
 };
 
 static double around_c(struct deposit_map *map, const struct tempplan_params *p, double z_mm)
@@ -93,7 +93,7 @@ static double around_c(struct deposit_map *map, const struct tempplan_params *p,
 
 static double cover_of(const struct column *c)
 {
-    return c->below_mm2 <= 0.0 ? 1.0 : lesser(1.0, greater(LEAST_COVER, c->area_mm2 / c->below_mm2));
+    return c->below_mm2 <= 0.0 ? 1.0 : lesser(1.0, greater(MIN_COVER, c->area_mm2 / c->below_mm2));
 }
 
 static ALWAYS_INLINE void set_balance(struct balance *b, int count, const struct column *c,
@@ -116,7 +116,7 @@ static ALWAYS_INLINE void set_balance(struct balance *b, int count, const struct
     }
     PER_NODE for (int i = 0; i <= last; i++)
         b->gain[i] = b->out[i] * air_c;
-    if (height_mm >= c->z_mm - SAME_LAYER * c->thick_mm[0]) {      /* the pile reaches the bed */
+    if (height_mm >= c->z_mm - SAME_LAYER * c->thick_mm[0]) {      /* the stack reaches the bed */
         b->out[last] += 2.0 * alpha / c->thick_mm[last];
         b->gain[last] += 2.0 * alpha / c->thick_mm[last] * p->bed_c;
     }
@@ -125,7 +125,7 @@ static ALWAYS_INLINE void set_balance(struct balance *b, int count, const struct
 /* The matrix mass + part (links + out) of one step, three diagonals, taken apart: inverse pivots, and the links times
  * these. Each node waits for the one before: as little as can be is worked out on that way. */
 struct matrix {
-    double lower[PILE_NODES], inverse[PILE_NODES], upper[PILE_NODES];
+    double lower[STACK_NODES], inverse[STACK_NODES], upper[STACK_NODES];
 };
 
 static ALWAYS_INLINE void solve(const struct matrix *m, int count, pair *temps)
@@ -143,7 +143,7 @@ static ALWAYS_INLINE void step(const struct balance *b, int count, pair *temps, 
     static const double gamma = 0.29289321881345254;    /* 1 - 1/sqrt(2) */
     struct matrix m = { .lower = { 0.0 } };
     double part_s = gamma * step_s, above = 0.0;
-    pair first[PILE_NODES] = { { 0.0 } };
+    pair first[STACK_NODES] = { { 0.0 } };
     PER_NODE for (int i = 0; i < count; i++) {
         double below = i + 1 < count ? part_s * b->link[i] : 0.0;
         m.inverse[i] = 1.0 / (b->mass[i] + above + below + part_s * b->out[i] -
@@ -183,13 +183,13 @@ static void cool(struct deposit_map *map, struct column *c, const struct temppla
         return;
     c->time_s = time_s;
     double air_c = around_c(map, p, c->z_mm);
-    if (count < PILE_NODES)
+    if (count < STACK_NODES)
         cool_for(c, count, p, left_s, air_c, fan);
     else
-        cool_for(c, PILE_NODES, p, left_s, air_c, fan);
+        cool_for(c, STACK_NODES, p, left_s, air_c, fan);
 }
 
-/* -- laying -- */
+/* -- depositing -- */
 
 static pair both(double temp_c)
 {
@@ -204,10 +204,10 @@ static void begin_layer(struct column *c, const struct tempplan_params *p, const
     c->below_mm2 = c->area_mm2;
     c->area_mm2 = 0.0;
     c->z_mm = dab->z_mm;
-    if (c->nodes == PILE_NODES) {
-        double a = c->thick_mm[PILE_NODES - 2], b = c->thick_mm[PILE_NODES - 1];
-        c->temp_c[PILE_NODES - 2] = (a * c->temp_c[PILE_NODES - 2] + b * c->temp_c[PILE_NODES - 1]) / (a + b);
-        c->thick_mm[PILE_NODES - 2] = fmin(FAR_MM, a + b);
+    if (c->nodes == STACK_NODES) {
+        double a = c->thick_mm[STACK_NODES - 2], b = c->thick_mm[STACK_NODES - 1];
+        c->temp_c[STACK_NODES - 2] = (a * c->temp_c[STACK_NODES - 2] + b * c->temp_c[STACK_NODES - 1]) / (a + b);
+        c->thick_mm[STACK_NODES - 2] = fmin(FAR_MM, a + b);
         c->nodes--;
     }
     memmove(c->thick_mm + 1, c->thick_mm, c->nodes * sizeof(c->thick_mm[0]));
@@ -217,7 +217,7 @@ static void begin_layer(struct column *c, const struct tempplan_params *p, const
     c->nodes++;
 }
 
-/* Nothing lies right below: a leaning wall. Its road lies on the pile of a neighbour. */
+/* Nothing lies right below: a leaning wall. Its road lies on the stack of a neighbour. */
 static void adopt(const struct deposit_map *map, struct column *c, const struct dab *dab)
 {
     static const int8_t sides[4][2] = { { 1, 0 }, { -1, 0 }, { 0, 1 }, { 0, -1 } };
@@ -258,7 +258,7 @@ static pair met_c(struct deposit_map *map, const struct column *c, const struct 
     return (dab->width_mm * below_c + dab->thick_mm * top_c) / (dab->width_mm + dab->thick_mm);
 }
 
-int column_lay(struct deposit_map *map, struct column *c, const struct tempplan_params *p, const struct dab *dab,
+int column_deposit(struct deposit_map *map, struct column *c, const struct tempplan_params *p, const struct dab *dab,
                struct dab *before)
 {
     double odometer_mm = map->odometer_mm;
@@ -277,13 +277,13 @@ int column_lay(struct deposit_map *map, struct column *c, const struct tempplan_
         c->met_c = met_c(map, c, p, dab, same_layer);
     }
     if (!same_layer) {
-        before->time_s = c->laid_s;
+        before->time_s = c->deposited_s;
         before->clock = c->clock;
-        c->laid_s = dab->time_s;
+        c->deposited_s = dab->time_s;
         c->clock = dab->clock;
         begin_layer(c, p, dab);
     }
-    double area_mm2 = greater(LEAST_MM2, dab->width_mm * dab->length_mm);
+    double area_mm2 = greater(MIN_MM2, dab->width_mm * dab->length_mm);
     c->area_mm2 += area_mm2;
     double share = area_mm2 / c->area_mm2;
     c->temp_c[0][1] += share * (dab->fixed_c - c->temp_c[0][1]);

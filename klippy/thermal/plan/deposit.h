@@ -16,11 +16,11 @@ static inline double greater(double a, double b)
     return a > b ? a : b;
 }
 
-enum { PILE_NODES = 6 };
+enum { STACK_NODES = 6 };
 
 /* Extrusion so far: as long as it took, and as long as it would have taken at full speed. */
-struct pace_clock {
-    double laying_s, full_speed_s;
+struct layer_clock {
+    double depositing_s, full_speed_s;
 };
 
 /* A temperature of both histories: they go through the same sums side by side (gcc and clang know vectors). Aligned as
@@ -32,10 +32,10 @@ struct column {
     int32_t x, y;
     uint8_t used, nodes;
     double time_s, z_mm, odometer_mm, area_mm2, below_mm2, side_per_mm, kept;
-    struct pace_clock clock;        /* when the newest layer began here */
-    double laid_s;
-    double thick_mm[PILE_NODES];
-    pair met_c, temp_c[PILE_NODES];
+    struct layer_clock clock;        /* when the newest layer began here */
+    double deposited_s;
+    double thick_mm[STACK_NODES];
+    pair met_c, temp_c[STACK_NODES];
 };
 
 struct deposit_map {
@@ -49,7 +49,7 @@ struct deposit_map {
 struct dab {
     double time_s, z_mm, thick_mm, width_mm, length_mm, fan;
     double fixed_c;                 /* melt of history [1] */
-    struct pace_clock clock;
+    struct layer_clock clock;
 };
 
 int map_init(struct deposit_map *map);
@@ -59,7 +59,7 @@ int map_reserve(struct deposit_map *map, uint64_t more);
 struct column *map_column(struct deposit_map *map, int32_t x, int32_t y);
 /* Lay it; met_c of the column is then what it met. 1: it is the first of its layer there, on another below, and
  * `before` is what the clocks were for that; else 0. The melt of history [0] follows with column_melt(). */
-int column_lay(struct deposit_map *map, struct column *c, const struct tempplan_params *p, const struct dab *dab,
+int column_deposit(struct deposit_map *map, struct column *c, const struct tempplan_params *p, const struct dab *dab,
                struct dab *before);
 void column_melt(struct column *c, double melt_c);
 

@@ -1,7 +1,7 @@
-"""Where and when material was laid, and how warm it still is when the next road touches it.
+"""Where and when material was deposited, and how warm it still is when the next road touches it.
 
-A laid road gives its heat to the layer below and to the air, and the lower layers are warm from all that came before.
-Each column of the map keeps its pile, layer by layer, as nodes of a heat balance (`Column`), advanced when touched:
+A deposited road gives its heat to the layer below and to the air. The lower layers are warm from all that came before.
+Each column of the map keeps its stack, layer by layer, as nodes of a heat balance (`Column`), advanced when touched:
 
     rho c d_i dT_i/dt = k/(distance) (T_i-1 - T_i) + k/(distance) (T_i+1 - T_i) - side h d_i (T_i - Te)
                          - h (T_0 - Te) for the top one
@@ -44,13 +44,13 @@ FAR_MM = 3.0  # ... down to here: heat of 0.09 mm2/s takes 100 s to come back fr
 FIRST_STEP = 0.4  # of a layer's d^2/alpha; later steps grow as the field smooths
 GROWTH = 2.5
 GAMMA = 1.0 - math.sqrt(0.5)
-LEAST_COVER = 0.05
-LEAST_MM2 = 1e-6
+MIN_COVER = 0.05
+MIN_MM2 = 1e-6
 
 
 @dataclass(slots=True)
 class Column:
-    """A pile of layers, the newest first."""
+    """A stack of layers, the newest first."""
 
     time_s: float  # when its temperatures were true
     z_mm: float
@@ -67,7 +67,7 @@ class Column:
         """How much of the layer below the newest has covered, 0..1."""
         if self.below_mm2 <= 0.0:
             return 1.0
-        return min(1.0, max(LEAST_COVER, self.area_mm2 / self.below_mm2))
+        return min(1.0, max(MIN_COVER, self.area_mm2 / self.below_mm2))
 
 
 def _step(
@@ -113,7 +113,7 @@ def _solve(
 class DepositMap:
     """The newest layers in every column of a square grid.
 
-    A road is laid in pieces far shorter than a column; its own fresh material is no substrate. A touch within
+    A road is deposited in pieces far shorter than a column; its own fresh material is no substrate. A touch within
     `SAME_PASS_CELLS` of path after the last one belongs to the same pass and meets what the pass met when it came.
     A later road of the same layer has the layer below under it and its neighbour beside it: the contact's
     temperature is their mean, weighted with width and height of the road. A road far below the top of its column tells
@@ -154,7 +154,7 @@ class DepositMap:
             link[0] *= cover
             out[1] += loss * (1.0 - cover)
         gain = [value * around_c for value in out]
-        if sum(thick) >= column.z_mm - self.SAME_LAYER * thick[0]:  # the pile reaches the bed
+        if sum(thick) >= column.z_mm - self.SAME_LAYER * thick[0]:  # the stack reaches the bed
             out[-1] += 2.0 * alpha / thick[-1]
             gain[-1] += 2.0 * alpha / thick[-1] * around.bed_c
         step_s = FIRST_STEP * thick[0] * thick[0] / alpha
@@ -164,7 +164,7 @@ class DepositMap:
             left_s -= now_s
             step_s *= GROWTH
 
-    def lay(
+    def deposit(
         self,
         at_mm: tuple[float, float, float],
         time_s: float,
@@ -193,13 +193,13 @@ class DepositMap:
             column.met_c = self._met(column, same_layer, width_mm, thick_mm, z_mm)
         if not same_layer:
             self._begin_layer(column, z_mm, thick_mm, width_mm)
-        area_mm2 = max(LEAST_MM2, width_mm * length_mm)
+        area_mm2 = max(MIN_MM2, width_mm * length_mm)
         column.area_mm2 += area_mm2
         column.temp_c[0] += area_mm2 / column.area_mm2 * (melt_c - column.temp_c[0])
         return column.met_c
 
     def _adopt(self, key: tuple[int, int], column: Column, z_mm: float, thick_mm: float) -> None:
-        """Nothing lies right below: a leaning wall. Its road lies on the pile of a neighbour."""
+        """Nothing lies right below: a leaning wall. Its road lies on the stack of a neighbour."""
         for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             other = self._cells.get((key[0] + dx, key[1] + dy))
             if other is None or not other.thick_mm:

@@ -1,4 +1,4 @@
-"""Extrusion craft of HydraRaptor 2007: die swell, and ooze after the drive has stopped or the nozzle has been cold.
+"""Extrusion options of HydraRaptor 2007: die swell, and ooze after the drive has stopped or the nozzle has been cold.
 
 Die swell: the filament leaves the hole wider than the hole, d = dh + k v_o, and the volume is conserved:
 v_o (dh + k v_o)^2 = v_i d_i^2. Lengths in mm, speeds in mm/s, k in s.

@@ -53,7 +53,7 @@ class Material:
     conductivity_w_mk: float
     heat_j_kgk: float
     density_kg_m3: float
-    flow_c: float  # the core must reach it to be laid: melting, or softening of amorphous ones
+    flow_c: float  # the core must reach it to be deposited: melting, or softening of amorphous ones
     bonding_c: float  # chains cross the weld above it: Tg of amorphous ones and PLA, melting of the others
     low_c: float  # window of melt temperature
     high_c: float

@@ -8,7 +8,7 @@
 #include "chelper/motion/lookahead.h"
 #include "thermal/control/reference_line.h"
 
-static const double HEIGHT_LEAST_MM = 0.05, HEIGHT_MOST_MM = 1.0;
+static const double HEIGHT_MIN_MM = 0.05, HEIGHT_MAX_MM = 1.0;
 static const double HEIGHT_FIRST_MM = 0.2;  /* before a second layer tells */
 static const double SAME_Z_MM = 1e-3, TINY_S = 1e-6;
 /* So much new motion is worth another plan if it is so many moves, or twice as much time. */
@@ -16,7 +16,7 @@ static const double REPLAN_S = 0.5;
 static const int REPLAN_MOVES = 16;
 static const double GAP_S = 0.2;            /* after so much rest another stretch begins */
 /* A shorter move is one piece: the filament's compliance (20 ms) blurs its phases. */
-static const double PHASE_LEAST_S = 0.015;
+static const double PHASE_MIN_S = 0.015;
 
 enum { PHASES = 3 };
 
@@ -26,7 +26,7 @@ struct tempplan_path {
     int first, count, room;                 /* those that wait: moves[first .. first + count - 1] */
     struct tempplan_piece *pieces;
     int piece_count, piece_room;
-    double end_s, z_mm, height_mm, layer, laid;
+    double end_s, z_mm, height_mm, layer, deposited;
 };
 
 /* Part of a move at about one speed. */
@@ -106,13 +106,13 @@ int tempplan_path_note_planned(struct tempplan_path *path, const struct lookahea
     int starts = !path->count && print_time > planned_s + GAP_S;
     for (int i = 0; i < count; i++) {
         const struct lookahead_move *q = lookahead_move_at(la, la->first + i);
-        int lays = q->is_kinematic_move != 0.0 && q->axes_d[3] > 0.0 && (q->axes_d[0] != 0.0 || q->axes_d[1] != 0.0);
+        int deposits = q->is_kinematic_move != 0.0 && q->axes_d[3] > 0.0 && (q->axes_d[0] != 0.0 || q->axes_d[1] != 0.0);
         struct path_move m = {
             .start_s = print_time, .accel_s = q->accel_t, .cruise_s = q->cruise_t, .decel_s = q->decel_t,
             .start_v = q->start_v, .cruise_v = q->cruise_v, .end_v = q->end_v, .distance_mm = q->move_d,
             .start_pos = { q->start_pos[0], q->start_pos[1], q->start_pos[2] },
             .end_pos = { q->end_pos[0], q->end_pos[1], q->end_pos[2] },
-            .filament_mm = lays ? q->axes_d[3] : 0.0, .fan = fan,
+            .filament_mm = deposits ? q->axes_d[3] : 0.0, .fan = fan,
         };
         append(path, &m);
         print_time += duration_s(&m);
@@ -133,7 +133,7 @@ void tempplan_path_drop(struct tempplan_path *path, double until_s)
 
 /* -- pieces -- */
 
-/* Material is laid at z. Not 0: it is another layer than before. */
+/* Material is deposited at z. Not 0: it is another layer than before. */
 static int note_layer(struct tempplan_path *path, double z_mm)
 {
     if (fabs(z_mm - path->z_mm) < SAME_Z_MM)
@@ -141,7 +141,7 @@ static int note_layer(struct tempplan_path *path, double z_mm)
     double step_mm = z_mm - path->z_mm;
     int down = step_mm < 0.0, first = isnan(path->z_mm) || down;    /* down again: another object begins */
     path->layer = down ? 1.0 : path->layer + 1.0;
-    path->height_mm = fmin(HEIGHT_MOST_MM, fmax(HEIGHT_LEAST_MM, first ? z_mm : step_mm));
+    path->height_mm = fmin(HEIGHT_MAX_MM, fmax(HEIGHT_MIN_MM, first ? z_mm : step_mm));
     path->z_mm = z_mm;
     return 1;
 }
@@ -176,7 +176,7 @@ static int phases_of(const struct path_move *m, struct phase phases[PHASES])
         whole.duration_s += phases[count].duration_s;
         whole.share += phases[count++].share;
     }
-    if (whole.duration_s >= PHASE_LEAST_S)
+    if (whole.duration_s >= PHASE_MIN_S)
         return count;
     phases[0] = whole;
     return 1;
@@ -189,12 +189,12 @@ static void between(const struct path_move *m, double share, double place[3])
         place[i] = m->start_pos[i] + share * (m->end_pos[i] - m->start_pos[i]);
 }
 
-static int split(struct tempplan_path *path, const struct path_move *m, const struct path_wish *wish)
+static int split(struct tempplan_path *path, const struct path_move *m, const struct path_request *request)
 {
     struct phase phases[PHASES];
     int count = phases_of(m, phases);
     double time_s = 0.0, way = 0.0, volume_mm3 = m->filament_mm * path->filament_mm2;
-    double height_mm = isnan(wish->height_mm) ? path->height_mm : wish->height_mm;
+    double height_mm = isnan(request->height_mm) ? path->height_mm : request->height_mm;
     for (int k = 0; k < count; k++) {
         int parts = (int)fmin(1e5, fmax(1.0, ceil(phases[k].share * m->distance_mm / path->longest_mm)));
         double part_s = phases[k].duration_s / parts, share = phases[k].share / parts;
@@ -205,43 +205,43 @@ static int split(struct tempplan_path *path, const struct path_move *m, const st
             *q = (struct tempplan_piece){
                 .start_s = m->start_s + time_s, .end_s = m->start_s + (time_s + part_s), .height_mm = height_mm,
                 .flow_mm3_s = volume_mm3 * share / part_s, .fan = m->fan,
-                .wish_c = wish->wish_c, .base_c = wish->base_c, .pace = wish->pace,
+                .request_c = request->request_c, .base_c = request->base_c, .speed_factor = request->speed_factor,
             };
             between(m, way, q->start_pos);
             between(m, way + share, q->end_pos);
             time_s += part_s;
             way += share;
         }
-        path->laid += parts;
+        path->deposited += parts;
     }
     return 0;
 }
 
-static int travel(struct tempplan_path *path, const struct path_move *m, const struct path_wish *wish)
+static int travel(struct tempplan_path *path, const struct path_move *m, const struct path_request *request)
 {
     struct tempplan_piece *q = new_pieces(path, 1);
     if (!q)
         return -1;
     *q = (struct tempplan_piece){
         .start_s = m->start_s, .end_s = m->start_s + duration_s(m), .height_mm = path->height_mm, .fan = m->fan,
-        .wish_c = NAN, .base_c = wish->base_c, .pace = 1.0,
+        .request_c = NAN, .base_c = request->base_c, .speed_factor = 1.0,
     };
     memcpy(q->start_pos, m->start_pos, sizeof(q->start_pos));
     memcpy(q->end_pos, m->end_pos, sizeof(q->end_pos));
     return 0;
 }
 
-int tempplan_path_run(struct tempplan_path *path, const struct path_wish *wish, struct tempplan_piece **pieces)
+int tempplan_path_run(struct tempplan_path *path, const struct path_request *request, struct tempplan_piece **pieces)
 {
     path->piece_count = 0;
     while (path->count) {
         const struct path_move *m = &path->moves[path->first];
-        if (m->start_s >= wish->until_s)
+        if (m->start_s >= request->until_s)
             break;
-        int lays = m->filament_mm > 0.0;
-        if (lays && note_layer(path, m->end_pos[2]) && wish->by_place != 0.0)
+        int deposits = m->filament_mm > 0.0;
+        if (deposits && note_layer(path, m->end_pos[2]) && request->by_place != 0.0)
             break;
-        if (lays ? split(path, m, wish) : travel(path, m, wish))
+        if (deposits ? split(path, m, request) : travel(path, m, request))
             return -1;
         path->first++;
         path->count--;
@@ -250,19 +250,19 @@ int tempplan_path_run(struct tempplan_path *path, const struct path_wish *wish, 
     return path->piece_count;
 }
 
-int tempplan_path_take(struct tempplan_path *path, const struct path_wish *wish, struct tempplan *tp)
+int tempplan_path_take(struct tempplan_path *path, const struct path_request *request, struct tempplan *tp)
 {
     struct tempplan_piece *pieces;
-    int count = tempplan_path_run(path, wish, &pieces);
+    int count = tempplan_path_run(path, request, &pieces);
     if (count < 0 || (count && tempplan_add(tp, pieces, count)))
         return -1;
     return path->count;
 }
 
-int tempplan_path_turn(struct tempplan_path *path, const struct path_wish *wish, struct tempplan *tp, double from_s,
-                       double within_c, double booked_s, struct path_turn *turn, struct model_line *line, int room)
+int tempplan_path_turn(struct tempplan_path *path, const struct path_request *request, struct tempplan *tp, double from_s,
+                       double within_c, double recorded_s, struct path_turn *turn, struct model_line *line, int room)
 {
-    int waiting = tempplan_path_take(path, wish, tp);
+    int waiting = tempplan_path_take(path, request, tp);
     if (waiting)
         return waiting;
     turn->end_s = path->end_s;
@@ -271,7 +271,7 @@ int tempplan_path_turn(struct tempplan_path *path, const struct path_wish *wish,
         line->count = turn->count;
         model_line_fill(line, &tempplan_corners(tp)->time_s);
     }
-    tempplan_finish(tp, booked_s, NULL, 0);
+    tempplan_finish(tp, recorded_s, NULL, 0);
     return 0;
 }
 
@@ -280,6 +280,6 @@ void tempplan_path_facts(const struct tempplan_path *path, struct path_facts *fa
     *facts = (struct path_facts){
         .next_s = path->count ? path->moves[path->first].start_s : NAN, .end_s = path->end_s,
         .layer = path->layer, .z_mm = path->z_mm, .height_mm = path->height_mm,
-        .waiting = path->count, .laid = path->laid,
+        .waiting = path->count, .deposited = path->deposited,
     };
 }

@@ -19,10 +19,10 @@ class Asked(NamedTuple):
     `by_place`: it depends on layer and height as well, and is asked for again where another layer begins.
     """
 
-    wish_c: float = math.nan
+    request_c: float = math.nan
     base_c: float = 0.0
     height_mm: float = math.nan  # told by the slicer; NaN: it is seen from the path
-    pace: float = 1.0
+    speed_factor: float = 1.0
     until_s: float = math.inf
     by_place: bool = False
 
@@ -30,7 +30,7 @@ class Asked(NamedTuple):
 NO_MEMORY = "no memory for the temperature plan"
 # (print time of a move's start, layer, z) -> Asked
 Asker = Callable[[float, int, float], Asked]
-# (struct tempplan_path *, struct path_wish *) -> moves that still wait; below 0: no memory
+# (struct tempplan_path *, struct path_request *) -> moves that still wait; below 0: no memory
 Taker = Callable[[Any, Any], int]
 
 
@@ -43,7 +43,7 @@ class PathPieces:
         if path == self._ffi.NULL:
             raise MemoryError(NO_MEMORY)
         self.handle = self._ffi.gc(path, self._lib.tempplan_path_free)
-        self.wish = self._ffi.new("struct path_wish *")  # what was asked for last
+        self.request = self._ffi.new("struct path_request *")  # what was asked for last
         self._facts = self._ffi.new("struct path_facts *")
         self._note_planned = self._lib.tempplan_path_note_planned
         self.forget()
@@ -60,18 +60,25 @@ class PathPieces:
 
     def forget(self, until_s: float = -math.inf) -> None:
         """What was asked for last holds up to then only."""
-        self.wish.until_s = min(self.wish.until_s, until_s)
+        self.request.until_s = min(self.request.until_s, until_s)
 
     def inquire(self, ask: Asker) -> None:
         """Ask what holds for the first move that waits."""
-        facts, wish = self.facts(), self.wish
+        facts, request = self.facts(), self.request
         asked = ask(facts.next_s, int(facts.layer), facts.z_mm)
-        wish.wish_c, wish.base_c, wish.height_mm, wish.pace, wish.until_s, wish.by_place = asked
+        (
+            request.request_c,
+            request.base_c,
+            request.height_mm,
+            request.speed_factor,
+            request.until_s,
+            request.by_place,
+        ) = asked
 
     def feed(self, ask: Asker, take: Taker) -> None:
         """All that waits, as pieces, to `take`; all is asked for anew."""
         self.forget()
-        while self.check(take(self.handle, self.wish)):
+        while self.check(take(self.handle, self.request)):
             self.inquire(ask)
 
     def drop(self, until_s: float = math.inf) -> None:
@@ -79,7 +86,7 @@ class PathPieces:
         self._lib.tempplan_path_drop(self.handle, until_s)
 
     def facts(self) -> Any:
-        """struct path_facts as it is now: next_s, end_s, layer, z_mm, height_mm, waiting, laid."""
+        """struct path_facts as it is now: next_s, end_s, layer, z_mm, height_mm, waiting, deposited."""
         self._lib.tempplan_path_facts(self.handle, self._facts)
         return self._facts
 

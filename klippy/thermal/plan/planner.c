@@ -19,7 +19,7 @@ static void note_age(struct tempplan_report *r, const struct column *c, const st
     r->side_per_mm += dab->length_mm * c->side_per_mm;
     r->above_mm += dab->length_mm;
     r->age_s += dab->length_mm * (dab->time_s - below->time_s);
-    r->laying_s += dab->length_mm * (dab->clock.laying_s - below->clock.laying_s);
+    r->depositing_s += dab->length_mm * (dab->clock.depositing_s - below->clock.depositing_s);
     r->full_speed_s += dab->length_mm * (dab->clock.full_speed_s - below->clock.full_speed_s);
 }
 
@@ -34,7 +34,7 @@ static int samples_of(const struct tempplan_params *p, const struct tempplan_pie
 static double wanted_melt_c(struct tempplan *tp, const struct tempplan_piece *q, double fixed_c, double length_mm)
 {
     const struct tempplan_params *p = &tp->p;
-    double melt_c = q->wish_c;
+    double melt_c = q->request_c;
     if (isnan(melt_c)) {
         melt_c = fixed_c;
         if (!isnan(p->interface_c))
@@ -60,10 +60,10 @@ static struct column *column_at(struct tempplan *tp, const struct tempplan_piece
     return map_column(&tp->map, cell_of(x / cell_mm), cell_of(y / cell_mm));
 }
 
-/* The interface is wanted from both sides: the plan aims beyond the window, which then bounds what it does. */
+/* The interface is wanted from both sides: the plan targets beyond the window, which then bounds what it does. */
 static double aim_c(const struct tempplan *tp, const struct tempplan_piece *q, double share)
 {
-    if (!isnan(q->wish_c) || isnan(tp->p.interface_c))
+    if (!isnan(q->request_c) || isnan(tp->p.interface_c))
         return q->wall_c;
     return tempplan_free_wall_c(tp, 2.0 * tempplan_interface(tp) - q->substrate_c[0], q->flow_mm3_s, share);
 }
@@ -92,13 +92,13 @@ static void note_usual(struct tempplan *tp, double fixed_c, double substrate_c, 
 static void find_band(struct tempplan *tp)
 {
     const double *mm = tp->report.substrate_mm, tail_mm = 0.05 * tp->report.added_mm;
-    int cold = tp->least_bin, hot = tp->most_bin;
+    int cold = tp->min_bin, hot = tp->max_bin;
     for (double passed_mm = mm[cold]; passed_mm <= tail_mm && cold < TEMPPLAN_BINS - 1; passed_mm += mm[cold])
         cold++;
     for (double passed_mm = mm[hot]; passed_mm <= tail_mm && hot > 0; passed_mm += mm[hot])
         hot--;
-    tp->report.least_c = 0.5 * (tp->p.low_c + hot);
-    tp->report.most_c = 0.5 * (tp->p.high_c + cold);
+    tp->report.lowest_c = 0.5 * (tp->p.low_c + hot);
+    tp->report.highest_c = 0.5 * (tp->p.high_c + cold);
 }
 
 static void note_substrate(struct tempplan *tp, double substrate_c, double length_mm)
@@ -106,11 +106,11 @@ static void note_substrate(struct tempplan *tp, double substrate_c, double lengt
     int bin = (int)fmin(TEMPPLAN_BINS - 1.0, fmax(0.0, substrate_c));
     tp->report.added_mm += length_mm;
     tp->report.substrate_mm[bin] += length_mm;
-    tp->least_bin = bin < tp->least_bin ? bin : tp->least_bin;
-    tp->most_bin = bin > tp->most_bin ? bin : tp->most_bin;
+    tp->min_bin = bin < tp->min_bin ? bin : tp->min_bin;
+    tp->max_bin = bin > tp->max_bin ? bin : tp->max_bin;
 }
 
-/* One piece with extrusion: what it meets, what it should be, and the map with it laid. */
+/* One piece with extrusion: what it meets, what it should be, and the map with it deposited. */
 static void settle(struct tempplan *tp, struct tempplan_piece *q, double share)
 {
     const struct tempplan_params *p = &tp->p;
@@ -127,14 +127,14 @@ static void settle(struct tempplan *tp, struct tempplan_piece *q, double share)
         struct dab below, dab = {
             .time_s = q->start_s + since_s, .z_mm = q->end_pos[2], .thick_mm = q->height_mm, .width_mm = width_mm,
             .length_mm = length_mm / n, .fan = q->fan, .fixed_c = fixed_c,
-            .clock = { tp->clock.laying_s + since_s, tp->clock.full_speed_s + since_s * q->pace },
+            .clock = { tp->clock.depositing_s + since_s, tp->clock.full_speed_s + since_s * q->speed_factor },
         };
         struct column *c = column_at(tp, q, (i + 0.5) / n);
         if (i < FEW)
             columns[i] = c;
         tp->map.odometer_mm += dab.length_mm;
-        if (column_lay(&tp->map, c, p, &dab, &below) && isnan(q->wish_c))
-            note_age(&tp->report, c, &below, &dab);    /* what is asked for by name is no matter of pace */
+        if (column_deposit(&tp->map, c, p, &dab, &below) && isnan(q->request_c))
+            note_age(&tp->report, c, &below, &dab);    /* what is asked for by name is no matter of speed_factor */
         met[0] += c->met_c[0] / n;
         met[1] += c->met_c[1] / n;
     }
@@ -146,9 +146,9 @@ static void settle(struct tempplan *tp, struct tempplan_piece *q, double share)
         column_melt(i < FEW ? columns[i] : column_at(tp, q, (i + 0.5) / n), q->melt_c);
     q->wall_c = tempplan_wall_for(tp, q->melt_c, q->flow_mm3_s, share);
     q->aim_c = aim_c(tp, q, share);
-    tp->clock.laying_s += duration_s;
-    tp->clock.full_speed_s += duration_s * q->pace;
-    tp->report.slowed_s += duration_s * (1.0 - q->pace);
+    tp->clock.depositing_s += duration_s;
+    tp->clock.full_speed_s += duration_s * q->speed_factor;
+    tp->report.slowed_s += duration_s * (1.0 - q->speed_factor);
 }
 
 static int reserve(struct tempplan *tp, int more)
@@ -198,9 +198,9 @@ int tempplan_add(struct tempplan *tp, struct tempplan_piece *pieces, int count)
     return 0;
 }
 
-/* -- books -- */
+/* -- totals -- */
 
-static void book(struct tempplan *tp, const struct tempplan_piece *q, double share, double row[9])
+static void record(struct tempplan *tp, const struct tempplan_piece *q, double share, double row[9])
 {
     const struct tempplan_params *p = &tp->p;
     struct tempplan_report *r = &tp->report;
@@ -238,7 +238,7 @@ int tempplan_finish(struct tempplan *tp, double until_s, double *done, int capac
     while (over < tp->count && tp->pieces[over].end_s <= until_s) {
         if (tp->pieces[over].flow_mm3_s > 0.0) {
             int wanted = done && rows < capacity;
-            book(tp, &tp->pieces[over], tp->shares[over], wanted ? done + 9 * rows : unused);
+            record(tp, &tp->pieces[over], tp->shares[over], wanted ? done + 9 * rows : unused);
             rows += wanted;
         }
         over++;
@@ -266,7 +266,7 @@ void tempplan_shift(struct tempplan *tp, double from_s, double delta_c)
     for (int i = tp->count - 1; i >= 0 && tp->pieces[i].start_s >= from_s; i--) {
         struct tempplan_piece *q = &tp->pieces[i];
         q->base_c += delta_c;
-        if (!isnan(q->wish_c))
+        if (!isnan(q->request_c))
             continue;
         if (isnan(q->melt_c)) {             /* a travel */
             q->wall_c = fmin(tp->p.ceiling_c, fmax(tp->p.floor_c, q->wall_c + delta_c));
@@ -280,22 +280,22 @@ void tempplan_shift(struct tempplan *tp, double from_s, double delta_c)
 
 double tempplan_interface(const struct tempplan *tp)
 {
-    double least_c = tp->p.interface_c;     /* fmax would drop the NaN */
-    if (isnan(least_c) || tp->usual_mm <= 0.0)
-        return least_c;
-    double usual_c = greater(tp->usual_c, least_c), added_mm = tp->report.added_mm;
-    double kept_c = lesser(tp->report.most_c, greater(tp->report.least_c, usual_c));
-    if (tp->report.least_c > tp->report.most_c)           /* the window is too narrow for both ends: the middle */
-        kept_c = 0.5 * (tp->report.least_c + tp->report.most_c);
-    return greater(least_c, usual_c + (kept_c - usual_c) * added_mm / (added_mm + GUESS_MM));
+    double lowest_c = tp->p.interface_c;     /* fmax would drop the NaN */
+    if (isnan(lowest_c) || tp->usual_mm <= 0.0)
+        return lowest_c;
+    double usual_c = greater(tp->usual_c, lowest_c), added_mm = tp->report.added_mm;
+    double kept_c = lesser(tp->report.highest_c, greater(tp->report.lowest_c, usual_c));
+    if (tp->report.lowest_c > tp->report.highest_c)           /* the window is too narrow for both ends: the middle */
+        kept_c = 0.5 * (tp->report.lowest_c + tp->report.highest_c);
+    return greater(lowest_c, usual_c + (kept_c - usual_c) * added_mm / (added_mm + GUESS_MM));
 }
 
-double tempplan_pace_interface(const struct tempplan *tp)
+double tempplan_speed_interface(const struct tempplan *tp)
 {
     double held_c = tempplan_interface(tp);
     if (isnan(held_c) || tp->usual_mm <= 0.0)
         return held_c;
-    return held_c + (1.0 - tp->z_weight) * greater(0.0, tp->report.most_c - held_c);
+    return held_c + (1.0 - tp->z_weight) * greater(0.0, tp->report.highest_c - held_c);
 }
 
 void tempplan_cut(struct tempplan *tp, double time_s)
@@ -335,7 +335,7 @@ struct tempplan *tempplan_alloc(const struct tempplan_params *params, const doub
         return NULL;
     tempplan_set(tp, params);
     tp->holder_from_s = -INFINITY;
-    tp->least_bin = TEMPPLAN_BINS - 1;
+    tp->min_bin = TEMPPLAN_BINS - 1;
     tp->loss_w = copy_of(loss_w, degrees);
     tp->capacity_j_k = copy_of(capacity_j_k, degrees);
     tp->core_share = copy_of(core_share, cores);

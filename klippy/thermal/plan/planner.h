@@ -8,7 +8,7 @@
  *
  * The Python modules named are the readable reference, with the equations and their sources; the tests hold this file
  * to them. Two histories of the part are kept side by side: [0] as planned, [1] as one fixed temperature would have
- * laid it. Times are print times in s, lengths mm, temperatures degC.
+ * deposited it. Times are print times in s, lengths mm, temperatures degC.
  */
 #include <stdint.h>
 
@@ -38,9 +38,9 @@ struct tempplan_piece {
     double start_s, end_s;
     double start_pos[3], end_pos[3];
     double flow_mm3_s, height_mm, fan;
-    double wish_c;                  /* melt temperature asked for by name, NaN: none, bonding may choose */
+    double request_c;                  /* melt temperature asked for by name, NaN: none, bonding may choose */
     double base_c;                  /* nozzle temperature of the user's own target */
-    double pace;                    /* part of its own speed at which it is laid, 1: not slowed down */
+    double speed_factor;                    /* part of its own speed at which it is deposited, 1: not slowed down */
     /* filled in */
     double substrate_c[TEMPPLAN_HISTORIES], melt_c, wall_c;
     double aim_c;                   /* wall for the weld alone, whatever material and nozzle bear */
@@ -50,19 +50,19 @@ struct tempplan_point {
     double time_s, temp_c;
 };
 
-/* What has been laid so far; lengths mm of path with extrusion. */
+/* What has been deposited so far; lengths mm of path with extrusion. */
 struct tempplan_report {
     double length_mm, bonded_mm[TEMPPLAN_HISTORIES];
     double interface_mm[TEMPPLAN_HISTORIES][TEMPPLAN_BINS];  /* length by interface temperature, whole degrees */
-    /* Added, not yet laid: its length, and by temperature of what it meets, whole degrees. */
+    /* Added, not yet deposited: its length, and by temperature of what it meets, whole degrees. */
     double added_mm, substrate_mm[TEMPPLAN_BINS];
-    double least_c, most_c;         /* interface that the window can make of its hottest and of its coldest 5 % */
+    double lowest_c, highest_c;         /* interface that the window can make of its hottest and of its coldest 5 % */
     double off_sum, off_squares;    /* planned less wanted melt, length weighted */
-    double cold_mm;                 /* wanted melt lay above the window's top: the substrate was too cold */
+    double cold_mm;                 /* wanted melt deposit above the window's top: the substrate was too cold */
     double hot_mm;                  /* below its bottom: too hot even for the coolest melt */
-    /* Path laid on a layer below, and sums over it (times mm): how long ago that was laid; of this, extrusion;
-     * the same extrusion at full speed; open flanks per volume, 1/mm. Counted when added, not when laid. */
-    double above_mm, age_s, laying_s, full_speed_s, side_per_mm;
+    /* Path deposited on a layer below, and sums over it (times mm): how long ago that was deposited; of this, extrusion;
+     * the same extrusion at full speed; open flanks per volume, 1/mm. Counted when added, not when deposited. */
+    double above_mm, age_s, depositing_s, full_speed_s, side_per_mm;
     double slowed_s;                /* that all extrusion so far takes longer than at full speed */
     uint64_t pieces;
 };
@@ -72,7 +72,7 @@ struct tempplan;
 struct tempplan *tempplan_alloc(const struct tempplan_params *params, const double *loss_w, const double *capacity_j_k,
                                 int degrees, const double *core_share, int cores);
 void tempplan_free(struct tempplan *tp);
-/* Other parameters from now on (material, bed); what has been laid stays. */
+/* Other parameters from now on (material, bed); what has been deposited stays. */
 void tempplan_set(struct tempplan *tp, const struct tempplan_params *params);
 /* Pieces in order of time, after all added before. Fills in their results; 0, or -1: no memory (nothing added). */
 int tempplan_add(struct tempplan *tp, struct tempplan_piece *pieces, int count);
@@ -90,7 +90,7 @@ double tempplan_led(const struct tempplan *tp, double time_s);
 /* Nozzle temperature at which its holder is in balance then, where the nozzle is at nozzle_c. In order of time. */
 double tempplan_holder(struct tempplan *tp, double time_s, double nozzle_c);
 double tempplan_at(const struct tempplan *tp, double time_s, double otherwise_c);
-/* Pieces that end before until_s have been laid: book them and let them go. Returns the rows of `done`, if given. */
+/* Pieces that end before until_s have been deposited: record them and let them go. Returns the rows of `done`, if given. */
 int tempplan_finish(struct tempplan *tp, double until_s, double *done, int capacity);
 /* The user's own target moves by delta_c: what is not asked for by name from from_s on moves with it, and so does the
  * interface that the plan follows. */
@@ -99,8 +99,8 @@ void tempplan_shift(struct tempplan *tp, double from_s, double delta_c);
 double tempplan_interface(const struct tempplan *tp);
 /* The one for which hot layers are slowed down. A found interface is meant for what comes away from the bed. Near the
  * bed, whose warmth no waiting takes away, a layer has time for what the hottest melt makes of the coldest path. */
-double tempplan_pace_interface(const struct tempplan *tp);
-/* Forget what lies ahead of time_s (a stop); what has been laid stays. */
+double tempplan_speed_interface(const struct tempplan *tp);
+/* Forget what lies ahead of time_s (a stop); what has been deposited stays. */
 void tempplan_cut(struct tempplan *tp, double time_s);
 const struct tempplan_report *tempplan_report(const struct tempplan *tp);
 /* {cells of the map, pieces held}: what memory goes with. */

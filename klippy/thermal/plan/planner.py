@@ -1,6 +1,6 @@
 """The temperature plan in the C helper (thermal/plan/planner.h), for the printer and for offline tools.
 
-    pieces of path ─► add: substrate, wanted melt, wall ─► make: corners of the nozzle's temperature ─► finish: books
+    pieces of path ─► add: substrate, wanted melt, wall ─► make: corners of the nozzle's temperature ─► finish: totals
 
 The models and their sources are thermal/{deposit,weld,nozzle_melt,plan,filament_heat}.py. Times are print times in s.
 """
@@ -32,7 +32,7 @@ _DONE = struct.Struct("=9d")
 
 
 class Piece(NamedTuple):
-    """A straight piece of path at one extrusion rate. mm, s, mm3/s, degC; `wish_c` NaN: nothing asked for by name."""
+    """A straight piece of path at one extrusion rate. mm, s, mm3/s, degC; `request_c` NaN: none by name."""
 
     start_s: float
     end_s: float
@@ -41,13 +41,13 @@ class Piece(NamedTuple):
     flow_mm3_s: float
     height_mm: float
     fan: float = 0.0
-    wish_c: float = math.nan
+    request_c: float = math.nan
     base_c: float = 0.0  # the user's own nozzle target
-    pace: float = 1.0  # part of its own speed at which it is laid
+    speed_factor: float = 1.0  # part of its own speed at which it is deposited
 
 
-class Laid(NamedTuple):
-    """What became of a piece: temperatures in degC; *_fixed_c as one fixed temperature would have laid it."""
+class Deposited(NamedTuple):
+    """What became of a piece: temperatures in degC; *_fixed_c as one fixed temperature would have deposited it."""
 
     start_s: float
     end_s: float
@@ -61,7 +61,7 @@ class Laid(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Craft:
+class PlanOptions:
     """What besides names decides: the weld and the core of the filament."""
 
     interface_c: float | None = None  # temperature wanted at the weld; None: the weld has no say
@@ -77,7 +77,7 @@ class Craft:
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Books of what has been laid; pairs are (planned, fixed)."""
+    """Books of what has been deposited; pairs are (planned, fixed)."""
 
     length_mm: float
     pieces: int
@@ -118,7 +118,7 @@ class TemperaturePlan:
         limits: NozzleLimits,
         material: Material,
         surroundings: Surroundings,
-        craft: Craft,
+        options: PlanOptions,
         cell_mm: float = 2.0,
     ) -> None:
         floor_c, ceiling_c = max(limits.min_c, limits.min_extrude_c), highest_c(limits)
@@ -131,13 +131,13 @@ class TemperaturePlan:
         self._limits = limits
         self._floor_c, self._ceiling_c, self._cell_mm = floor_c, ceiling_c, cell_mm
         degrees = range(math.ceil(ceiling_c) + 2)
-        chi, radius_m = material.diffusivity_m2_s, 0.5e-3 * craft.filament_mm
+        chi, radius_m = material.diffusivity_m2_s, 0.5e-3 * options.filament_mm
         cores = [1.0]
         while CORE_STEP_MM3_S * len(cores) <= CORE_FLOW_MAX_MM3_S:
             feed_m_s = 1e-9 * CORE_STEP_MM3_S * len(cores) / (math.pi * radius_m**2)
-            cores.append(filament_heat.core_fraction(chi * 1e-3 * craft.zone_mm / (feed_m_s * radius_m**2)))
+            cores.append(filament_heat.core_fraction(chi * 1e-3 * options.zone_mm / (feed_m_s * radius_m**2)))
         plan = self._lib.tempplan_alloc(
-            self._parameters(material, surroundings, craft),
+            self._parameters(material, surroundings, options),
             [loss_w(limits.loss, t) for t in degrees],
             [limits.capacity.at(t) for t in degrees],
             len(degrees),
@@ -153,7 +153,7 @@ class TemperaturePlan:
         self._line_type = self._ffi.typeof("struct model_line *")
         self._line = self._new_line()
 
-    def _parameters(self, material: Material, surroundings: Surroundings, craft: Craft) -> Any:
+    def _parameters(self, material: Material, surroundings: Surroundings, options: PlanOptions) -> Any:
         limits = self._limits
         exchange = limits.exchange
         values = {
@@ -178,39 +178,39 @@ class TemperaturePlan:
             "fan_w_m2k": surroundings.fan_w_m2k,
             "bed_reach_mm": surroundings.bed_reach_mm,
             "cell_mm": self._cell_mm,
-            "interface_c": math.nan if craft.interface_c is None else craft.interface_c,
-            "follow_mm": craft.follow_mm,
-            "core_c": material.flow_c if craft.core else math.nan,
+            "interface_c": math.nan if options.interface_c is None else options.interface_c,
+            "follow_mm": options.follow_mm,
+            "core_c": material.flow_c if options.core else math.nan,
             "core_step_mm3_s": CORE_STEP_MM3_S,
-            "smooth_s": craft.smooth_s,
-            "preview": float(craft.preview),
+            "smooth_s": options.smooth_s,
+            "preview": float(options.preview),
         }
         return self._ffi.new("struct tempplan_params *", values)
 
-    def change(self, material: Material, surroundings: Surroundings, craft: Craft) -> None:
-        """Other material, surroundings or wishes from now on; what has been laid stays.
+    def change(self, material: Material, surroundings: Surroundings, options: PlanOptions) -> None:
+        """Other material, surroundings or requests from now on; what has been deposited stays.
 
         The table of the core keeps the material and zone it was made for.
         """
-        self._lib.tempplan_set(self._plan, self._parameters(material, surroundings, craft))
+        self._lib.tempplan_set(self._plan, self._parameters(material, surroundings, options))
 
     def add(self, pieces: Sequence[Piece]) -> list[tuple[float, float, float]]:
-        """Take pieces in order of time; (substrate, wanted melt, wanted wall) of each, NaN where nothing is laid."""
+        """Take pieces in order of time; (substrate, wanted melt, wanted wall) of each, NaN for travel."""
         rows = self._ffi.new("struct tempplan_piece[]", len(pieces))
         size = self._ffi.sizeof("struct tempplan_piece")
         buffer = self._ffi.buffer(rows)
         for i, piece in enumerate(pieces):
             _PIECE.pack_into(
                 buffer, i * size, piece.start_s, piece.end_s, *piece.start_mm, *piece.end_mm, piece.flow_mm3_s,
-                piece.height_mm, piece.fan, piece.wish_c, piece.base_c, piece.pace, 0.0, 0.0, 0.0, 0.0, 0.0,
+                piece.height_mm, piece.fan, piece.request_c, piece.base_c, piece.speed_factor, 0.0, 0.0, 0.0, 0.0, 0.0,
             )  # fmt: skip
         if self._lib.tempplan_add(self._plan, rows, len(pieces)):
             raise MemoryError("no memory for the temperature plan")
         return [(row.substrate_c[0], row.melt_c, row.wall_c) for row in rows]
 
-    def take(self, path: Any, wish: Any) -> int:
+    def take(self, path: Any, request: Any) -> int:
         """The same with what waits on a path in the C helper (pathpieces.Taker)."""
-        return int(self._lib.tempplan_path_take(path, wish, self._plan))
+        return int(self._lib.tempplan_path_take(path, request, self._plan))
 
     def make(self, from_s: float, start_c: float, within_c: float = 0.0) -> list[tuple[float, float]]:
         """Plan again from `from_s` on, where the nozzle is at `start_c`; corners (s, degC), also some of the past.
@@ -226,17 +226,16 @@ class TemperaturePlan:
         return self._reference(count) if count else None
 
     def turn(
-        self, path: PathPieces, from_s: float, within_c: float, booked_s: float
+        self, path: PathPieces, from_s: float, within_c: float, recorded_s: float
     ) -> tuple[float, Reference | None] | None:
-        """All that a timer has to do, in one call: take what waits on the path, book what lies before `booked_s`, plan
-        again from `from_s` on, where the nozzle is led then. (End of what is planned, the reference as it is now; None:
-        nothing lies ahead.)
+        """All that a timer has to do, in one call: take what waits on the path, record what lies before `recorded_s`,
+        plan again from `from_s` on. (End of what is planned, the reference from there; None: nothing lies ahead.)
 
-        None: another wish holds for moves that still wait (PathPieces.inquire).
+        None: another request holds for moves that still wait (PathPieces.inquire).
         """
         turn, line = self._turn, self._line
         waiting = self._take_turn(
-            path.handle, path.wish, self._plan, from_s, within_c, booked_s, turn, line, CORNERS
+            path.handle, path.request, self._plan, from_s, within_c, recorded_s, turn, line, CORNERS
         )
         if waiting:
             path.check(waiting)
@@ -268,19 +267,19 @@ class TemperaturePlan:
         """Planned nozzle temperature; `otherwise_c` if nothing is planned."""
         return float(self._lib.tempplan_at(self._plan, time_s, otherwise_c))
 
-    def finish(self, until_s: float, rows: int = 0) -> list[Laid]:
-        """Book what has been laid by now; returns up to `rows` of it."""
+    def finish(self, until_s: float, rows: int = 0) -> list[Deposited]:
+        """Book what has been deposited by now; returns up to `rows` of it."""
         if not rows:
             self._lib.tempplan_finish(self._plan, until_s, self._ffi.NULL, 0)
             return []
         if (
             len(self._done) < rows * _DONE.size
-        ):  # kept: zeroing it at each call would be dearer than the books
+        ):  # kept: zeroing it at each call would be dearer than the totals
             self._done = bytearray(rows * _DONE.size)
         count = self._lib.tempplan_finish(
             self._plan, until_s, self._ffi.from_buffer("double[]", self._done), rows
         )
-        return [Laid._make(row) for row in _DONE.iter_unpack(self._done[: count * _DONE.size])]
+        return [Deposited._make(row) for row in _DONE.iter_unpack(self._done[: count * _DONE.size])]
 
     def shift(self, from_s: float, delta_c: float) -> None:
         """The user's own target moves: from then on all that is not asked for by name moves with it."""
@@ -292,14 +291,16 @@ class TemperaturePlan:
         return float(self._lib.tempplan_interface(self._plan))
 
     @property
-    def pace_interface_c(self) -> float:
+    def speed_interface_c(self) -> float:
         """What a layer must not be too hot for, or it is slowed down: near the bed more than the weld is wanted at."""
-        return float(self._lib.tempplan_pace_interface(self._plan))
+        return float(self._lib.tempplan_speed_interface(self._plan))
 
     def ages(self) -> Ages:
-        """How long ago the layer below was laid, summed since the beginning."""
+        """How long ago the layer below was deposited, summed since the beginning."""
         report = self._lib.tempplan_report(self._plan)
-        return Ages(report.above_mm, report.age_s, report.laying_s, report.full_speed_s, report.side_per_mm)
+        return Ages(
+            report.above_mm, report.age_s, report.depositing_s, report.full_speed_s, report.side_per_mm
+        )
 
     def cut(self, time_s: float) -> None:
         """Forget what lies ahead: the motion was stopped."""
@@ -312,7 +313,7 @@ class TemperaturePlan:
         return int(sizes[0]), int(sizes[1])
 
     def summary(self) -> Summary:
-        """The books."""
+        """The totals."""
         report = self._lib.tempplan_report(self._plan)
         length = report.length_mm
         per = 1.0 / length if length > 0.0 else 0.0
@@ -325,5 +326,5 @@ class TemperaturePlan:
             report.cold_mm * per,
             report.hot_mm * per,
             report.slowed_s,
-            (report.least_c, report.most_c),
+            (report.lowest_c, report.highest_c),
         )

@@ -10,10 +10,10 @@ struct tempplan {
     double *loss_w, *capacity_j_k, *core_share;
     int degrees, cores;
     struct deposit_map map;
-    struct pace_clock clock;
+    struct layer_clock clock;
     double weighed_z_mm, z_weight;          /* how much path at the newest height counts in that: */
     double usual_c, usual_mm;               /* interface by the user's own temperature, averaged over so much path */
-    struct tempplan_piece *pieces;          /* those of the future and of the part planned but not yet laid */
+    struct tempplan_piece *pieces;          /* those of the future and of the part planned but not yet deposited */
     double *shares;                         /* of each, tempplan_melt_share() of its flow */
     int count, room;
     struct best_path path;
@@ -23,7 +23,7 @@ struct tempplan {
     int corner_count, corner_room;
     double holder_c, holder_from_s;         /* nozzle temperature at which the holder would be in balance, and when */
     struct tempplan_report report;
-    int least_bin, most_bin;                /* of report.substrate_mm, between which there is anything */
+    int min_bin, max_bin;                /* of report.substrate_mm, between which there is anything */
 };
 
 /* Of the nozzle (thermal/models/melt_exchange.py). Part of the way from inlet to wall that the melt goes. */

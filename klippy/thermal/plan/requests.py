@@ -1,6 +1,6 @@
 """What melt temperature a place on the path is asked to have, by name: explicit, object, feature, layer, height.
 
-    lines of the file ─► read_comment ─► Wishes (state, frozen) ─► at a piece of path: wish_c or NaN (nothing asked for)
+    lines of the file ─► read_comment ─► Requests (state, frozen) ─► at a piece of path: request_c or NaN (none)
 
 The first that speaks wins: an explicit SET_SEGMENT_TEMPERATURE, then the object, the feature, the layer, the height.
 Slicers name the same feature differently; `FEATURES` maps PrusaSlicer/SuperSlicer, OrcaSlicer/Bambu Studio and Cura to
@@ -81,7 +81,7 @@ class Range:
 
 
 @dataclass(frozen=True, slots=True)
-class WishTable:
+class RequestTable:
     """What the config asks for, degC of the melt."""
 
     features: Mapping[str, float] = field(default_factory=dict)
@@ -100,20 +100,22 @@ class WishTable:
 
 
 @dataclass(frozen=True, slots=True)
-class Wishes:
+class Requests:
     """Where the path is, by name, from `since_s` on."""
 
     since_s: float = -math.inf
     explicit_c: float = math.nan
-    until: str = ""  # what ends the explicit wish: "", "layer", "feature", "object"
+    until: str = ""  # what ends the explicit request: "", "layer", "feature", "object"
     duration_s: float = math.inf  # or how long it holds
     feature: str = ""
     object_name: str = ""
     layer: int = 0  # counted by comments; 0: none seen
     height_mm: float = math.nan  # layer height by comments
-    pace: float = 1.0  # part of the file's speed at which it is laid (thermal/plan/layer_time.py)
+    speed_factor: float = (
+        1.0  # part of the file's speed at which it is deposited (thermal/plan/layer_time.py)
+    )
 
-    def comment(self, found: Comment) -> Wishes:
+    def comment(self, found: Comment) -> Requests:
         """After a slicer's comment."""
         if found.kind == "height":
             return replace(self, height_mm=found.value)
@@ -121,27 +123,35 @@ class Wishes:
             return replace(self._ended("layer"), layer=self.layer + 1)
         return replace(self._ended("feature"), feature=found.name)
 
-    def inside(self, object_name: str) -> Wishes:
+    def inside(self, object_name: str) -> Requests:
         """In another object, "" in none."""
         if object_name == self.object_name:
             return self
         return replace(self._ended("object"), object_name=object_name)
 
-    def explicitly(self, temp_c: float, until: str = "", duration_s: float = math.inf) -> Wishes:
-        """After SET_SEGMENT_TEMPERATURE; NaN takes an explicit wish back."""
+    def explicitly(self, temp_c: float, until: str = "", duration_s: float = math.inf) -> Requests:
+        """After SET_SEGMENT_TEMPERATURE; NaN takes an explicit request back."""
         return replace(self, explicit_c=temp_c, until=until, duration_s=duration_s)
 
-    def _ended(self, what: str) -> Wishes:
+    def _ended(self, what: str) -> Requests:
         return self.explicitly(math.nan) if self.until == what else self
 
-    def asks(self, table: WishTable) -> tuple[float | None, ...]:
+    def asks(self, table: RequestTable) -> tuple[float | None, ...]:
         """All of it that matters to the path with this table. Equal: it is asked for the same."""
         of_object = table.objects.get(self.object_name.upper()) if table.objects else None
         layer = self.layer if table.layers else 0
         of_feature = table.features.get(self.feature)
-        return self.explicit_c, self.duration_s, of_object, of_feature, layer, self.height_mm, self.pace
+        return (
+            self.explicit_c,
+            self.duration_s,
+            of_object,
+            of_feature,
+            layer,
+            self.height_mm,
+            self.speed_factor,
+        )
 
-    def wish_c(self, table: WishTable, time_s: float, layer: int, z_mm: float) -> float:
+    def request_c(self, table: RequestTable, time_s: float, layer: int, z_mm: float) -> float:
         """Melt temperature asked for at a piece of path, NaN if nothing is."""
         over = math.isfinite(self.duration_s) and time_s >= self.since_s + self.duration_s
         if not math.isnan(self.explicit_c) and not over:

@@ -20,14 +20,14 @@ from thermal.control.control_api import Reference
 from thermal.models.melt_exchange import NozzleLimits, idle_way
 
 from .deposit import Surroundings
-from .layer_time import Pace, Pacer, Place
+from .layer_time import LayerSpeed, LayerSpeeds, Place
 from .materials import Material
 from .path_pieces import Asked, PathPieces
-from .planner import Craft, Laid, TemperaturePlan
-from .requests import Wishes, WishTable
+from .planner import Deposited, PlanOptions, TemperaturePlan
+from .requests import Requests, RequestTable
 
 COMMIT_S = 0.20  # the plan nearer than this stays: commands for it may be on their way
-BOOK_BEHIND_S = 0.5  # pieces are booked when they are surely deposited
+RECORD_BEHIND_S = 0.5  # pieces are recorded when they are surely deposited
 RETURN_S = 0.5  # so long after the last piece the nozzle goes back to the user's target
 ROWS_AT_ONCE = 4096
 WITHIN_C = 0.02  # a straight line for corners that are so near it: far below what the thermometer sees
@@ -40,8 +40,8 @@ class PlanSettings:
 
     material: Material
     surroundings: Surroundings
-    options: Craft
-    table: WishTable
+    options: PlanOptions
+    table: RequestTable
     slowest: float  # minimum speed factor
     longest_pause_s: float  # before a layer
 
@@ -50,9 +50,9 @@ class PlanSettings:
 class Requested:
     """What is asked for by name."""
 
-    table: WishTable
-    state: Wishes = field(default_factory=Wishes)  # at the end of the file as far as it has been read
-    marks: deque[Wishes] = field(
+    table: RequestTable
+    state: Requests = field(default_factory=Requests)  # at the end of the file as far as it has been read
+    marks: deque[Requests] = field(
         default_factory=deque
     )  # what holds from a print time on; the first holds now
     asked: tuple[float | None, ...] = ()  # of the newest mark
@@ -61,7 +61,7 @@ class Requested:
         self.marks.append(self.state)
         self.asked = self.state.asks(self.table)
 
-    def at(self, time_s: float) -> Wishes:
+    def at(self, time_s: float) -> Requests:
         """What holds at a print time; marks of the past go."""
         marks = self.marks
         while len(marks) > 1 and marks[1].since_s <= time_s + SAME_TIME_S:
@@ -116,7 +116,7 @@ class Session:
         self.target = UserTarget()
         self.lead = Lead()
         self.fan = 0.0
-        self._rows: list[Laid] = []
+        self._rows: list[Deposited] = []
         self.begin(nozzle, 0.0)
 
     def begin(self, nozzle: NozzleLimits, now_s: float) -> None:
@@ -125,7 +125,7 @@ class Session:
         plan = TemperaturePlan(nozzle, self.material, settings.surroundings, self.options)
         self.nozzle, self.around, self.plan = nozzle, settings.surroundings, plan
         self.path = PathPieces(math.pi / 4.0 * self.options.filament_mm**2)
-        self.pacer = Pacer(settings.slowest, settings.longest_pause_s)
+        self.speeds = LayerSpeeds(settings.slowest, settings.longest_pause_s)
         self._speed_set_s, self.target.moved_c = -math.inf, 0.0
         if self.lead.reference is not None:  # the print before still lies ahead, or is on its way back
             plan.lead([(s, self.lead.reference.at(s)) for s in (now_s, now_s + COMMIT_S)])
@@ -136,7 +136,7 @@ class Session:
         """Another file: nothing has been asked for."""
         self.requested = Requested(self.settings.table)
 
-    def note(self, state: Wishes) -> bool:
+    def note(self, state: Requests) -> bool:
         """`state` holds for what is read from now on. True: it asks for something else than before; `hold` it from the
         print time on at which all that is queued ends."""
         requested = self.requested
@@ -146,7 +146,7 @@ class Session:
         requested.asked = asks
         return changed
 
-    def hold(self, state: Wishes, since_s: float) -> None:
+    def hold(self, state: Requests, since_s: float) -> None:
         """`state` holds from this print time on."""
         self.requested.marks.append(replace(state, since_s=since_s))
         self.path.forget(since_s - SAME_TIME_S)
@@ -154,13 +154,13 @@ class Session:
     def _ask(self, time_s: float, layer: int, z_mm: float) -> Asked:
         """What is asked for by name on the path from `time_s` on."""
         state, table, marks = self.requested.at(time_s), self.requested.table, self.requested.marks
-        requested_c = state.wish_c(table, time_s, layer, z_mm)
+        requested_c = state.request_c(table, time_s, layer, z_mm)
         until_s = marks[1].since_s - SAME_TIME_S if len(marks) > 1 else math.inf
         over_s = state.since_s + state.duration_s
         if time_s < over_s:
             until_s = min(until_s, over_s)
         by_place = bool(table.layers or table.heights_mm)
-        return Asked(requested_c, self.target.base_c, state.height_mm, state.pace, until_s, by_place)
+        return Asked(requested_c, self.target.base_c, state.height_mm, state.speed_factor, until_s, by_place)
 
     # Moves
 
@@ -184,7 +184,7 @@ class Session:
             self.around = replace(self.around, bed_c=bed_c)
             self._use()
 
-    def change(self, material: Material, options: Craft) -> None:
+    def change(self, material: Material, options: PlanOptions) -> None:
         """Material and plan options from now on."""
         self.material, self.options = material, options
         self._use()
@@ -245,17 +245,17 @@ class Session:
             turn = Turn(lead.end_s + RETURN_S)
             if now_s > turn.next_s:
                 turn = replace(self.go_back(now_s), next_s=turn.next_s)
-        self.book(now_s - BOOK_BEHIND_S)
+        self.record(now_s - RECORD_BEHIND_S)
         return turn
 
     def replan(self, now_s: float) -> Turn:
         """Another plan with all that waits."""
-        lead, from_s, booked_s = self.lead, now_s + COMMIT_S, now_s - BOOK_BEHIND_S
+        lead, from_s, recorded_s = self.lead, now_s + COMMIT_S, now_s - RECORD_BEHIND_S
         if lead.reference is None:
             self.plan.lead([(now_s, self.target.base_c)])
         if self.keeps_rows:
-            self.book(booked_s)
-        while (done := self.plan.turn(self.path, from_s, WITHIN_C, booked_s)) is None:
+            self.record(recorded_s)
+        while (done := self.plan.turn(self.path, from_s, WITHIN_C, recorded_s)) is None:
             self.path.inquire(self._ask)
         lead.end_s, reference = done
         lead.is_due = lead.going_home = False
@@ -291,32 +291,32 @@ class Session:
     @property
     def speed_factor(self) -> float:
         """Part of the file's own speed."""
-        return self.pacer.pace.factor
+        return self.speeds.speed_factor.factor
 
     def full_speed(self) -> None:
-        self.pacer.pace = Pace()
+        self.speeds.speed_factor = LayerSpeed()
 
-    def choose_speed(self) -> Pace:
+    def choose_speed(self) -> LayerSpeed:
         """Speed factor of the layer that begins, and the pause before it."""
         facts = self.path.facts()
         place = Place(facts.z_mm, facts.height_mm, self.fan)
-        interface_c = self.plan.pace_interface_c if self.bed_allowance else self.plan.interface_c
+        interface_c = self.plan.speed_interface_c if self.bed_allowance else self.plan.interface_c
         self._speed_set_s = self.lead.end_s
-        return self.pacer.layer(self.plan.ages(), interface_c, self.material, self.around, place)
+        return self.speeds.layer(self.plan.ages(), interface_c, self.material, self.around, place)
 
     def is_round(self) -> bool:
         """In a file that tells no layers: has about one been deposited since the speed was chosen?"""
-        if self.requested.state.layer or not self.pacer.is_used:
+        if self.requested.state.layer or not self.speeds.is_used:
             return False
-        return self.pacer.is_round(self.plan.ages(), self.lead.end_s - self._speed_set_s)
+        return self.speeds.is_round(self.plan.ages(), self.lead.end_s - self._speed_set_s)
 
     # What has been deposited
 
-    def book(self, until_s: float) -> None:
+    def record(self, until_s: float) -> None:
         """Note what has been deposited by then."""
         self._rows += self.plan.finish(until_s, ROWS_AT_ONCE if self.keeps_rows else 0)
 
-    def take_rows(self) -> list[Laid]:
-        """What has been booked since this was called last."""
+    def take_rows(self) -> list[Deposited]:
+        """What has been recorded since this was called last."""
         rows, self._rows = self._rows, []
         return rows

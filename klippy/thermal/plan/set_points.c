@@ -7,9 +7,9 @@
 
 static const double PIECE_C = 5.0;          /* as in thermal/plan/set_points.py */
 static const double NODE_S = 0.05;          /* as finely as the nozzle and its controller can follow */
-static const int MOST_NODES = 8192;
+static const int MAX_NODES = 8192;
 static const double SAME_SLOPE_K_S = 1e-6;
-static const double LEAST_RATE_K_S = 1e-6;
+static const double MIN_RATE_K_S = 1e-6;
 static const double KEPT_S = 0.5;           /* a controller looks back at what it was asked for by less than that */
 
 /* -- nozzle -- */
@@ -64,21 +64,21 @@ static double rate_k_s(const struct tempplan *tp, double start_c, double end_c, 
     double capacity_j_k = tp->capacity_j_k[floor_c + 1];
     double melt_w = melt_w_k * greater(0.0, end_c - p->inlet_c), holder_w = p->holder_w_k * (end_c - holder_c);
     if (end_c > start_c)
-        return greater(LEAST_RATE_K_S, (p->power_w - holder_w - tp->loss_w[floor_c + 1] - melt_w) / capacity_j_k);
-    return greater(LEAST_RATE_K_S, (holder_w + tp->loss_w[floor_c] + melt_w) / capacity_j_k);
+        return greater(MIN_RATE_K_S, (p->power_w - holder_w - tp->loss_w[floor_c + 1] - melt_w) / capacity_j_k);
+    return greater(MIN_RATE_K_S, (holder_w + tp->loss_w[floor_c] + melt_w) / capacity_j_k);
 }
 
 /* -- plan: thermal/plan/set_points.py in the same order of sums -- */
 
-static int same_wish(const struct tempplan_piece *a, const struct tempplan_piece *b)
+static int same_request(const struct tempplan_piece *a, const struct tempplan_piece *b)
 {
-    return a->wish_c == b->wish_c || (isnan(a->wish_c) && isnan(b->wish_c));
+    return a->request_c == b->request_c || (isnan(a->request_c) && isnan(b->request_c));
 }
 
 /* The node that is being filled. */
 struct filling {
     double from_s, at_s, longest_s;
-    double weight, aim, low, high, melt;        /* sums: weighted, and melt over time */
+    double weight, target, low, high, melt;        /* sums: weighted, and melt over time */
 };
 
 static int close_node(struct tempplan *tp, struct filling *f, int stretch)
@@ -92,7 +92,7 @@ static int close_node(struct tempplan *tp, struct filling *f, int stretch)
     int counts = f->weight > 0.0;
     node->time_s = 0.5 * (f->from_s + f->at_s);
     node->weight = f->weight;
-    node->aim_c = counts ? f->aim / f->weight : 0.0;
+    node->aim_c = counts ? f->target / f->weight : 0.0;
     node->low_c = counts ? f->low / f->weight : tp->p.floor_c;
     node->high_c = counts ? f->high / f->weight : tp->p.ceiling_c;
     node->melt_w_k = f->melt / lasted_s;
@@ -119,7 +119,7 @@ static int fill(struct tempplan *tp, struct filling *f, double until_s, const st
         double weight = weight_per_s * part_s;
         f->weight += weight;
         if (weight > 0.0) {
-            f->aim += weight * aim_c;
+            f->target += weight * aim_c;
             f->low += weight * low_c;
             f->high += weight * high_c;
         }
@@ -135,7 +135,7 @@ static int fill(struct tempplan *tp, struct filling *f, double until_s, const st
 static int fill_nodes(struct tempplan *tp, int first, double from_s)
 {
     int stretch = 0;
-    double longest_s = fmax(NODE_S, (tp->pieces[tp->count - 1].end_s - from_s) / MOST_NODES);
+    double longest_s = fmax(NODE_S, (tp->pieces[tp->count - 1].end_s - from_s) / MAX_NODES);
     struct filling f = { .from_s = from_s, .at_s = from_s, .longest_s = longest_s };
     tp->path.count = 0;
     for (int i = first; i < tp->count; i++) {
@@ -143,7 +143,7 @@ static int fill_nodes(struct tempplan *tp, int first, double from_s)
         double lag = tempplan_lag_s(&tp->p, q->flow_mm3_s);
         if (fill(tp, &f, q->start_s - lag, NULL, stretch))
             return -1;
-        if (i > first && !same_wish(q - 1, q) && close_node(tp, &f, stretch++))
+        if (i > first && !same_request(q - 1, q) && close_node(tp, &f, stretch++))
             return -1;
         if (fill(tp, &f, q->end_s - lag, q, stretch))
             return -1;
@@ -151,7 +151,7 @@ static int fill_nodes(struct tempplan *tp, int first, double from_s)
     return close_node(tp, &f, stretch);
 }
 
-/* The window's bounds depend on the flow: averaged over smooth_s to both sides, within a stretch of the same wish. A
+/* The window's bounds depend on the flow: averaged over smooth_s to both sides, within a stretch of the same request. A
  * nozzle that kept to the lower bound of each corner would climb and never come down. */
 static void smooth_bounds(struct tempplan *tp)
 {
@@ -334,7 +334,7 @@ static int make(struct tempplan *tp, double from_s, double start_c)
     bring_holder(tp, from_s, start_c);
     if (find_path(tp, first, from_s, start_c))
         return 0;
-    /* what was planned up to from_s stays: pieces not yet booked look back at it */
+    /* what was planned up to from_s stays: pieces not yet recorded look back at it */
     while (tp->point_count && tp->points[tp->point_count - 1].time_s >= from_s)
         tp->point_count--;
     int kept = tp->point_count;

@@ -1,9 +1,9 @@
 """From wanted melt temperatures along the path to a nozzle temperature that physics can follow.
 
-1. What is wanted of the wall: melt temperature -> wall temperature at the segment's flow. Where the weld decides it
-   aims at the one interface from both sides, beyond the material's window if need be; the window then bounds the wall.
+1. What is wanted of the wall: melt temperature -> wall temperature at the segment's flow. Where the weld decides, the
+   interface temperature is the target on both sides, also beyond the material's window, which then bounds the wall.
 2. `nodes`: the path in steps of `NODE_S`, earlier by the lag between nozzle and leaving melt. Each has the length
-   laid in it as its weight, for every mm of weld counts the same, and the mean of what is wanted there.
+   deposited in it as its weight, for every mm of weld counts the same, and the mean of what is wanted there.
 3. `best_path`: of all temperatures that keep the limits on heating (power) and cooling (loss and melt), those with the
    least sum of weight (T - wanted)^2. With F_i(T) the least cost of being at T at node i,
 
@@ -11,7 +11,7 @@
 
    and F_i convex: the minimum moves what falls in F_i-1 to the left by `fall` and what rises to the right by `rise`.
    So its derivative is a row of knots that move and are added to; its zero is the best end T*_i of all paths so far.
-   Backwards from the last: T_i-1 = T*_i-1 if the limits allow it, else the nearest they do. A step of the wish comes
+   Backwards from the last: T_i-1 = T*_i-1 if the limits allow it, else the nearest they do. A step of the request comes
    out as a ramp astride its border, and what steps too often for the nozzle as its best compromise.
 
         wanted  ----+              planned ---.
@@ -37,9 +37,9 @@ from thermal.models.melt_exchange import NozzleLimits, highest_c
 from thermal.records import FlowSegment
 
 NODE_S = 0.05  # as finely as the nozzle and its controller can follow
-MOST_NODES = 8192
+MAX_NODES = 8192
 PIECE_C = 5.0  # longest ramp piece: within it the limit rates change by a few percent
-LEAST_RATE_K_S = 1e-6
+MIN_RATE_K_S = 1e-6
 
 
 class PlanPoint(NamedTuple):
@@ -54,7 +54,7 @@ class Want(NamedTuple):
 
     melt_c: float
     free_c: float = math.nan  # melt for the weld alone, beyond the material's window; NaN: it does not decide
-    wish_c: float = math.nan  # asked for by name: begins with a node of its own
+    request_c: float = math.nan  # asked for by name: begins with a node of its own
 
 
 class Node(NamedTuple):
@@ -189,9 +189,9 @@ class Planner:
             taken_w = (
                 holder_w + self._loss_w[floor + 1] + melt_w_k * max(0.0, end_c - limits.exchange.inlet_c)
             )
-            return max(LEAST_RATE_K_S, (limits.power_w - taken_w) / capacity_j_k)
+            return max(MIN_RATE_K_S, (limits.power_w - taken_w) / capacity_j_k)
         given_w = holder_w + self._loss_w[floor] + melt_w_k * max(0.0, end_c - limits.exchange.inlet_c)
-        return max(LEAST_RATE_K_S, given_w / capacity_j_k)
+        return max(MIN_RATE_K_S, given_w / capacity_j_k)
 
     def plan(self, segments: Sequence[FlowSegment], wants: Sequence[Want], start_c: float) -> list[PlanPoint]:
         """Corners of the plan from the first segment's start to the last one's end."""
@@ -205,8 +205,8 @@ class Planner:
 
         nodes = self._nodes(segments, wants)
         temps = best_path(nodes, segments[0].start_s, start_c, rate)
-        aims = [PlanPoint(node.time_s, temp_c) for node, temp_c in zip(nodes, temps, strict=True)]
-        return self._follow(segments, aims, start_c)
+        targets = [PlanPoint(node.time_s, temp_c) for node, temp_c in zip(nodes, temps, strict=True)]
+        return self._follow(segments, targets, start_c)
 
     def wall(self, want: Want, flow_mm3_s: float) -> float:
         """Nozzle temperature that is aimed at for a segment."""
@@ -215,7 +215,7 @@ class Planner:
         return free_wall(self.limits, want.free_c, flow_mm3_s)
 
     def _nodes(self, segments: Sequence[FlowSegment], wants: Sequence[Want]) -> list[Node]:
-        """Means over each step; the bounds then over more of them, within a stretch of the same wish."""
+        """Means over each step; the bounds then over more of them, within a stretch of the same request."""
         nodes: list[Node] = []
         for stretch in self._stretches(segments, wants):
             own = [self._node(begin_s, end_s, shares) for begin_s, end_s, shares in stretch]
@@ -229,9 +229,9 @@ class Planner:
     def _stretches(
         self, segments: Sequence[FlowSegment], wants: Sequence[Want]
     ) -> Iterator[list[tuple[float, float, list[tuple[FlowSegment, Want, float]]]]]:
-        """Steps (begin, end, [(segment, want, seconds of it)]) of each stretch of the same wish."""
+        """Steps (begin, end, [(segment, want, seconds of it)]) of each stretch of the same request."""
         from_s, lag_s = segments[0].start_s, self.limits.exchange.lag_s
-        longest_s = max(NODE_S, (segments[-1].end_s - from_s) / MOST_NODES)
+        longest_s = max(NODE_S, (segments[-1].end_s - from_s) / MAX_NODES)
         borders = [from_s]  # of stretches
         spans: list[tuple[float, float]] = []
         at_s = from_s
@@ -239,7 +239,7 @@ class Planner:
             begin_s = max(at_s, segment.start_s - lag_s(segment.flow_mm3_s))
             at_s = max(begin_s, segment.end_s - lag_s(segment.flow_mm3_s))
             spans.append((begin_s, at_s))
-            if i and not _same(wants[i - 1].wish_c, wants[i].wish_c):
+            if i and not _same(wants[i - 1].request_c, wants[i].request_c):
                 borders.append(begin_s)
         borders.append(at_s)
         for border_s, end_s in itertools.pairwise(borders):
@@ -258,7 +258,7 @@ class Planner:
 
     def _node(self, begin_s: float, end_s: float, shares: Sequence[tuple[FlowSegment, Want, float]]) -> Node:
         exchange, ceiling_c = self.limits.exchange, self.ceiling_c
-        melt_j_k = weight = aim = low = high = 0.0
+        melt_j_k = weight = target = low = high = 0.0
         for segment, want, inside_s in shares:
             flow = segment.flow_mm3_s
             melt_j_k += inside_s * exchange.heat_w_k(flow)
@@ -268,38 +268,38 @@ class Planner:
             part /= max(1e-9, segment.end_s - segment.start_s)
             if part > 0.0:
                 weight += part
-                aim += part * self.wall(want, flow)
+                target += part * self.wall(want, flow)
                 low += part * wall_wanted(self.limits, ceiling_c, self.window_c[0], flow)
                 high += part * wall_wanted(self.limits, ceiling_c, self.window_c[1], flow)
         middle_s, melt_w_k = 0.5 * (begin_s + end_s), melt_j_k / (end_s - begin_s)
         if weight <= 0.0:
             return Node(middle_s, 0.0, 0.0, self.floor_c, ceiling_c, melt_w_k)
-        return Node(middle_s, weight, aim / weight, low / weight, high / weight, melt_w_k)
+        return Node(middle_s, weight, target / weight, low / weight, high / weight, melt_w_k)
 
     def _follow(
-        self, segments: Sequence[FlowSegment], aims: Sequence[PlanPoint], start_c: float
+        self, segments: Sequence[FlowSegment], targets: Sequence[PlanPoint], start_c: float
     ) -> list[PlanPoint]:
         """Straight from node to node, over the borders of flow, as far as the limits allow."""
         heat_w_k = self.limits.exchange.heat_w_k
         now_s, now_c, end_s = segments[0].start_s, start_c, segments[-1].end_s
-        points, holder_c, flow_i, aim_i = [PlanPoint(now_s, now_c)], start_c, 0, 0
+        points, holder_c, flow_i, target_i = [PlanPoint(now_s, now_c)], start_c, 0, 0
         while now_s < end_s:
-            while aim_i < len(aims) and aims[aim_i].time_s <= now_s:
-                aim_i += 1
+            while target_i < len(targets) and targets[target_i].time_s <= now_s:
+                target_i += 1
             while flow_i < len(segments) - 1 and segments[flow_i].end_s <= now_s:
                 flow_i += 1
             segment = segments[flow_i]
             inside = segment.start_s <= now_s  # in a gap between two segments nothing flows
             border_s = min(end_s, segment.end_s if inside else segment.start_s)
-            if not aims:
-                aim = PlanPoint(now_s, _between(start_c, self.floor_c, self.ceiling_c))
-            elif aim_i < len(aims):
-                aim = aims[aim_i]
-                border_s = min(border_s, aim.time_s)
+            if not targets:
+                target = PlanPoint(now_s, _between(start_c, self.floor_c, self.ceiling_c))
+            elif target_i < len(targets):
+                target = targets[target_i]
+                border_s = min(border_s, target.time_s)
             else:
-                aim = aims[-1]
+                target = targets[-1]
             melt_w_k = heat_w_k(segment.flow_mm3_s) if inside else 0.0
-            now_c, holder_c = self._ramp(points, now_s, now_c, border_s, aim, melt_w_k, holder_c)
+            now_c, holder_c = self._ramp(points, now_s, now_c, border_s, target, melt_w_k, holder_c)
             now_s = border_s
         return points
 
@@ -309,17 +309,17 @@ class Planner:
         now_s: float,
         now_c: float,
         until_s: float,
-        aim: PlanPoint,
+        target: PlanPoint,
         melt_w_k: float,
         holder_c: float,
     ) -> tuple[float, float]:
-        """Towards the aim until `until_s`, to be there at its time; a corner wherever the slope changes."""
+        """Towards the target until `until_s`, to be there at its time; a corner wherever the slope changes."""
         while now_s < until_s:
-            left_c, before_s, before_c = aim.temp_c - now_c, now_s, now_c
+            left_c, before_s, before_c = target.temp_c - now_c, now_s, now_c
             step_c = _between(left_c, -PIECE_C, PIECE_C)
             rate = self._rate(now_c, now_c + step_c, melt_w_k, holder_c)
-            if aim.time_s > now_s:
-                rate = min(rate, abs(left_c) / (aim.time_s - now_s))
+            if target.time_s > now_s:
+                rate = min(rate, abs(left_c) / (target.time_s - now_s))
             if abs(left_c) <= 1e-9:
                 now_s = until_s
             elif now_s + abs(step_c) / rate > until_s:

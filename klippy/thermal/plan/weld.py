@@ -26,15 +26,15 @@ def melt_for_interface(
     return wanted_c + (wanted_c - substrate_c) * substrate_e / melt_e
 
 
-def held_c(usual_c: float, band_c: tuple[float, float], least_c: float) -> float:
+def held_c(usual_c: float, band_c: tuple[float, float], lowest_c: float) -> float:
     """The interface to hold on a path: as near to the usual one as the material's window reaches on its hot and on its
-    cold end, or, where the window is too narrow for both, the middle. Never below `least_c`.
+    cold end, or, where the window is too narrow for both, the middle. Never below `lowest_c`.
 
     `band_c`: what the coolest melt makes of the hottest substrate and the hottest melt of the coldest.
     """
     low_c, high_c = band_c
     reached_c = min(high_c, max(low_c, usual_c)) if low_c <= high_c else 0.5 * (low_c + high_c)
-    return max(least_c, reached_c)
+    return max(lowest_c, reached_c)
 
 
 def bonds(interface_temp_c: float, bonding_c: float, margin_c: float = 0.0) -> bool:

@@ -12,7 +12,7 @@ from typing import Any
 import chelper
 from thermal.records import SampleBlock, TempEstimate
 
-BLOCKS_MOST = 256  # as in thermal/sensing/convert.h
+BLOCKS_MAX = 256  # as in thermal/sensing/convert.h
 
 # Why a block gives no temperature, in the order of thermal/sensing/pipeline.h's enum block_fault.
 REASONS = (
@@ -27,12 +27,12 @@ REASONS = (
 
 
 class Blocks:
-    """Up to BLOCKS_MOST blocks in order of time. `raw` is C's array, of which the first `count` mean something."""
+    """Up to BLOCKS_MAX blocks in order of time. `raw` is C's array, of which the first `count` mean something."""
 
     __slots__ = ("count", "raw")
 
     def __init__(self) -> None:
-        self.raw: Any = chelper.get_ffi()[0].new("struct coil_block[]", BLOCKS_MOST)
+        self.raw: Any = chelper.get_ffi()[0].new("struct coil_block[]", BLOCKS_MAX)
         self.count = 0
 
     @classmethod
@@ -40,8 +40,8 @@ class Blocks:
         """From records, for who makes blocks up."""
         made = cls()
         for block in blocks:
-            if made.count == BLOCKS_MOST:
-                raise ValueError(f"more than {BLOCKS_MOST} blocks in one message")
+            if made.count == BLOCKS_MAX:
+                raise ValueError(f"more than {BLOCKS_MAX} blocks in one message")
             raw = made.raw[made.count]
             for name, value in block._asdict().items():
                 setattr(raw, name, value)
@@ -95,7 +95,7 @@ class Blocks:
         )
 
     def tracked(self, index: int) -> TempEstimate | None:
-        """The filtered estimate at this block's centre; None: it gave no believable temperature."""
+        """The filtered estimate at this block's centre; None: it gave no valid temperature."""
         b = self.raw[index]
         if not b.is_tracked:
             return None

@@ -79,7 +79,7 @@ take_records(const struct block_stream *stream, struct bytes rest, struct coil_b
     int32_t phase = -1;
     int count = 0;
     while (rest.len > 0) {
-        int error = count < MESSAGE_BLOCKS_MOST ? take_record(&rest, &phase, stream->block_samples, &out[count])
+        int error = count < MESSAGE_BLOCKS_MAX ? take_record(&rest, &phase, stream->block_samples, &out[count])
                                                 : BLOCKWIRE_SENSELESS;
         if (error)
             return -error;
@@ -139,7 +139,7 @@ blockwire_unpack(struct block_stream *stream, const struct clock_point *near, co
 {
     int count = 0;
     for (const struct pull_message *m = messages; m < messages + message_count; m++) {
-        if (count + MESSAGE_BLOCKS_MOST > BLOCKS_MOST)
+        if (count + MESSAGE_BLOCKS_MAX > BLOCKS_MAX)
             break;
         int got = unpack_message(stream, near, m, out + count);
         if (got < 0) {

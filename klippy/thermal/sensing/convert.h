@@ -7,7 +7,7 @@
 struct coil_block;
 struct pull_message;
 
-enum { BLOCKS_MOST = 256, MESSAGE_BLOCKS_MOST = 8 }; // a message has room for 48 bytes of records of 6 at least
+enum { BLOCKS_MAX = 256, MESSAGE_BLOCKS_MAX = 8 }; // a message has room for 48 bytes of records of 6 at least
 
 enum blockwire_error { BLOCKWIRE_CUT = 1, BLOCKWIRE_SENSELESS = 2, BLOCKWIRE_EMPTY = 3 };
 
@@ -33,7 +33,7 @@ struct clock_point {
     double time_s, tick_s;
 };
 
-// Unpack messages as they came off the wire into `out` (BLOCKS_MOST, what does not fit counts as missing); one seen before
+// Unpack messages as they came off the wire into `out` (BLOCKS_MAX, what does not fit counts as missing); one seen before
 // gives nothing. Number of blocks.
 int blockwire_unpack(struct block_stream *stream, const struct clock_point *near, const struct pull_message *messages,
                      int message_count, struct coil_block *out);

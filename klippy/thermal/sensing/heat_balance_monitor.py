@@ -1,4 +1,4 @@
-"""Is the temperature the coil tells plausible? A heat balance over half a minute, in degC.
+"""Does the temperature of the coil agree with the heat that went in? A heat balance over half a minute, in degC.
 
 Reference plant's two nodes, T measured, T2 followed from it:
 
@@ -6,11 +6,11 @@ Reference plant's two nodes, T measured, T2 followed from it:
     C2 dT2/dt = k01 (T - T2) - g1 (T2 - Ta)
 
 What is left over of that balance, averaged over `window_s` and divided by what a degree changes of it, is the error
-the reading would have to have: `drift_c` (reading minus plausible temperature). It only says something while
+the reading would have to have: `drift_c` (reading minus temperature of the heat balance). It only says something while
 no melt and
 no fan take heat away (`quiet`), and is as good as the losses are known: calibration measures them.
 
-A heat-up tells the nozzle's capacity the same way: heat that went in over degrees that came out.
+A heat-up shows the nozzle's capacity the same way: heat that went in over degrees that came out.
 """
 
 from __future__ import annotations
@@ -67,8 +67,8 @@ def scaled(factor: float, ambient_c: float, second_factor: float = 1.0) -> TwoNo
 
 
 @dataclass(frozen=True, slots=True)
-class PlausibleParameters:
-    """Model and how far it may be believed."""
+class HeatBalanceParameters:
+    """Model and its uncertainty."""
 
     heat: heat_loss.HeatCapacity
     loss: TwoNodeLoss
@@ -76,15 +76,15 @@ class PlausibleParameters:
     limit_c: float = 8.0  # drift beyond this plus the uncertainty is reported
     window_s: float = 12.0  # time constant of the average; the second mass settles with 10 s
     ready_s: float = 30.0  # quiet for so long before anything is said
-    drift_most_c: float = 60.0  # 0.4 % of C1: no capacitor drifts more, another steel in the coil does
-    run_c: float = 60.0  # a heat-up by this much tells the capacity
+    drift_max_c: float = 60.0  # 0.4 % of C1: no capacitor drifts more, another steel in the coil does
+    run_c: float = 60.0  # a heat-up by this much shows the capacity
     run_w: float = 25.0  # mean heat over it, so that losses are a correction
-    doubt_most_c: float = 2.0  # of the second mass, unknown at a start: with more only gross drift is told
+    doubt_max_c: float = 2.0  # of the second mass, unknown at a start: with more only gross drift is reported
     capacity_band: float = 0.35  # capacity off by more: not the nozzle this was set up for
 
 
 @dataclass(slots=True)
-class PlausibleState:
+class HeatBalanceState:
     """Memory; times are print times."""
 
     time_s: float = math.nan
@@ -94,7 +94,7 @@ class PlausibleState:
     quiet_s: float = 0.0  # for so long nothing else took heat
     left_w: float = 0.0  # averaged remainder of the balance
     doubt_w: float = 0.0  # averaged likewise: what of it the second mass may be to blame for
-    drift_c: float | None = None  # reading minus plausible; None: nothing can be said now
+    drift_c: float | None = None  # reading minus heat balance; None: nothing can be said now
     run_start_c: float = math.nan  # heat-up under way
     run_j: float = 0.0
     run_s: float = 0.0
@@ -102,9 +102,9 @@ class PlausibleState:
 
 
 def _run(
-    parameters: PlausibleParameters, state: PlausibleState, dt_s: float, temp_c: float, net_w: float
+    parameters: HeatBalanceParameters, state: HeatBalanceState, dt_s: float, temp_c: float, net_w: float
 ) -> None:
-    """Book a heat-up; ends when the heat ends or enough degrees are there."""
+    """Record a heat-up; ends when the heat ends or enough degrees are there."""
     if net_w < parameters.run_w:
         state.run_start_c = math.nan
         return
@@ -127,14 +127,14 @@ def _run(
 
 
 def observe(
-    parameters: PlausibleParameters,
-    state: PlausibleState,
+    parameters: HeatBalanceParameters,
+    state: HeatBalanceState,
     time_s: float,
     temp_c: float,
     energy_j: float,
     quiet: bool,
 ) -> None:
-    """A believed temperature at `time_s`, the heat put in since the one before, and whether nothing else takes heat."""
+    """A valid temperature at `time_s`, the heat put in since the one before, and whether nothing else takes heat."""
     loss = parameters.loss
     dt_s = time_s - state.time_s
     if not 0.0 < dt_s < 2.0:
@@ -163,18 +163,18 @@ def observe(
     state.doubt_w += (loss.link_w_k * state.second_doubt_c - state.doubt_w) * share
     slope_w_k = loss.slope_w_k(temp_c)
     drift_c, doubt_c = -state.left_w / slope_w_k, state.doubt_w / slope_w_k
-    sure = doubt_c <= parameters.doubt_most_c or abs(drift_c) - doubt_c > parameters.drift_most_c
+    sure = doubt_c <= parameters.doubt_max_c or abs(drift_c) - doubt_c > parameters.drift_max_c
     state.drift_c = drift_c if sure and state.quiet_s >= parameters.ready_s else None
 
 
-def uncertainty_c(parameters: PlausibleParameters, temp_c: float) -> float:
+def uncertainty_c(parameters: HeatBalanceParameters, temp_c: float) -> float:
     """What the losses' uncertainty is worth in degC."""
     rise = abs(temp_c - parameters.loss.ambient_c)
     return parameters.loss_uncertainty * rise + 3.0  # 3: ambient not known better
 
 
-def warning(parameters: PlausibleParameters, state: PlausibleState) -> str:
-    """Text for people, "" while all is plausible."""
+def warning(parameters: HeatBalanceParameters, state: HeatBalanceState) -> str:
+    """Text for people, "" while the balance holds."""
     ratio = state.capacity_ratio
     if ratio is not None and abs(ratio - 1.0) > parameters.capacity_band:
         how = "heavier or worse coupled" if ratio > 1.0 else "lighter or better coupled"
@@ -187,7 +187,7 @@ def warning(parameters: PlausibleParameters, state: PlausibleState) -> str:
         return ""
     if abs(drift_c) <= parameters.limit_c + uncertainty_c(parameters, state.temp_c) - 3.0:
         return ""
-    if abs(drift_c) > parameters.drift_most_c:
+    if abs(drift_c) > parameters.drift_max_c:
         return (
             f"wrong nozzle? the thermometer reads {drift_c:+.0f} C off (heat balance at {state.temp_c:.0f} C), more"
             " than any drift: another material or shape than the calibrated one; run INDUCTION_CALIBRATE for it"

@@ -21,14 +21,14 @@ nozzle_loss_w(double conductance_w_k, double radiation_m2, double ambient_c, dou
 }
 
 void
-track_reset(struct track_state *s)
+filter_reset(struct filter_state *s)
 {
-    *s = (struct track_state){.time_s = NAN, .end_s = NAN, .measured_s = NAN, .temp_c = NAN};
+    *s = (struct filter_state){.time_s = NAN, .end_s = NAN, .measured_s = NAN, .temp_c = NAN};
 }
 
 // Begin anew with this block's own temperature.
 static int
-restart(struct track_state *s, struct coil_block *b)
+restart(struct filter_state *s, struct coil_block *b)
 {
     s->temp_c = b->temp_c;
     s->rate_k_s = s->p_tq = s->innovation_c = 0.0;
@@ -44,7 +44,7 @@ restart(struct track_state *s, struct coil_block *b)
 
 // Move the state to the block's centre; the power before held until the end of the block before.
 static void
-predict(const struct track_params *p, struct track_state *s, const struct coil_block *b)
+predict(const struct filter_params *p, struct filter_state *s, const struct coil_block *b)
 {
     double dt_s = b->centre_s - s->time_s;
     double before_s = fmin(fmax(0.0, s->end_s - s->time_s), dt_s);
@@ -59,7 +59,7 @@ predict(const struct track_params *p, struct track_state *s, const struct coil_b
 }
 
 static int
-update(const struct track_params *p, struct track_state *s, struct coil_block *b)
+update(const struct filter_params *p, struct filter_state *s, struct coil_block *b)
 {
     double noise = b->noise_c * b->noise_c, spread = s->p_tt + noise;
     double innovation_c = b->temp_c - s->temp_c;
@@ -83,7 +83,7 @@ update(const struct track_params *p, struct track_state *s, struct coil_block *b
 }
 
 int
-track_block(const struct track_params *p, struct track_state *s, struct coil_block *b)
+filter_block(const struct filter_params *p, struct filter_state *s, struct coil_block *b)
 {
     b->is_tracked = 0;
     int usable = b->fault == BLOCK_GOOD;

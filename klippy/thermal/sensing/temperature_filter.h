@@ -1,13 +1,13 @@
-#ifndef CHELPER_NOZZLETRACK_H
-#define CHELPER_NOZZLETRACK_H
-// Following the nozzle's temperature through blocks: a Kalman filter in temperature that knows the heat going in.
+#ifndef CHELPER_TEMPERATURE_FILTER_H
+#define CHELPER_TEMPERATURE_FILTER_H
+// Temperature Kalman filter, the input of PID, watermark and two-period control; the heat that goes in is known.
 // Its equations and parameters: klippy/thermal/sensing/temperature_filter.py.
 
 #include <stdint.h>
 
 struct coil_block;
 
-struct track_params {
+struct filter_params {
     double conductance_w_k, radiation_m2, ambient_c;    // loss
     double capacity_j_k, capacity_slope_j_k2;           // C(T) = capacity + slope T
     double rate_noise, temp_noise;
@@ -15,8 +15,8 @@ struct track_params {
     int32_t outliers_max;
 };
 
-// Filled with NaN and zeros by track_reset.
-struct track_state {
+// Filled with NaN and zeros by filter_reset.
+struct filter_state {
     double time_s;              // what T and q belong to; NaN before the first measurement
     double end_s;               // end of the newest block: until then its power held
     double power_w;
@@ -28,8 +28,8 @@ struct track_state {
 };
 
 double nozzle_loss_w(double conductance_w_k, double radiation_m2, double ambient_c, double temp_c);
-void track_reset(struct track_state *s);
-// One block in order of time, estimated; its tracked_* fields are filled. 0: this one gave no believable temperature.
-int track_block(const struct track_params *p, struct track_state *s, struct coil_block *block);
+void filter_reset(struct filter_state *s);
+// One block in order of time, estimated; its tracked_* fields are filled. 0: this one gave no valid temperature.
+int filter_block(const struct filter_params *p, struct filter_state *s, struct coil_block *block);
 
 #endif

@@ -1,4 +1,6 @@
-"""Following the nozzle's temperature through blocks: a Kalman filter in temperature that knows the heat going in.
+"""Temperature Kalman filter, the input of PID, watermark and two-period control; the heat that goes in is known.
+
+Supervision and status use it with every law; predictive control has its own filter (control/predictive_filter.py).
 
 State: T (degC) and q (K/s), the heating rate the model does not explain (melt, fan, a wrong mass or loss).
 
@@ -6,7 +8,7 @@ State: T (degC) and q (K/s), the heating rate the model does not explain (melt, 
     measured = T + noise,  variance of one block's mean over its samples
 
 Every block was converted with its own phase before it comes here; the drive's steps enter as known heat, so they cost
-no lag. A block without a believable temperature still moves the model on. One that disagrees by far is left out,
+no lag. A block without a valid temperature still moves the model on. One that disagrees by far is left out,
 several of them in a row restart the filter: the machine is right, not the model.
 
 The filter is thermal/sensing/temperature_filter.c; here are its parameters.
@@ -20,7 +22,7 @@ from thermal.models import heat_loss
 
 
 @dataclass(frozen=True, slots=True)
-class TrackParameters:
+class FilterParameters:
     """What the filter assumes of the nozzle and how fast the unexplained rate may change."""
 
     loss: heat_loss.LossLaw
@@ -35,8 +37,8 @@ class TrackParameters:
     outliers_max: int = 4
 
 
-def track_params(parameters: TrackParameters) -> dict[str, float]:
-    """As C's struct track_params: the heat capacity is a straight line over T."""
+def filter_params(parameters: FilterParameters) -> dict[str, float]:
+    """As C's struct filter_params: the heat capacity is a straight line over T."""
     loss, heat = parameters.loss, parameters.heat
     return {
         "conductance_w_k": loss.conductance_w_k,

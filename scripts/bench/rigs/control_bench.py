@@ -22,7 +22,7 @@ BAND_C = 3.0
 IDLE_S, HOLD_S, FLOW_S, STEP_S = 0.6, 3.0, 1.0, 1.0
 FLOW_KNOWN_S = 0.25  # look-ahead: moves stand in the queue this long before they happen
 POWER_W = {"reference": 81.3, "strong": 282.0}
-OURS = ("model", "pid", "practical", "watermark")
+OURS = ("model", "pid", "two_period", "watermark")
 PEERS = ("indx-like", "mpc-like")
 
 PLANTS: dict[str, tuple[str, dict[str, float]]] = {
@@ -76,7 +76,7 @@ class Result:
     flow_deviation_c: float
     flow_steady_c: float  # |mean error| over the last 0.3 s with flow
     step_s: float  # +25 degC, last time outside +-3 degC
-    step_least_s: float  # full power from the command on
+    step_min_s: float  # full power from the command on
     late: int
     trips: int
     fault: str
@@ -88,7 +88,7 @@ class Result:
 
     @property
     def step_over_s(self) -> float:
-        return self.step_s - self.step_least_s
+        return self.step_s - self.step_min_s
 
 
 class OurRig(Rig):
@@ -145,7 +145,7 @@ def replaced(parameters: Any, chosen: Any, law: Any) -> Any:
     return replace(parameters, control=replace(chosen, law=law))
 
 
-def least_s(preset: str, changes: Mapping[str, float], start_c: float, target_c: float) -> float:
+def min_s(preset: str, changes: Mapping[str, float], start_c: float, target_c: float) -> float:
     """Bang-bang with perfect knowledge: full power from the command on until the band is reached."""
     plant = Plant(1, preset, start_c=start_c, **changes)
     plant.set_phase(45000)
@@ -170,7 +170,7 @@ def run(controller: str, plant_name: str, link: Link = GOOD, seed: int = 5, plan
     rig.run(IDLE_S)
     heat_s = rig.now_s
     rig.set_target(TARGET_C)
-    optimal_s = least_s(preset, changes, START_C, TARGET_C)
+    optimal_s = min_s(preset, changes, START_C, TARGET_C)
     rig.run(optimal_s + HOLD_S)
     held_s = rig.now_s
     flow_ends = []
@@ -229,7 +229,7 @@ __all__ = [
     "SLOW",
     "Link",
     "Result",
-    "least_s",
     "make_rig",
+    "min_s",
     "run",
 ]

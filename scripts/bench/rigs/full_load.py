@@ -146,17 +146,17 @@ class FullLoad(Simulation):
             load.plans.append((self.chip.peek("tim2.count"), steps))
             send_plan(data, **options)
 
-        take_lot, unpack_message = unit._take_lot, unit.mcu._serial._unpack
+        take_batch, unpack_message = unit._take_batch, unit.mcu._serial._unpack
 
         def take(messages: Any, count: int) -> None:
             for message in messages[0:count]:
                 params = unpack_message(message)[1]
                 for row in unpack(bytes(params["data"]), load.block_len):
                     load.blocks.append((params["clock"] + row.offset * PERIOD, row))
-            take_lot(messages, count)
+            take_batch(messages, count)
 
-        unit._queue_plan.send, unit._take_lot = send, take
-        unit.mcu.register_lot(take, BLOCK_FORMAT)
+        unit._queue_plan.send, unit._take_batch = send, take
+        unit.mcu.register_batch(take, BLOCK_FORMAT)
 
     def _pause(self) -> bool:
         going = super()._pause()

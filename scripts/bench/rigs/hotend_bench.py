@@ -53,7 +53,7 @@ PID = pid.klipper_pid(22.2, 1.08, 114.0, 1.0, 1.0)  # a common hotend's, as in s
 LAWS: dict[str, tuple[Any, Any]] = {
     "model": (predictive.MODEL, HOTEND),
     "pid": (pid.PID, PID),
-    "practical": (two_period.PRACTICAL, two_period.PracticalParameters(1.0)),
+    "two_period": (two_period.TWO_PERIOD, two_period.TwoPeriodParameters(1.0)),
     "watermark": (pid.WATERMARK, pid.WatermarkParameters(2.0, 1.0)),
 }
 PLANTS: dict[str, dict[str, float]] = {
@@ -136,7 +136,7 @@ def step_time_s(law: Any, parameters: Any, changes: Mapping[str, float], seed: i
     return float(outside[-1] - begun_s)
 
 
-def least_s(changes: Mapping[str, float], start_c: float, target_c: float) -> float:
+def min_s(changes: Mapping[str, float], start_c: float, target_c: float) -> float:
     """Full power from the command on until the band is reached."""
     rig = HotendRig(pid.PID, PID, 1, {**changes, "start_c": start_c})
     rig.lib.thermal_load_set_duty(rig.load, 1.0)
@@ -156,7 +156,7 @@ def run(controller: str, plant_name: str, seed: int = 3, parameters: Any = None)
     rig = HotendRig(law, parameters or own, seed, {**changes, "start_c": 25.0})
     rig.run(3.0)
     heat_s, rig.target_c = rig.now_s, TARGET_C
-    optimal_s = least_s(changes, 25.0, TARGET_C)
+    optimal_s = min_s(changes, 25.0, TARGET_C)
     rig.run(optimal_s + HOLD_S)
     held_s = rig.now_s
     ends = []
@@ -186,7 +186,7 @@ def run(controller: str, plant_name: str, seed: int = 3, parameters: Any = None)
         float(np.abs(part(held_s, ends[1])).max()),
         float(abs(part(ends[0] - 20.0, ends[0]).mean())),
         step_time_s(law, parameters or own, changes, seed),
-        least_s(changes, TARGET_C, TARGET_C + MORE_C),
+        min_s(changes, TARGET_C, TARGET_C + MORE_C),
         0,
         0,
         "",

@@ -96,7 +96,7 @@ def dictionary(clock_hz: float = CLOCK_HZ) -> bytes:
 
 
 @dataclass
-class StepTrack:
+class StepTrace:
     """The steps of one stepper as its MCU would make them."""
 
     clock: int = 0
@@ -160,7 +160,7 @@ class CStepper:
         self.sk = FFI.gc(solver or LIB.cartesian_stepper_alloc(b"x"), LIB.itersolve_free)
         LIB.itersolve_set_stepcompress(self.sk, self.sc, step_dist)
         LIB.itersolve_set_trapq(self.sk, self.trapq)
-        self.track = StepTrack()
+        self.track = StepTrace()
         self.messages: list[tuple[int, int]] = []  # (min_clock, req_clock)
         self._failed = FFI.new("int *")
 
@@ -327,12 +327,12 @@ class BatchResult:
     commands: list[dict[str, Any]]
     printer: Any
 
-    def tracks(self) -> dict[str, StepTrack]:
+    def tracks(self) -> dict[str, StepTrace]:
         """Steps by stepper name."""
         steppers = {
             s.get_oid(): name for name, s in self.printer.lookup_object("force_move").steppers.items()
         }
-        tracks = {name: StepTrack() for name in steppers.values()}
+        tracks = {name: StepTrace() for name in steppers.values()}
         for params in self.commands:
             if params["#name"] in ("queue_step", "set_next_step_dir", "reset_step_clock"):
                 tracks[steppers[params["oid"]]].feed(params)

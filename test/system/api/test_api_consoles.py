@@ -60,7 +60,7 @@ def test_the_mcu_console_talks_to_a_board(tmp_path: Path) -> None:
     assert "Traceback" not in done.stderr
 
 
-def test_no_board_is_told_in_a_line(tmp_path: Path) -> None:
+def test_no_board_is_reported_in_a_line(tmp_path: Path) -> None:
     done = run("gcode_console.py", tmp_path / "none.sock")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "no host at" in done.stderr

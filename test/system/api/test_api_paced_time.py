@@ -36,7 +36,7 @@ class FakePoll:
 
 
 @pytest.mark.parametrize("speed", [0.5, 1.0, 10.0])
-def test_the_world_keeps_the_pace_of_the_wall_clock(speed: float) -> None:
+def test_the_world_keeps_the_speed_of_the_wall_clock(speed: float) -> None:
     wall = [5.0]
     world, poll = FakeWorld(), FakePoll(wall)
     time = PacedTime(world, speed, lambda: wall[0])  # type: ignore[arg-type]

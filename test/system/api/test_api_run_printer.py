@@ -127,7 +127,7 @@ def test_a_host_killed_beside_its_machine_comes_back(start: Start) -> None:
         (["--data", "/tmp/" + "x" * 100], "too long for a socket"),
     ],
 )
-def test_wrong_use_is_told_in_a_line(tmp_path: Path, options: list[str], words: str) -> None:
+def test_wrong_use_is_reported_in_a_line(tmp_path: Path, options: list[str], words: str) -> None:
     command = [sys.executable, str(ROOT / "scripts" / "run_printer.py"), "--no-moonraker"]
     if "--data" not in options:
         command += ["--data", str(tmp_path / "data")]

@@ -92,7 +92,7 @@ def test_ooze_is_pushed_back_by_the_model_once(simulate: Simulate, tmp_path: Pat
     assert run.column("e_mm")[-1] - 10.0 == pytest.approx(float(pushed[0]), abs=0.02)
 
 
-def test_what_a_cold_spell_pushes_out_is_made_good_too(simulate: Simulate, tmp_path: Path) -> None:
+def test_what_a_cold_interval_pushes_out_is_made_good_too(simulate: Simulate, tmp_path: Path) -> None:
     more = "[extrusion]\noverrun_length: 1.5\noverrun_time: 3\noverrun_reheat: 5\n"
     gcode = HOT + "G1 E10 F240\nM400\nM104 S0\nG4 P30000\nM400\nM109 S215\nPRIME_OOZE\nM400\n"
     run = simulate(gcode, config=machine(tmp_path, more))
@@ -121,9 +121,9 @@ class ColdPrinter:
 
 def test_a_refused_push_leaves_the_modes_of_extrusion_as_they_were() -> None:
     printer = ColdPrinter()
-    craft = extrusion.Extrusion(printer, None, Overrun(1.5, 2.0), 1.75, 2.0)
+    options = extrusion.Extrusion(printer, None, Overrun(1.5, 2.0), 1.75, 2.0)
     with pytest.raises(RuntimeError, match="minimum temp"):
-        craft._extrude(["G1 E1 F120"])
+        options._extrude(["G1 E1 F120"])
     first, last = printer.ran[0], printer.ran[-1]
     assert first.startswith("SAVE_GCODE_STATE") and last == first.replace("SAVE", "RESTORE")
 

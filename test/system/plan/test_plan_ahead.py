@@ -1,4 +1,4 @@
-"""The plan takes no time from the look-ahead: each move is given out as early and laid when it would be without it."""
+"""The plan takes no time from the look-ahead: each move is sent as early and deposited when it would be without."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from plan_rig import Watched, watch
 from sample_gcode import sample_path
 from system.conftest import machine
 
-# The pace of hot layers is what the plan wants itself; without it every move has the file's own speed.
+# The speed_factor of hot layers is what the plan wants itself; without it every move has the file's own speed.
 SECTION = "[temperature_plan]\nmaterial: ABS\nbed_temp: 100\nchamber_temp: 40\nminimum_speed_factor: 1\n"
 START = "M104 S240\nG28\nG90\nM83\nG1 X20 Y20 Z0.3 F6000\nM109 S240\n"
 FEATURES = ("External perimeter", "Internal infill", "Bridge infill")
@@ -47,7 +47,7 @@ def printed(tmp_path: Path, body: str, section: str) -> Watched:
     return watched
 
 
-def laid(watched: Watched) -> np.ndarray:
+def deposited(watched: Watched) -> np.ndarray:
     """(phases of moves, 3): start and end after the first road begins, flow. Before it the printer waits for heat,
     until the host looks, which is some ms sooner or later."""
     first = next(i for i, road in enumerate(watched.roads) if road.flow_mm3_s > 0.0)
@@ -56,14 +56,14 @@ def laid(watched: Watched) -> np.ndarray:
 
 
 @pytest.mark.parametrize("body", [short_chords, sliced])
-def test_every_move_comes_as_early_and_is_laid_at_the_same_time(tmp_path: Path, body) -> None:  # type: ignore[no-untyped-def]
+def test_every_move_comes_as_early_and_is_deposited_at_the_same_time(tmp_path: Path, body) -> None:  # type: ignore[no-untyped-def]
     """In virtual time, where no calculation takes any: a difference would be a wait."""
     text = body()
     without, planned = printed(tmp_path, text, ""), printed(tmp_path, text, SECTION)
     assert len(planned.emitted) > 20  # it has planned
-    assert laid(planned) == pytest.approx(laid(without), abs=1e-6)
+    assert deposited(planned) == pytest.approx(deposited(without), abs=1e-6)
     assert planned.stalls == without.stalls == 0
-    starts, ends = laid(planned)[1:-2, 0], laid(planned)[:-3, 1]
+    starts, ends = deposited(planned)[1:-2, 0], deposited(planned)[:-3, 1]
     assert np.abs(starts - ends).max() < 1e-6  # never dry: each begins where the one before it ends
     # how far ahead of the machine each batch was given out; the host looks at other moments, some ms apart
     assert len(planned.ahead_s) == len(without.ahead_s)

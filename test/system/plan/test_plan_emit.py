@@ -70,9 +70,9 @@ def test_an_emitted_file_prints_as_foretold(simulate: Simulate, tmp_path: Path) 
     run = simulate(text, config=machine(tmp_path, PAUSES), more=["--until", "300"])
     assert run.status == 0 and run.summary["reason"] == "printed to its end", run.stderr
     trace = np.genfromtxt(run.trace, delimiter=",", names=True)
-    laid, looked = trace["flow_mm3_s"] > 0.5, 0
+    deposited, looked = trace["flow_mm3_s"] > 0.5, 0
     walls = {round(m.end_mm[1]): m.wall_c for m in foretold.moves}
-    times = {y: trace["t_s"][laid & (np.abs(trace["y_mm"] - y) < 0.05)] for y in walls}
+    times = {y: trace["t_s"][deposited & (np.abs(trace["y_mm"] - y) < 0.05)] for y in walls}
     changes = [
         times[b][0] for a, b in zip(walls, list(walls)[1:], strict=False) if abs(walls[a] - walls[b]) > 5.0
     ]
@@ -106,7 +106,7 @@ def test_the_offline_plan_knows_the_nozzle_of_the_config(tmp_path: Path) -> None
     assert (offline.exchange.ua_w_k, offline.exchange.volume_mm3) == (0.0333, 3.0)
 
 
-def test_an_emitted_pace_prints_in_the_foretold_time(simulate: Simulate, tmp_path: Path) -> None:
+def test_an_emitted_speed_prints_in_the_foretold_time(simulate: Simulate, tmp_path: Path) -> None:
     """A hot tower of layers of 1.6 s: M220 in the file, and the roads take as long as the plan reckons."""
     layers = "".join(
         f";LAYER_CHANGE\nG1 Z{0.3 + 0.2 * n:.1f} F600\nG1 X58 E0.8 F1800\nG1 Y58 E0.8\nG1 X50 E0.8\nG1 Y50 E0.8\n"
@@ -115,11 +115,13 @@ def test_an_emitted_pace_prints_in_the_foretold_time(simulate: Simulate, tmp_pat
     gcode = f"{START}G1 X50 Y50 F6000\n{layers}M104 S0\n"
     section = SECTION.partition("features")[0].replace("bonding: no", "bonding: yes\ninterface_temp: 125")
     text, foretold = emitted(tmp_path, gcode, section)
-    assert min(change.pace.factor for change in foretold.paces) < 0.6
+    assert min(change.speed_factor.factor for change in foretold.speed_changes) < 0.6
     assert "M220 S" in text
     run = simulate(text)
     assert run.status == 0, run.stderr
     flow = np.array(run.column("flow_mm3_s"))
     starts = [move.start_s for move in foretold.moves]
-    laid_s = 0.01 * (np.flatnonzero(flow > 0.2)[-1] - np.flatnonzero(flow > 0.2)[0])
-    assert laid_s == pytest.approx(foretold.duration_s - starts[0], rel=0.03)  # M220 slows the way up, too
+    deposited_s = 0.01 * (np.flatnonzero(flow > 0.2)[-1] - np.flatnonzero(flow > 0.2)[0])
+    assert deposited_s == pytest.approx(
+        foretold.duration_s - starts[0], rel=0.03
+    )  # M220 slows the way up, too

@@ -1,4 +1,4 @@
-"""Where a print begins and ends for the temperature plan: with its first line, and when what is queued is laid."""
+"""Where a print begins and ends for the temperature plan: with its first line, and when what is queued is deposited."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_the_first_line_of_a_file_may_ask_already(tmp_path: Path, first: str) ->
 
 
 @pytest.mark.parametrize(("first", "bed_c"), [("", 71.0), ("M140 S95\n", 95.0)])
-def test_the_bed_that_the_file_asks_for_is_the_one_it_is_laid_on(
+def test_the_bed_that_the_file_asks_for_is_the_one_it_is_deposited_on(
     tmp_path: Path, first: str, bed_c: float
 ) -> None:
     """As offline; bed_temp is for a bed without a target."""
@@ -60,7 +60,7 @@ def test_the_bed_that_the_file_asks_for_is_the_one_it_is_laid_on(
     assert float(rows[0]["substrate_c"]) == pytest.approx(bed_c, abs=0.1)
 
 
-def test_path_that_is_queued_at_the_end_of_a_file_is_laid_as_planned(tmp_path: Path) -> None:
+def test_path_that_is_queued_at_the_end_of_a_file_is_deposited_as_planned(tmp_path: Path) -> None:
     """Neither M400 nor M104 S0 ends this file: 2 s of path are to come after its last byte."""
     steps = "".join(f"M104.1 S{200 + 30 * (i % 2)}\n{SQUARE}" for i in range(5))
     watched = print_it(tmp_path, f"M104 S215\nG28\nM83\nG1 X60 Y60 Z0.3 F6000\nM109 S215\n{steps}")

@@ -84,7 +84,7 @@ def check_ranges(watched: Watched, limits: melt_exchange.NozzleLimits) -> None:
             assert low_c - 1e-6 <= min(temps) <= max(temps) <= high_c + 1e-6
 
 
-def most_flow(roads: list[Road], ends: list[float], from_s: float, to_s: float) -> float:
+def max_flow(roads: list[Road], ends: list[float], from_s: float, to_s: float) -> float:
     """Greatest flow within this time."""
     at, found = bisect_right(ends, from_s), 0.0
     while at < len(roads) and roads[at].start_s < to_s:
@@ -128,7 +128,7 @@ def check_step(
 ) -> None:
     """No quicker up than the power allows without flow, no quicker down than losses, holder and melt."""
     (start_s, a), (end_s, b) = start, end
-    flow = most_flow(roads, ends, start_s - GRID_S, end_s + GRID_S)
+    flow = max_flow(roads, ends, start_s - GRID_S, end_s + GRID_S)
     # the rate of the whole step is bounded by that of its end where it is greatest
     cold_c, hot_c = min(a, b), max(a, b)
     held_k_s = limits.holder_w_k / limits.capacity.at(hot_c)
@@ -137,12 +137,12 @@ def check_step(
     down = melt_exchange.cooling_k_s(limits, hot_c, flow) + held_k_s * (hot_c - holder_c)
     assert slope <= up + SLACK_K_S, (start_s, a, b, slope, up)
     assert slope >= -down - SLACK_K_S, (start_s, a, b, slope, down, flow)
-    if flow > 0.0 and most_flow(roads, ends, start_s, end_s) > 0.0:
+    if flow > 0.0 and max_flow(roads, ends, start_s, end_s) > 0.0:
         assert cold_c >= limits.min_extrude_c - 1e-6
 
 
 def check_rows(record: Path) -> int:
-    """What was laid: in order of time, wanted within the material's window."""
+    """What was deposited: in order of time, wanted within the material's window."""
     with record.open(newline="") as stream:
         rows = [
             (float(r["start_s"]), float(r["end_s"]), float(r["wanted_melt_c"]))

@@ -34,9 +34,9 @@ def melt_error(run, rows, offset_s: float) -> float:  # type: ignore[no-untyped-
     trace = np.genfromtxt(run.trace, delimiter=",", names=True)
     times = trace["t_s"] + offset_s
     row = np.clip(np.searchsorted(rows["start_s"], times, side="right") - 1, 0, None)
-    laid = (trace["flow_mm3_s"] > 1.0) & (times < rows["end_s"][row])
-    laid &= (times > rows["start_s"][0] + 3.0) & (times < rows["end_s"][-1] - 1.5)
-    return float(np.sqrt(np.mean((trace["melt_c"] - rows["wanted_melt_c"][row])[laid] ** 2)))
+    deposited = (trace["flow_mm3_s"] > 1.0) & (times < rows["end_s"][row])
+    deposited &= (times > rows["start_s"][0] + 3.0) & (times < rows["end_s"][-1] - 1.5)
+    return float(np.sqrt(np.mean((trace["melt_c"] - rows["wanted_melt_c"][row])[deposited] ** 2)))
 
 
 def test_preview_halves_the_melts_error_at_steps(simulate: Simulate, tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def test_a_targets_repetition_in_the_file_disturbs_nothing(simulate: Simulate, t
 
 
 def test_another_target_in_mid_print_moves_the_plan_by_as_much(simulate: Simulate, tmp_path: Path) -> None:
-    """M104 S205 after S215: what is not asked for by name is laid 10 degC cooler, at once, without a jolt home."""
+    """M104 S205 after S215: what is not asked for by name is deposited 10 degC cooler, at once, without a jolt home."""
     lines = [f"G1 X{90 if i % 2 else 40} E{LINE_E:.4f} F2400\n" for i in range(6)]
     section = SECTION.replace("bonding: no", "bonding: yes\ninterface_temp: 130")
     targets = []
@@ -103,8 +103,8 @@ def test_another_target_in_mid_print_moves_the_plan_by_as_much(simulate: Simulat
         gcode = START + "".join(lines[:4]) + change + "".join(lines[4:]) + "M400\n"
         run = simulate(gcode, config=config(tmp_path, section=section))
         assert run.status == 0, run.stderr
-        laid = np.array(run.column("flow_mm3_s")) > 1.0
-        targets.append((np.flatnonzero(laid), np.array(run.column("target_c"))))
+        deposited = np.array(run.column("flow_mm3_s")) > 1.0
+        targets.append((np.flatnonzero(deposited), np.array(run.column("target_c"))))
     (at, before), (_, after) = targets
     last = slice(at[-1] - 100, at[-1] - 40)  # the sixth line, far behind the change
     # the road beside is cooler by then, too, which the weld wants made up for: a little less than 10
@@ -113,7 +113,9 @@ def test_another_target_in_mid_print_moves_the_plan_by_as_much(simulate: Simulat
 
 
 @pytest.mark.parametrize("how", ["M220 S50\n", "G4 P4000\n"])
-def test_a_print_that_waits_or_slows_is_laid_as_asked(simulate: Simulate, tmp_path: Path, how: str) -> None:
+def test_a_print_that_waits_or_slows_is_deposited_as_asked(
+    simulate: Simulate, tmp_path: Path, how: str
+) -> None:
     """Whatever stretches the print, the melt under way is that which was asked for, and nothing is left behind."""
     record = tmp_path / "rows.csv"
     lines = [f"G1 X{90 if i % 2 else 40} Y{40 + i} E{LINE_E:.4f} F2400\n" for i in range(4)]
@@ -141,7 +143,7 @@ def test_a_record_on_a_full_disk_ends_and_the_print_goes_on(simulate: Simulate, 
     assert run.column("target_c")[-1] == pytest.approx(215.0)  # home: the plan was at work to its end
 
 
-def test_a_hot_tower_is_laid_more_slowly(simulate: Simulate, tmp_path: Path) -> None:
+def test_a_hot_tower_is_deposited_more_slowly(simulate: Simulate, tmp_path: Path) -> None:
     """Layers of 1.6 s would stay above what the coolest melt can weld at 130 degC; without leave they are as told."""
     layers = "".join(
         f";LAYER_CHANGE\nG1 Z{0.3 + 0.2 * n:.1f} F600\nG1 X58 E0.8 F1800\nG1 Y58 E0.8\nG1 X50 E0.8\nG1 Y50 E0.8\n"
@@ -160,12 +162,14 @@ def test_a_hot_tower_is_laid_more_slowly(simulate: Simulate, tmp_path: Path) -> 
         seconds[slowest] = 0.01 * np.sum(flow > 0.2)
         log = run.log.read_text()
         slowed = slowest < 1.0
-        assert log.count("A hot layer is laid at") == slowed, "once, and only where it is"
+        assert log.count("A hot layer is deposited at") == slowed, "once, and only where it is"
         assert ("s longer" in log) == slowed
     assert 1.5 * seconds[1.0] < seconds[0.25] < 4.5 * seconds[1.0], seconds
 
 
-def test_features_and_layers_of_a_sliced_file_are_laid_as_asked(simulate: Simulate, tmp_path: Path) -> None:
+def test_features_and_layers_of_a_sliced_file_are_deposited_as_asked(
+    simulate: Simulate, tmp_path: Path
+) -> None:
     record = tmp_path / "rows.csv"
     body = ""
     for layer in range(3):
@@ -209,7 +213,7 @@ def test_a_bad_command_says_what_would_be_right(
         ("melt_max: 100\n", "melt_max"),
         ("melt_min: 240\n", "not below melt_max, which is 230 C (printer.cfg, line 4)"),
         ("features:\n  infill: warm\n", "'warm' is not a number (printer.cfg, line 4)"),
-        ("features:\n  infill: 2000\n", "PLA, which is laid at 190 to 230 C; melt_min and melt_max say"),
+        ("features:\n  infill: 2000\n", "PLA, which is deposited at 190 to 230 C; melt_min and melt_max say"),
         ("objects:\n  cube: 20\n", "'CUBE: 20' is no melt of PLA"),
         ("layers:\n  2-3: 20\n", "'2-3: 20' is no melt of PLA"),
         ("heights:\n  0.5-3: 231\n", "'0.5-3: 231' is no melt of PLA"),
@@ -234,7 +238,7 @@ def lines(count: int, y_mm: float = 40.0) -> str:
 
 
 def planned_run(simulate: Simulate, folder: Path, gcode: str, more: str = "", args: tuple[str, ...] = ()):  # type: ignore[no-untyped-def]
-    """(run, rows laid, its log): six lines of melt at 228 degC are what the tests have in mind, the user says 215."""
+    """(run, rows deposited, its log): six lines of melt: the tests mean 228 degC, the user says 215."""
     record = folder / "rows.csv"
     run = simulate(
         f"{START}M104.1 S228\n{gcode}", config=config(folder, f"record: {record}\n{more}"), more=args
@@ -244,7 +248,7 @@ def planned_run(simulate: Simulate, folder: Path, gcode: str, more: str = "", ar
 
 
 def test_a_pause_holds_the_users_target_and_resume_the_plan(simulate: Simulate, tmp_path: Path) -> None:
-    """Paused for 16 s: what is queued is laid as planned, then 215; the rest as planned again, nothing is lost."""
+    """Paused for 16 s: what is queued is deposited as planned, then 215; the rest as planned again, nothing is lost."""
     more = (
         "[pause_resume]\n[delayed_gcode later]\ngcode:\n  RESUME\n"
         "[gcode_macro PAUSE]\nrename_existing: BASE_PAUSE\nvariable_target: 0\ngcode:\n  BASE_PAUSE\n"
@@ -256,9 +260,9 @@ def test_a_pause_holds_the_users_target_and_resume_the_plan(simulate: Simulate, 
     gcode = f"{lines(4)}PAUSE\n{lines(4, 50.0)}M400\nG4 P9000\nM400\n"
     run, rows, _ = planned_run(simulate, tmp_path, gcode, more, ("--until", "200"))
     assert run.summary["reason"] == "printed to its end"
-    laid = rows[np.isfinite(rows["interface_c"])]
-    assert np.all(laid["wanted_melt_c"] == 228.0)
-    assert np.sum(laid["end_s"] - laid["start_s"]) == pytest.approx(8 * 1.27, rel=0.05)
+    deposited = rows[np.isfinite(rows["interface_c"])]
+    assert np.all(deposited["wanted_melt_c"] == 228.0)
+    assert np.sum(deposited["end_s"] - deposited["start_s"]) == pytest.approx(8 * 1.27, rel=0.05)
     target, flow = np.array(run.column("target_c")), np.array(run.column("flow_mm3_s"))
     extruding = np.flatnonzero(flow > 1.0)
     gap = np.argmax(np.diff(extruding))
@@ -274,14 +278,16 @@ def test_a_pause_holds_the_users_target_and_resume_the_plan(simulate: Simulate, 
     )  # what a PAUSE macro has saved is the user's, not the plan's
 
 
-def test_cancel_lays_what_is_queued_and_ends_the_plan(simulate: Simulate, tmp_path: Path) -> None:
+def test_cancel_deposits_what_is_queued_and_ends_the_plan(simulate: Simulate, tmp_path: Path) -> None:
     more = (
         "[pause_resume]\n[gcode_macro CANCEL_PRINT]\nrename_existing: BASE_CANCEL\ngcode:\n  BASE_CANCEL\n"
         "  G4 P8000\n  TEMPERATURE_PLAN\n"
     )
     run, rows, log = planned_run(simulate, tmp_path, f"{lines(4)}CANCEL_PRINT\n{lines(4, 50.0)}", more)
-    laid = rows[np.isfinite(rows["interface_c"])]
-    assert np.sum(laid["end_s"] - laid["start_s"]) == pytest.approx(4 * 1.27, rel=0.05)  # what was queued
+    deposited = rows[np.isfinite(rows["interface_c"])]
+    assert np.sum(deposited["end_s"] - deposited["start_s"]) == pytest.approx(
+        4 * 1.27, rel=0.05
+    )  # what was queued
     assert np.array(run.column("target_c"))[-1] == pytest.approx(215.0, abs=0.1)
     assert "Temperature plan (PLA, welds above" in log
 
@@ -290,8 +296,8 @@ def test_m109_in_mid_print_waits_for_the_path_and_not_for_ever(simulate: Simulat
     """It is the user's target from then on; the file goes on when the nozzle is there."""
     gcode = f"{lines(4)}M109 S205\nM104.1 S0\n{lines(4, 50.0)}M400\nG4 P3000\nM400\n"
     run, rows, _ = planned_run(simulate, tmp_path, gcode)
-    laid = rows[np.isfinite(rows["interface_c"])]
-    assert np.sum(laid["end_s"] - laid["start_s"]) == pytest.approx(8 * 1.27, rel=0.05)
+    deposited = rows[np.isfinite(rows["interface_c"])]
+    assert np.sum(deposited["end_s"] - deposited["start_s"]) == pytest.approx(8 * 1.27, rel=0.05)
     true, flow = np.array(run.column("true_c")), np.array(run.column("flow_mm3_s"))
     extruding = np.flatnonzero(flow > 1.0)
     gap = np.argmax(np.diff(extruding))
@@ -326,14 +332,14 @@ sensor_pin: PG3
 
 
 def test_another_tools_roads_are_left_out(simulate: Simulate, tmp_path: Path) -> None:
-    """Only roads of the planned nozzle are in the books, and while the other prints it goes to the user's target."""
+    """Only roads of the planned nozzle are in the totals, and while the other prints it goes to the user's target."""
     gcode = (
         f"{lines(4)}ACTIVATE_EXTRUDER EXTRUDER=extruder1\n{lines(10, 50.0)}"
         f"ACTIVATE_EXTRUDER EXTRUDER=extruder\n{lines(4, 60.0)}M400\nG4 P3000\nM400\n"
     )
     run, rows, _ = planned_run(simulate, tmp_path, gcode, SECOND_TOOL)
-    laid = rows[np.isfinite(rows["interface_c"])]
-    assert np.sum(laid["end_s"] - laid["start_s"]) == pytest.approx(8 * 1.27, rel=0.05)
+    deposited = rows[np.isfinite(rows["interface_c"])]
+    assert np.sum(deposited["end_s"] - deposited["start_s"]) == pytest.approx(8 * 1.27, rel=0.05)
     target, flow = np.array(run.column("target_c")), np.array(run.column("flow_mm3_s"))
     extruding = np.flatnonzero(flow > 1.0)
     gap = np.argmax(np.diff(extruding))

@@ -24,7 +24,7 @@ release_gcode: M118 released
 """
 
 
-def test_a_button_runs_its_gcode_and_tells_its_state(tmp_path: Path) -> None:
+def test_a_button_runs_its_gcode_and_reports_its_state(tmp_path: Path) -> None:
     def body(s: BusSession) -> None:
         assert "config_buttons oid=0 button_count=1" in s.chip.config
         assert "buttons_add oid=0 pos=0 pin=PA5 pull_up=1" in s.chip.config

@@ -181,7 +181,7 @@ def test_pwm_with_a_new_cycle_time_pauses_between(tmp_path: Path) -> None:
 # ---------------------------------------------------------------- fans
 
 
-def test_a_tachometer_tells_revolutions(tmp_path: Path) -> None:
+def test_a_tachometer_reports_revolutions(tmp_path: Path) -> None:
     config = "[fan_generic f]\npin: PB1\ntachometer_pin: ^PB2\ntachometer_ppr: 2\n"
 
     def body(s: BusSession) -> None:

@@ -90,7 +90,7 @@ def test_a_converter_is_set_up_and_watched_by_the_board(tmp_path: Path) -> None:
     run(tmp_path, sensor(options), body)
 
 
-def test_a_fault_is_told_by_name_once_and_gives_no_temperature(tmp_path: Path) -> None:
+def test_a_fault_is_reported_by_name_once_and_gives_no_temperature(tmp_path: Path) -> None:
     def body(s: BusSession) -> None:
         for _ in range(3):
             s.chip.tell("thermocouple_result", 1, next_clock=FREQ, value=0x10001, fault=1)
@@ -200,7 +200,7 @@ def test_the_host_s_temperature_is_read_once_a_second(tmp_path: Path) -> None:
     run(tmp_path, sensor(f"sensor_type: temperature_host\nsensor_path: {path}"), body)
 
 
-def test_a_host_without_that_file_is_told(tmp_path: Path) -> None:
+def test_a_host_without_that_file_is_reported(tmp_path: Path) -> None:
     reason = start_error(tmp_path, sensor("sensor_type: temperature_host\nsensor_path: /nowhere/temp"))
     assert "/nowhere/temp" in reason
 

@@ -106,7 +106,7 @@ def test_pressure_is_that_of_the_bmp280_data_sheet_s_example() -> None:
     assert chip._pressure_pa(fine, 415148) == pytest.approx(100653.27, abs=0.01)
 
 
-def test_a_bmp280_tells_no_humidity(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bmp280_reports_no_humidity(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     table = {**BME280.table, b"\xd0": b"\x58", b"\xf7": BME280.table[b"\xf7"][:6]}
     attach(monkeypatch, Chip(table))
 

@@ -58,7 +58,7 @@ def test_declarations_come_from_the_header(tree: Path) -> None:
     ],
     ids=["packed", "compiled with another macro"],
 )
-def test_structure_that_c_lays_out_otherwise_is_refused(
+def test_structure_that_c_deposits_out_otherwise_is_refused(
     tree: Path, monkeypatch: pytest.MonkeyPatch, header: str, flags: tuple[str, ...]
 ) -> None:
     (tree / "klippy" / "chelper" / "helper_api.h").write_text(header)
@@ -83,7 +83,7 @@ def test_read_only_tree_is_built_in_the_users_cache(tree: Path, monkeypatch: pyt
     assert {path.suffix for path in library.parent.iterdir()} == {".so", ".py"}  # nothing half made
 
 
-def test_missing_compiler_and_bad_source_are_told_in_words(
+def test_missing_compiler_and_bad_source_are_reported_in_words(
     tree: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("CC", "no-such-compiler")

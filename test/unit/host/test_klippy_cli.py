@@ -47,7 +47,7 @@ def test_missing_files_are_named(tmp_path: Path) -> None:
     assert "Traceback" not in answer.stderr
 
 
-def test_a_python_without_the_packages_is_told_how_to_get_them() -> None:
+def test_a_python_without_the_packages_is_reported_how_to_get_them() -> None:
     """As `python3 klippy/klippy.py` with the system's Python; -S: no packages."""
     command = [sys.executable, "-S", str(ROOT / "klippy" / "klippy.py"), "printer.cfg"]
     answer = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)

@@ -338,7 +338,7 @@ def test_only_identify_is_known_before_the_dictionary() -> None:
 # --- parsedump ---
 
 
-def test_dump_decodes_blocks_and_tells_what_is_none(
+def test_dump_decodes_blocks_and_reports_what_is_none(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     dictionary, out = tmp_path / "test.dict", tmp_path / "out"

@@ -106,7 +106,7 @@ def test_unregistered_and_moved_timers() -> None:
     assert seen == ["early", "late"]
 
 
-def test_often_moved_timers_do_not_pile_up() -> None:
+def test_often_moved_timers_do_not_stack_up() -> None:
     reactor = Reactor(VirtualTime())
     timer = reactor.register_timer(lambda eventtime: reactor.NEVER)
     for i in range(10000):

@@ -184,7 +184,7 @@ def test_a_path_is_cut_where_the_correction_has_changed() -> None:
 
 
 def test_no_place_of_a_path_is_off_by_more_than_asked() -> None:
-    """Between corners the path is straight; the surface bends by at most most_change within a piece, and once more over
+    """Between corners the path is straight; the surface bends by at most max_change within a piece, and once more over
     check_distance, which is not looked into."""
 
     def hill(x: float, y: float) -> float:

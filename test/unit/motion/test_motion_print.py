@@ -12,14 +12,14 @@ import pytest
 from test_motion_fast import random_file, run  # noqa: F401 (a fixture)
 
 import msgproto
-from motion_rig import CLOCK_HZ, CONFIG, EXTRUDER, StepTrack, decode, dictionary
+from motion_rig import CLOCK_HZ, CONFIG, EXTRUDER, StepTrace, decode, dictionary
 from sd_host import SDHost
 from toolhead import BUFFER_FULL_S, LookAheadQueue
 
 MACHINE = CONFIG + EXTRUDER + "pressure_advance: 0.04\n[fan]\npin: PE0\n"
 STORAGE = "[virtual_sdcard]\npath: /\n[pause_resume]\n"
 # more than the buffer: moves are planned when so much has come in, and settled moves may be more
-MOST_AHEAD_S = BUFFER_FULL_S + 2.0 * LookAheadQueue.REVIEW_S
+MAX_AHEAD_S = BUFFER_FULL_S + 2.0 * LookAheadQueue.REVIEW_S
 
 
 def rounds(count: int) -> list[str]:
@@ -35,10 +35,10 @@ Body = Callable[[Any, Any], None]
 def places(out: bytes) -> dict[int, list[int]]:
     """Place after each step, by stepper's number."""
     blocks = msgproto.BlockReader().feed(out)
-    tracks: dict[int, StepTrack] = {}
+    tracks: dict[int, StepTrace] = {}
     for params in decode([block.content for block in blocks if block is not None]):
         if params["#name"] in ("queue_step", "set_next_step_dir", "reset_step_clock"):
-            tracks.setdefault(params["oid"], StepTrack()).feed(params)
+            tracks.setdefault(params["oid"], StepTrace()).feed(params)
     return {oid: track.positions for oid, track in tracks.items()}
 
 
@@ -106,7 +106,7 @@ def test_no_more_than_the_buffer_is_planned_ahead(play) -> None:
             ahead.append(toolhead.print_time - toolhead.mcu.estimated_print_time(now))
 
     play(rounds(800), watch)
-    assert min(ahead) > BUFFER_FULL_S - 0.2 and max(ahead) < MOST_AHEAD_S
+    assert min(ahead) > BUFFER_FULL_S - 0.2 and max(ahead) < MAX_AHEAD_S
 
 
 def test_what_is_seen_while_a_print_waits_is_of_one_line(play) -> None:

@@ -156,7 +156,7 @@ def contact(hot_c, cold_c, hot, cold, cells=600, dx=5e-6, step_s=5e-4, steps=300
         (MATERIALS["HDPE"], (0.25, 950.0, 2200.0)),  # itself: the mean
         (MATERIALS["PEI"], (0.13, 1240.0, 1800.0)),  # on PLA
         (MATERIALS["ABS"], (1.1, 2500.0, 800.0)),  # on a glass plate
-        (MATERIALS["PLA"], (0.035, 30.0, 1400.0)),  # on foam board, which HydraRaptor 2007 laid HDPE on
+        (MATERIALS["PLA"], (0.035, 30.0, 1400.0)),  # on foam board, which HydraRaptor 2007 deposited HDPE on
     ],
 )
 def test_contact_of_two_media_agrees_with_finite_differences(hot, cold):
@@ -188,7 +188,7 @@ def test_strands_that_do_not_swell_and_strands_that_cannot_be():
         extrusion.fit_die_swell([1.0, 2.0, 4.0], [450.0, 480.0, 520.0], 1.75)
 
 
-def test_ooze_grows_to_its_total_and_a_cold_spell_adds_to_it():
+def test_ooze_grows_to_its_total_and_a_cold_interval_adds_to_it():
     overrun = extrusion.Overrun(12.0, 3.0)
     assert extrusion.oozed_mm(overrun, 0.0) == 0.0
     assert extrusion.oozed_mm(overrun, 3.0) == pytest.approx(12.0 * (1 - math.exp(-1)))

@@ -23,11 +23,11 @@ def taken(path: PathPieces, ask=lambda time_s, layer, z_mm: PLAIN) -> list[Piece
     ffi, lib = chelper.get_ffi()
     rows = ffi.new("struct tempplan_piece **")
 
-    def take(waiting, wish) -> int:  # type: ignore[no-untyped-def]
-        count = lib.tempplan_path_run(waiting, wish, rows)
+    def take(waiting, request) -> int:  # type: ignore[no-untyped-def]
+        count = lib.tempplan_path_run(waiting, request, rows)
         for row in ffi.unpack(rows[0], count) if count else ():
             place = tuple(row.start_pos), tuple(row.end_pos)
-            rest = row.flow_mm3_s, row.height_mm, row.fan, row.wish_c, row.base_c, row.pace
+            rest = row.flow_mm3_s, row.height_mm, row.fan, row.request_c, row.base_c, row.speed_factor
             pieces.append(Piece(row.start_s, row.end_s, *place, *rest))
         return int(path.facts().waiting)
 
@@ -37,21 +37,21 @@ def taken(path: PathPieces, ask=lambda time_s, layer, z_mm: PLAIN) -> list[Piece
 
 def test_pieces_hold_all_the_filament_and_all_the_time(tmp_path: Path) -> None:
     pieces = taken(collected(tmp_path, LINES).path)
-    laid = [p for p in pieces if p.flow_mm3_s > 0.0]
-    assert sum(p.flow_mm3_s * (p.end_s - p.start_s) for p in laid) == pytest.approx(8.0 * FILAMENT_MM2)
-    assert max(math.dist(p.start_mm, p.end_mm) for p in laid) <= 10.0 + 1e-9
+    deposited = [p for p in pieces if p.flow_mm3_s > 0.0]
+    assert sum(p.flow_mm3_s * (p.end_s - p.start_s) for p in deposited) == pytest.approx(8.0 * FILAMENT_MM2)
+    assert max(math.dist(p.start_mm, p.end_mm) for p in deposited) <= 10.0 + 1e-9
     for a, b in itertools.pairwise(pieces):
         assert b.start_s - a.end_s == pytest.approx(0.0, abs=1e-9) or b.start_s - a.end_s == pytest.approx(
             0.5
         )
-    slow, fast = min(p.flow_mm3_s for p in laid), max(p.flow_mm3_s for p in laid)
+    slow, fast = min(p.flow_mm3_s for p in deposited), max(p.flow_mm3_s for p in deposited)
     assert (
         fast == pytest.approx(2.0 * FILAMENT_MM2 / 40.0 * 50.0) and slow < fast
     )  # cruise, and where it speeds up
-    assert all(p.height_mm == pytest.approx(0.3) for p in laid)
+    assert all(p.height_mm == pytest.approx(0.3) for p in deposited)
 
 
-def test_layers_are_seen_where_material_is_laid(tmp_path: Path) -> None:
+def test_layers_are_seen_where_material_is_deposited(tmp_path: Path) -> None:
     """What is asked for by place is asked for again at each: `seen` are the layers and heights it was told."""
     heights = (0.3, 0.3, 0.5, 0.7, 0.9, 0.2, 0.4)
     text = "".join(f"G1 Z{z}\nG1 X{10 * (1 + i % 2)} E1 F600\n" for i, z in enumerate(heights))
@@ -60,13 +60,13 @@ def test_layers_are_seen_where_material_is_laid(tmp_path: Path) -> None:
 
     def ask(time_s: float, layer: int, z_mm: float) -> Asked:
         seen.append((layer, z_mm))
-        return Asked(wish_c=200.0 + layer, by_place=True)
+        return Asked(request_c=200.0 + layer, by_place=True)
 
     pieces = taken(path, ask)
-    laid = [p for p in pieces if p.flow_mm3_s > 0.0]
-    at = {p.end_mm[2]: p for p in laid}
+    deposited = [p for p in pieces if p.flow_mm3_s > 0.0]
+    at = {p.end_mm[2]: p for p in deposited}
     assert [at[z].height_mm for z in heights] == pytest.approx([0.3, 0.3, 0.2, 0.2, 0.2, 0.2, 0.2])
-    assert [at[z].wish_c for z in heights] == [
+    assert [at[z].request_c for z in heights] == [
         201.0,
         201.0,
         202.0,
@@ -81,21 +81,21 @@ def test_layers_are_seen_where_material_is_laid(tmp_path: Path) -> None:
     assert {p.height_mm for p in told if p.flow_mm3_s > 0.0} == {0.15}  # the slicer knows better
 
 
-def test_another_wish_begins_with_the_first_move_that_starts_behind_its_mark(tmp_path: Path) -> None:
+def test_another_request_begins_with_the_first_move_that_starts_behind_its_mark(tmp_path: Path) -> None:
     text = "M83\n" + "".join(f"G1 X{10 * (i + 1)} E1 F600\n" for i in range(6))
     reader = collected(tmp_path, text)
     starts = [m.print_time for m in reader.moves]
 
     def ask(time_s: float, layer: int, z_mm: float) -> Asked:
         before = time_s < starts[3]
-        return Asked(wish_c=210.0 if before else 230.0, until_s=starts[3] if before else math.inf)
+        return Asked(request_c=210.0 if before else 230.0, until_s=starts[3] if before else math.inf)
 
     pieces = taken(reader.path, ask)
-    assert [p.wish_c for p in pieces] == [210.0 if p.start_s < starts[3] - 1e-9 else 230.0 for p in pieces]
-    assert {p.wish_c for p in pieces} == {210.0, 230.0}
+    assert [p.request_c for p in pieces] == [210.0 if p.start_s < starts[3] - 1e-9 else 230.0 for p in pieces]
+    assert {p.request_c for p in pieces} == {210.0, 230.0}
 
 
-def test_what_has_been_laid_unplanned_is_forgotten(tmp_path: Path) -> None:
+def test_what_has_been_deposited_unplanned_is_forgotten(tmp_path: Path) -> None:
     reader = collected(tmp_path, "M83\n" + "".join(f"G1 X{10 * (i + 1)} E1 F600\n" for i in range(6)))
     path, third_s = reader.path, reader.moves[2].print_time
     path.drop(third_s + 1e-9)

@@ -1,4 +1,4 @@
-"""The map of laid roads: cooling law against finite differences and a published measurement; bounded memory."""
+"""The map of deposited roads: cooling law against finite differences and a published measurement; bounded memory."""
 
 import math
 
@@ -22,7 +22,17 @@ class Wall:
     LAYERS = 8
 
     def __init__(
-        self, material, laid_c, base_c, air_c, h_w_m2k, thick_mm, width_mm, cells=10, across=8, step_s=4e-3
+        self,
+        material,
+        deposited_c,
+        base_c,
+        air_c,
+        h_w_m2k,
+        thick_mm,
+        width_mm,
+        cells=10,
+        across=8,
+        step_s=4e-3,
     ):
         self.cells, self.step_s = cells, step_s
         alpha = 1e6 * material.diffusivity_m2_s
@@ -37,7 +47,7 @@ class Wall:
         field = sparse.kron(down, sparse.eye(across)) + sparse.kron(sparse.eye(rows), aside)
         self.solve = splu(sparse.csc_matrix(sparse.eye(rows * across) - step_s * field)).solve
         self.field_c = np.full((rows, across), float(base_c))
-        self.field_c[:cells] = laid_c
+        self.field_c[:cells] = deposited_c
 
     @staticmethod
     def _chain(count, exchange):
@@ -56,37 +66,37 @@ class Wall:
         return np.array(rows)
 
 
-def cooling_pile(material, laid_c, base_c, air_c, h_w_m2k, thick_mm, ages_s, side_per_mm):
+def cooling_stack(material, deposited_c, base_c, air_c, h_w_m2k, thick_mm, ages_s, side_per_mm):
     """The same with the map a print uses: the two newest layers' temperatures at each age."""
     around = deposit.Surroundings(bed_c=air_c, chamber_c=air_c, still_w_m2k=h_w_m2k)
-    laid, rows = deposit.DepositMap(material, around), []
+    deposited, rows = deposit.DepositMap(material, around), []
     for age_s in ages_s:
         thick = [thick_mm] * (deposit.NODES - 1) + [deposit.FAR_MM]
-        temps = [laid_c] + [base_c] * (deposit.NODES - 1)
+        temps = [deposited_c] + [base_c] * (deposit.NODES - 1)
         column = deposit.Column(0.0, 50.0, 0.0, base_c, 1.0, 1.0, side_per_mm, thick, temps)
-        laid.cool(column, age_s)
+        deposited.cool(column, age_s)
         rows.append(column.temp_c[:2])
     return np.array(rows)
 
 
-def layer_on_half_space(fourier, laid_c, base_c):
+def layer_on_half_space(fourier, deposited_c, base_c):
     """Upper face and weld of a layer after fourier = alpha t/d2, no loss to the air, layer and base of one medium:
     Carslaw & Jaeger, by images."""
     reach = 2.0 * math.sqrt(fourier)
-    face_c = base_c + (laid_c - base_c) * math.erf(1.0 / reach)
-    return face_c, base_c + 0.5 * (laid_c - base_c) * math.erf(2.0 / reach)
+    face_c = base_c + (deposited_c - base_c) * math.erf(1.0 / reach)
+    return face_c, base_c + 0.5 * (deposited_c - base_c) * math.erf(2.0 / reach)
 
 
 @pytest.mark.parametrize(("fourier", "within_c"), [(0.25, 7.0), (0.5, 3.0), (1.0, 1.0), (4.0, 1.5)])
-def test_the_pile_agrees_with_the_exact_solution_of_a_layer_on_a_half_space(fourier, within_c):
+def test_the_stack_agrees_with_the_exact_solution_of_a_layer_on_a_half_space(fourier, within_c):
     """The newest node stands for the road's upper face, which the next layer meets, the mean of the two newest for the
     weld between them. One node a layer lags at first; 0.25 d2/alpha are 0.26 s at 0.3 mm, and no layer comes that soon.
     """
     age_s = fourier * 0.3**2 / (1e6 * ABS.diffusivity_m2_s)
     face_c, weld_c = layer_on_half_space(fourier, 230.0, 80.0)
-    pile = cooling_pile(ABS, 230.0, 80.0, 25.0, 0.0, 0.3, [age_s], 0.0)[0]
-    assert pile[0] == pytest.approx(face_c, abs=within_c)
-    assert pile.mean() == pytest.approx(weld_c, abs=1.5)
+    stack = cooling_stack(ABS, 230.0, 80.0, 25.0, 0.0, 0.3, [age_s], 0.0)[0]
+    assert stack[0] == pytest.approx(face_c, abs=within_c)
+    assert stack.mean() == pytest.approx(weld_c, abs=1.5)
 
 
 def test_finite_differences_agree_with_the_exact_solution():
@@ -100,15 +110,15 @@ def test_finite_differences_agree_with_the_exact_solution():
 
 @pytest.mark.parametrize(("thick_mm", "h_w_m2k"), [(0.3, 60.0), (0.2, 30.0), (0.2, 90.0)])
 def test_a_single_wall_cools_as_in_two_dimensions(thick_mm, h_w_m2k):
-    """The pile knows flanks as a loss per volume only (Biot number h w/2k below 0.12)."""
+    """The stack knows flanks as a loss per volume only (Biot number h w/2k below 0.12)."""
     width_mm = 0.45
     fine = Wall(ABS, 230.0, 80.0, 40.0, h_w_m2k, thick_mm, width_mm).run(4.0)
     for age_s, within_c in ((0.5, 8.0), (1.0, 4.0), (2.0, 2.5), (4.0, 2.5)):
         _, road_c, weld_c, face_c = fine[round(age_s / 4e-3) - 1]
-        pile = cooling_pile(ABS, 230.0, 80.0, 40.0, h_w_m2k, thick_mm, [age_s], 2.0 / width_mm)[0]
-        assert pile[0] == pytest.approx(road_c, abs=within_c)
-        assert pile[0] == pytest.approx(face_c, abs=4.0)  # what the next layer meets
-        assert pile.mean() == pytest.approx(weld_c, abs=5.0)
+        stack = cooling_stack(ABS, 230.0, 80.0, 40.0, h_w_m2k, thick_mm, [age_s], 2.0 / width_mm)[0]
+        assert stack[0] == pytest.approx(road_c, abs=within_c)
+        assert stack[0] == pytest.approx(face_c, abs=4.0)  # what the next layer meets
+        assert stack.mean() == pytest.approx(weld_c, abs=5.0)
 
 
 MEASURED_K_S, MEASURED_S, EITHER_WAY = 100.0, 1.0, 1.5
@@ -126,16 +136,16 @@ def test_a_road_of_abs_cools_as_was_measured_by_infrared(base_c):
     of 1.5: both figures are given to one digit, and what is not given moves them by as much: sublayer 60 to 80 degC by
     25 %, exchange 30 to 90 W/m2K by 30 %, ABS's diffusivity by 50 % (Horoshailo 2019's range).
     """
-    thick_mm, width_mm, laid_c, air_c, h_w_m2k = 0.3, 0.45, 230.0, 40.0, 60.0
+    thick_mm, width_mm, deposited_c, air_c, h_w_m2k = 0.3, 0.45, 230.0, 40.0, 60.0
     ages = np.linspace(0.02, 4.0, 200)
-    pile = cooling_pile(ABS, laid_c, base_c, air_c, h_w_m2k, thick_mm, ages, 2.0 / width_mm)
-    fine = Wall(ABS, laid_c, base_c, air_c, h_w_m2k, thick_mm, width_mm).run(4.0)
+    stack = cooling_stack(ABS, deposited_c, base_c, air_c, h_w_m2k, thick_mm, ages, 2.0 / width_mm)
+    fine = Wall(ABS, deposited_c, base_c, air_c, h_w_m2k, thick_mm, width_mm).run(4.0)
     for times, road_c, weld_c in (
-        (ages, pile[:, 0], pile.mean(axis=1)),
+        (ages, stack[:, 0], stack.mean(axis=1)),
         (fine[:, 0], fine[:, 1], fine[:, 2]),
     ):
         road_s, weld_s = times[np.argmax(road_c < ABS.bonding_c)], times[np.argmax(weld_c < ABS.bonding_c)]
-        rate_k_s = (laid_c - ABS.bonding_c) / road_s
+        rate_k_s = (deposited_c - ABS.bonding_c) / road_s
         steepest_k_s = -np.gradient(weld_c, times).min()
         print(
             f"road {rate_k_s:.0f} K/s to Tg in {road_s:.2f} s; weld above it {weld_s:.2f} s, {steepest_k_s:.0f} K/s"
@@ -145,7 +155,7 @@ def test_a_road_of_abs_cools_as_was_measured_by_infrared(base_c):
         assert steepest_k_s < MEASURED_K_S / EITHER_WAY  # it is not the plane's slope that was given
 
 
-def fine_pile(layers, thick_mm, layer_s, melt_c, around, side_per_mm, cells=20, steps=1000):
+def fine_stack(layers, thick_mm, layer_s, melt_c, around, side_per_mm, cells=20, steps=1000):
     """What each new layer meets: implicit finite differences, 20 cells a layer, written without the map's code."""
     loss = 1e3 * around.still_w_m2k / (ABS.density_kg_m3 * ABS.heat_j_kgk)
     dz, step_s = thick_mm / cells, layer_s / steps
@@ -168,12 +178,12 @@ def fine_pile(layers, thick_mm, layer_s, melt_c, around, side_per_mm, cells=20, 
     return np.array(met)
 
 
-def coarse_pile(layers, thick_mm, layer_s, melt_c, around, filled):
-    laid = deposit.DepositMap(ABS, around)
+def coarse_stack(layers, thick_mm, layer_s, melt_c, around, filled):
+    deposited = deposit.DepositMap(ABS, around)
     length_mm = filled * 4.0 / 0.45  # so much road in a column of 2 mm
     return np.array(
         [
-            laid.lay(
+            deposited.deposit(
                 (1.0, 1.0, thick_mm * (n + 1)), layer_s * n, melt_c, thick_mm, 100.0 * n, 0.45, length_mm
             )
             for n in range(layers)
@@ -190,77 +200,82 @@ def coarse_pile(layers, thick_mm, layer_s, melt_c, around, filled):
         (0.15, 5.0, 60.0, 0.225, 3.5),
     ],
 )
-def test_a_pile_of_layers_agrees_with_finite_differences(thick_mm, layer_s, still, filled, within_c):
+def test_a_stack_of_layers_agrees_with_finite_differences(thick_mm, layer_s, still, filled, within_c):
     """One node a layer against twenty cells: what is met is the mean of a layer, not its upper face. 3.5 degC of
     substrate are 1.7 degC of weld, a tenth of what layers of unlike places differ by.
     """
     around = deposit.Surroundings(bed_c=90.0, chamber_c=40.0, still_w_m2k=still)
     side = 2.0 * (1.0 - filled) / 0.45
-    fine = fine_pile(20, thick_mm, layer_s, 220.0, around, side)
-    coarse = coarse_pile(20, thick_mm, layer_s, 220.0, around, filled)
+    fine = fine_stack(20, thick_mm, layer_s, 220.0, around, side)
+    coarse = coarse_stack(20, thick_mm, layer_s, 220.0, around, filled)
     assert np.abs(fine - coarse).max() < within_c
     assert np.ptp(fine) > within_c  # there is something to agree about
 
 
 def test_small_layers_stay_warmer_than_large_ones():
     around = deposit.Surroundings()
-    quick, slow = (coarse_pile(40, 0.2, layer_s, 230.0, around, 1.0)[-1] for layer_s in (3.0, 60.0))
+    quick, slow = (coarse_stack(40, 0.2, layer_s, 230.0, around, 1.0)[-1] for layer_s in (3.0, 60.0))
     assert quick > slow + 50.0  # a block of 3 s a layer is molten through
     assert slow > 24.0
 
 
 def test_a_single_wall_cools_through_its_flanks():
     around = deposit.Surroundings()
-    wall, block = (coarse_pile(40, 0.2, 5.0, 230.0, around, filled)[-1] for filled in (0.225, 1.0))
+    wall, block = (coarse_stack(40, 0.2, 5.0, 230.0, around, filled)[-1] for filled in (0.225, 1.0))
     assert wall < block - 20.0
 
 
 def test_a_road_is_not_its_own_substrate():
-    laid = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=90.0))
-    met = [laid.lay((0.1 * n, 0.0, 0.2), 0.002 * n, 230.0, 0.2, 0.1 * n, length_mm=0.1) for n in range(60)]
+    deposited = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=90.0))
+    met = [
+        deposited.deposit((0.1 * n, 0.0, 0.2), 0.002 * n, 230.0, 0.2, 0.1 * n, length_mm=0.1)
+        for n in range(60)
+    ]
     assert met == [90.0] * 60  # 6 mm in three columns, chords of 0.1 mm
-    column = laid._cells[0, 0]
-    laid.cool(column, 0.3)
+    column = deposited._cells[0, 0]
+    deposited.cool(column, 0.3)
     neighbour_c = column.temp_c[0]
     assert 100.0 < neighbour_c < 200.0
-    back = laid.lay((0.5, 0.4, 0.2), 0.3, 230.0, 0.2, odometer_mm=50.0, width_mm=0.4)
+    back = deposited.deposit((0.5, 0.4, 0.2), 0.3, 230.0, 0.2, odometer_mm=50.0, width_mm=0.4)
     assert back == pytest.approx((0.4 * 90.0 + 0.2 * neighbour_c) / 0.6)
 
 
 def test_a_leaning_wall_lies_on_the_wall_beside_it():
     """Its road leaves a column for the next one, where nothing lies: no bed is met 8 mm above it."""
-    laid = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=100.0))
+    deposited = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=100.0))
     met = [
-        laid.lay((0.05 * n, 1.0, 0.2 * (n + 1)), 4.0 * n, 230.0, 0.2, 100.0 * n, length_mm=2.0)
+        deposited.deposit((0.05 * n, 1.0, 0.2 * (n + 1)), 4.0 * n, 230.0, 0.2, 100.0 * n, length_mm=2.0)
         for n in range(60)
     ]
     inside, entering = met[35:39], met[40]
     assert abs(entering - inside[-1]) < 2.0
-    alone = laid.lay((31.0, 1.0, 12.0), 250.0, 230.0, 0.2, 7000.0)
-    assert alone == pytest.approx(laid.surroundings.around_c(12.0))  # in mid air
+    alone = deposited.deposit((31.0, 1.0, 12.0), 250.0, 230.0, 0.2, 7000.0)
+    assert alone == pytest.approx(deposited.surroundings.around_c(12.0))  # in mid air
 
 
 def test_where_a_part_stood_the_next_one_finds_the_bed():
     """Two prints without a sign between them: the first is 4 mm high and still warm."""
-    laid = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=60.0))
+    deposited = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=60.0))
     for i in range(20):
-        laid.lay((1.0, 1.0, 0.2 * (i + 1)), 5.0 * i, 240.0, 0.2, 100.0 * i)
-    assert laid.lay((1.0, 1.0, 2.4), 101.0, 240.0, 0.2, 2100.0) > 70.0  # as low as that it may be a bent bed
-    assert laid.lay((1.0, 1.0, 0.2), 110.0, 240.0, 0.2, 2200.0) == 60.0
-    assert 60.0 < laid.lay((1.0, 1.0, 0.4), 115.0, 240.0, 0.2, 2300.0) < 240.0
+        deposited.deposit((1.0, 1.0, 0.2 * (i + 1)), 5.0 * i, 240.0, 0.2, 100.0 * i)
+    assert (
+        deposited.deposit((1.0, 1.0, 2.4), 101.0, 240.0, 0.2, 2100.0) > 70.0
+    )  # as low as that it may be a bent bed
+    assert deposited.deposit((1.0, 1.0, 0.2), 110.0, 240.0, 0.2, 2200.0) == 60.0
+    assert 60.0 < deposited.deposit((1.0, 1.0, 0.4), 115.0, 240.0, 0.2, 2300.0) < 240.0
 
 
 def test_memory_goes_with_area_not_with_moves():
-    laid = deposit.DepositMap(ABS, deposit.Surroundings())
+    deposited = deposit.DepositMap(ABS, deposit.Surroundings())
     for n in range(20000):
         at = ((n * 7 % 200) / 10, (n * 13 % 200) / 10, 0.2 + n // 200 * 0.2)
-        laid.lay(at, n * 0.05, 230.0, 0.2, odometer_mm=2.0 * n)
-    assert len(laid) <= 100  # 20 mm square in 2 mm cells
+        deposited.deposit(at, n * 0.05, 230.0, 0.2, odometer_mm=2.0 * n)
+    assert len(deposited) <= 100  # 20 mm square in 2 mm cells
 
 
 def test_empty_bed_is_the_first_substrate():
-    laid = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=100.0))
-    assert laid.lay((0.0, 0.0, 0.2), 0.0, 230.0, 0.2, odometer_mm=0.0) == 100.0
+    deposited = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=100.0))
+    assert deposited.deposit((0.0, 0.0, 0.2), 0.0, 230.0, 0.2, odometer_mm=0.0) == 100.0
 
 
 def test_every_number_of_a_material_names_a_known_source():

@@ -71,7 +71,7 @@ def test_random_segments_never_break_a_limit(rows, start_c, power_w):
     planner = Planner(limits)
     start_c = min(start_c, planner.ceiling_c)
     segments, melts = chain(rows)
-    points = planner.plan(segments, [Want(melt_c, wish_c=melt_c) for melt_c in melts], start_c)
+    points = planner.plan(segments, [Want(melt_c, request_c=melt_c) for melt_c in melts], start_c)
     assert points[0].time_s == segments[0].start_s and points[-1].time_s == segments[-1].end_s
     for p in points:
         assert limits.min_extrude_c - 1e-6 <= p.temp_c <= planner.ceiling_c + 1e-6 <= limits.max_c + 1e-5
@@ -93,7 +93,7 @@ def steps_of_15_degrees():
     segments, melts = chain([(1.5, 0.0, 5.0, 215.0 if i % 2 else 200.0) for i in range(20)])
     planner = Planner(LIMITS)
     start_c = planner.wall(Want(200.0), 5.0)
-    points = planner.plan(segments, [Want(melt_c, wish_c=melt_c) for melt_c in melts], start_c)
+    points = planner.plan(segments, [Want(melt_c, request_c=melt_c) for melt_c in melts], start_c)
     times = np.arange(10.0, segments[-1].end_s, 1e-3)
     wanted = np.array([melts[min(19, int((t - 10.0) / 1.5))] for t in times])
     planned = np.interp(times, [p.time_s for p in points], [p.temp_c for p in points])
@@ -106,11 +106,11 @@ def melt_error(times, wanted, reference, exchange):
     skin, dt = reference[0], 1e-3
     second = 20 + (skin - 20) * 41.1 / 57.1
     wall, taken = np.empty_like(times), exchange.heat_w_k(5.0)
-    for i, aim in enumerate(reference):
+    for i, target in enumerate(reference):
         loss = 7.16e-3 * (skin - 20) + 5.67e-12 * ((skin + 273.15) ** 4 - 293.15**4)
         loss += 41.1e-3 * (skin - second) + taken * (skin - 25)
         capacity = LIMITS.capacity.at(skin)
-        power = min(LIMITS.power_w, max(0.0, loss + capacity * (aim - skin) / dt))
+        power = min(LIMITS.power_w, max(0.0, loss + capacity * (target - skin) / dt))
         second += dt / 0.572 * (41.1e-3 * (skin - second) - 16e-3 * (second - 20))
         skin += dt * (power - loss) / capacity
         wall[i] = skin
@@ -155,7 +155,7 @@ def test_a_wrong_melt_exchange_adds_a_constant_error_and_nothing_else():
     st.floats(200.0, 280.0),
 )
 def test_no_path_within_the_limits_comes_nearer_to_what_is_wanted(rows, start_c):
-    """Against a general solver: T = start + sum of steps, each within the limits, least squares of w (T - aim)^2."""
+    """Against a general solver: T = start + sum of steps, each within the limits, least squares of w (T - target)^2."""
     step_s, fall_k_s, rise_k_s = 0.05, 12.0, 130.0
     nodes = [Node(step_s * (i + 1), w, aim_c, 0.0, 500.0, 0.0) for i, (w, aim_c) in enumerate(rows)]
     temps = best_path(nodes, 0.0, start_c, lambda at_c, falls, melt_w_k: fall_k_s if falls else rise_k_s)

@@ -114,7 +114,7 @@ def test_volumetric_e_and_the_flow_factor_are_multiplied(tmp_path: Path) -> None
 TOOL = "[extruder1]\nmax_temp: 300\n"
 
 
-def test_what_a_tool_with_another_nozzle_lays_is_left_out(tmp_path: Path) -> None:
+def test_what_a_tool_with_another_nozzle_deposits_is_left_out(tmp_path: Path) -> None:
     text = (
         f"{START}G1 X10 E1 F3000\nT1\nM104 S255\nG1 X20 E1\nM104 T0 S230\nG1 X30\n"
         "T0\nG1 X40 E1\nM104 S245\nG1 X50 E1\n"
@@ -140,7 +140,7 @@ def test_macros_of_the_config_lay_what_they_move(tmp_path: Path) -> None:
     assert plan.base_c == 238.0
 
 
-def test_arcs_are_laid_as_arcs(tmp_path: Path) -> None:
+def test_arcs_are_deposited_as_arcs(tmp_path: Path) -> None:
     """Half a circle of 10 mm radius from (10, 0) over (0, 10) to (-10, 0), with its filament spread evenly."""
     arcs = CONFIG + "[gcode_arcs]\nresolution: 0.5\n"
     text = "M83\nG1 X10 Y0 F3000\n{} X-10 Y0 I-10 J0 E3.14\n"

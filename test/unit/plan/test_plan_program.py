@@ -108,7 +108,7 @@ def test_what_is_written_keeps_away_from_max_temp(tmp_path: Path, heater: str) -
         ([], CONFIG.replace("max_accel: 3000", "max_accel: -1"), LINES, "max_accel"),
     ],
 )
-def test_wrong_input_is_told_in_a_line(
+def test_wrong_input_is_reported_in_a_line(
     tmp_path: Path, options: list[str], config: str, gcode: str, words: str
 ) -> None:
     done = tool(tmp_path, *options, config=config, gcode=gcode)

@@ -11,15 +11,15 @@ from lookahead import LookAheadQueue, Move
 from thermal.models.melt_exchange import NozzleLimits
 from thermal.plan.deposit import Surroundings
 from thermal.plan.materials import MATERIALS
-from thermal.plan.planner import Craft
-from thermal.plan.requests import Comment, WishTable
+from thermal.plan.planner import PlanOptions
+from thermal.plan.requests import Comment, RequestTable
 from thermal.plan.session import COMMIT_S, PlanSettings, Session, Turn
 
-TABLE = WishTable(features={"perimeter": 240.0, "infill": 225.0})
+TABLE = RequestTable(features={"perimeter": 240.0, "infill": 225.0})
 SETTINGS = PlanSettings(
     material=MATERIALS["ABS"],
     surroundings=Surroundings(bed_c=100.0, chamber_c=40.0),
-    options=Craft(),
+    options=PlanOptions(),
     table=TABLE,
     slowest=0.2,
     longest_pause_s=0.0,
@@ -90,7 +90,7 @@ def test_a_named_feature_holds_from_its_mark_on() -> None:
     comment(session, "infill", middle_s)
     head.roads(4)
     session.work(9.5)
-    session.book(math.inf)
+    session.record(math.inf)
     rows = session.take_rows()
     assert {row.wanted_melt_c for row in rows if row.start_s < middle_s - 1e-6} == {240.0}
     assert {row.wanted_melt_c for row in rows if row.start_s > middle_s - 1e-6} == {225.0}
@@ -159,7 +159,7 @@ def test_another_print_begins_on_an_empty_bed_and_is_led_on_by_the_one_before() 
     head.roads(3)
     before = session.work(9.5).reference
     assert before is not None
-    session.book(math.inf)
+    session.record(math.inf)
     assert session.plan.summary().pieces > 0
     session.begin(NozzleLimits(), 15.0)
     session.forget_requests()

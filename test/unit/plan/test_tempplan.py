@@ -15,7 +15,7 @@ from thermal.control.control_api import Reference
 from thermal.models import melt_exchange
 from thermal.plan import deposit, weld
 from thermal.plan.materials import MATERIALS
-from thermal.plan.planner import Craft, Piece, TemperaturePlan
+from thermal.plan.planner import Piece, PlanOptions, TemperaturePlan
 from thermal.plan.set_points import NODE_S, Planner, PlanPoint, Want, wall_wanted
 from thermal.records import FlowSegment
 
@@ -25,8 +25,8 @@ AROUND = deposit.Surroundings(bed_c=100.0, chamber_c=40.0)
 BASE_C = 240.0
 
 
-def line(start_s, duration_s, x0, y0, x1, y1, z=0.2, flow=4.0, wish=math.nan, base=BASE_C, fan=0.0):
-    return Piece(start_s, start_s + duration_s, (x0, y0, z), (x1, y1, z), flow, 0.2, fan, wish, base)
+def line(start_s, duration_s, x0, y0, x1, y1, z=0.2, flow=4.0, request=math.nan, base=BASE_C, fan=0.0):
+    return Piece(start_s, start_s + duration_s, (x0, y0, z), (x1, y1, z), flow, 0.2, fan, request, base)
 
 
 ROWS = st.lists(
@@ -45,9 +45,9 @@ ROWS = st.lists(
 
 def pieces_of(rows):
     now_s, x, y, pieces = 10.0, 0.0, 0.0, []
-    for number, (duration_s, gap_s, flow, wish, x1, y1) in enumerate(rows):
+    for number, (duration_s, gap_s, flow, request, x1, y1) in enumerate(rows):
         now_s += gap_s
-        pieces.append(line(now_s, duration_s, x, y, x1, y1, 0.2 + 0.2 * (number // 6), flow, wish))
+        pieces.append(line(now_s, duration_s, x, y, x1, y1, 0.2 + 0.2 * (number // 6), flow, request))
         now_s, x, y = now_s + duration_s, x1, y1
     return pieces
 
@@ -58,12 +58,12 @@ def both_ramps(rows, start_c, power_w, interface_c):
     planner = Planner(limits, (ABS.low_c, ABS.high_c), 0.3)
     start_c = min(start_c, planner.ceiling_c)
     pieces = pieces_of(rows)
-    plan = TemperaturePlan(limits, ABS, AROUND, Craft(interface_c=interface_c, smooth_s=0.3))
+    plan = TemperaturePlan(limits, ABS, AROUND, PlanOptions(interface_c=interface_c, smooth_s=0.3))
     added = plan.add(pieces)
     wants = []
     for piece, (substrate_c, melt_c, wall_c) in zip(pieces, added, strict=True):
-        free_c = 2.0 * interface_c - substrate_c if interface_c and math.isnan(piece.wish_c) else math.nan
-        wants.append(Want(melt_c if piece.flow_mm3_s > 0.0 else math.nan, free_c, piece.wish_c))
+        free_c = 2.0 * interface_c - substrate_c if interface_c and math.isnan(piece.request_c) else math.nan
+        wants.append(Want(melt_c if piece.flow_mm3_s > 0.0 else math.nan, free_c, piece.request_c))
         if piece.flow_mm3_s > 0.0:
             assert wall_c == pytest.approx(
                 wall_wanted(limits, planner.ceiling_c, melt_c, piece.flow_mm3_s), abs=1e-9
@@ -103,7 +103,7 @@ def test_the_ramps_are_those_of_the_reference(seed):
     ROWS, st.floats(170.0, 300.0), st.sampled_from([15.0, 30.0, 65.0]), st.sampled_from([None, 130.0, 155.0])
 )
 def test_the_ramps_of_any_path_are_those_of_the_reference_to_a_node(rows, start_c, power_w, interface_c):
-    """0.3 degC, at that moment or within a node of it: where next to nothing is laid two climbs cost alike, and a
+    """0.3 degC, at that moment or within a node of it: where next to nothing is deposited two climbs cost alike, and a
     rounding error decides which node the path takes."""
     times, got_c, expected = both_ramps(rows, start_c, power_w, interface_c)
     shifts_s = (-NODE_S, -0.5 * NODE_S, 0.0, 0.5 * NODE_S, NODE_S)
@@ -127,9 +127,9 @@ def test_the_map_is_that_of_the_reference(heights_mm, rows):
             p._replace(start_mm=(*p.start_mm[:2], z), end_mm=(*p.end_mm[:2], z))
             for p, z in zip(pieces, heights, strict=False)
         ]
-    plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft(interface_c=150.0))
+    plan = TemperaturePlan(LIMITS, ABS, AROUND, PlanOptions(interface_c=150.0))
     wanted = plan.add(pieces)
-    laid = deposit.DepositMap(ABS, AROUND)
+    deposited = deposit.DepositMap(ABS, AROUND)
     odometer_mm = 0.0
     for piece, (substrate_c, melt_c, _) in zip(pieces, wanted, strict=True):
         length = math.dist(piece.start_mm[:2], piece.end_mm[:2])
@@ -145,25 +145,25 @@ def test_the_map_is_that_of_the_reference(heights_mm, rows):
             at = tuple(a + along * (b - a) for a, b in zip(piece.start_mm, piece.end_mm, strict=True))
             time_s = piece.start_s + along * (piece.end_s - piece.start_s)
             odometer_mm += length / count
-            met.append(laid.lay(at, time_s, melt_c, 0.2, odometer_mm, width, length / count))
+            met.append(deposited.deposit(at, time_s, melt_c, 0.2, odometer_mm, width, length / count))
         assert substrate_c == pytest.approx(sum(met) / count, abs=1e-6)
-    assert plan.sizes()[0] == len(laid)
+    assert plan.sizes()[0] == len(deposited)
 
 
 def test_a_cold_substrate_asks_for_a_hotter_melt_within_the_window():
-    plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft(interface_c=160.0))
+    plan = TemperaturePlan(LIMITS, ABS, AROUND, PlanOptions(interface_c=160.0))
     ((substrate_c, melt_c, _),) = plan.add([line(0.0, 0.5, 0, 0, 20, 0)])
     assert substrate_c == 100.0 and melt_c == pytest.approx(2 * 160.0 - 100.0)
     ((_, cooler_c, _),) = plan.add([line(0.5, 0.5, 20, 0.4, 0, 0.4)])  # beside the fresh road
     assert ABS.low_c <= cooler_c < melt_c
-    hot = TemperaturePlan(LIMITS, ABS, AROUND, Craft(interface_c=250.0))
+    hot = TemperaturePlan(LIMITS, ABS, AROUND, PlanOptions(interface_c=250.0))
     ((_, clamped_c, _),) = hot.add([line(0.0, 0.5, 0, 0, 20, 0)])
     assert clamped_c == ABS.high_c
 
 
 def test_what_is_asked_for_by_name_wins_over_the_weld():
-    plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft(interface_c=160.0))
-    ((_, melt_c, wall_c),) = plan.add([line(0.0, 0.5, 0, 0, 20, 0, wish=233.0)])
+    plan = TemperaturePlan(LIMITS, ABS, AROUND, PlanOptions(interface_c=160.0))
+    ((_, melt_c, wall_c),) = plan.add([line(0.0, 0.5, 0, 0, 20, 0, request=233.0)])
     assert melt_c == 233.0
     assert wall_c == pytest.approx(wall_wanted(LIMITS, 300.0, 233.0, 4.0))
 
@@ -171,11 +171,11 @@ def test_what_is_asked_for_by_name_wins_over_the_weld():
 def test_the_core_of_a_fast_filament_asks_for_a_hotter_wall():
     slow_flow, fast_flow = 1.0, 12.0
     limits = melt_exchange.NozzleLimits(max_c=500.0)
-    plan = TemperaturePlan(limits, ABS, AROUND, Craft(core=True, zone_mm=20.0))
+    plan = TemperaturePlan(limits, ABS, AROUND, PlanOptions(core=True, zone_mm=20.0))
     (_, _, slow_c), (_, _, fast_c) = plan.add(
         [
-            line(0.0, 0.5, 0, 0, 2, 0, flow=slow_flow, wish=220.0),
-            line(0.5, 0.5, 9, 9, 20, 9, flow=fast_flow, wish=220.0),
+            line(0.0, 0.5, 0, 0, 2, 0, flow=slow_flow, request=220.0),
+            line(0.5, 0.5, 9, 9, 20, 9, flow=fast_flow, request=220.0),
         ]
     )
     from thermal.models.filament_heat import wall_for_core
@@ -190,12 +190,12 @@ def test_the_core_of_a_fast_filament_asks_for_a_hotter_wall():
 
 def test_replanning_in_steps_keeps_what_is_committed_and_every_limit():
     """As the printer does it: moves come in batches, the plan is made anew from a moment that lies ahead."""
-    plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft())
+    plan = TemperaturePlan(LIMITS, ABS, AROUND, PlanOptions())
     temp_c, planned = 240.0, {}
     for batch in range(40):
         start_s = 10.0 + 0.25 * batch
-        wish = 215.0 if batch // 6 % 2 else 245.0
-        plan.add([line(start_s, 0.25, batch, 0, batch + 1, 0, wish=wish)])
+        request = 215.0 if batch // 6 % 2 else 245.0
+        plan.add([line(start_s, 0.25, batch, 0, batch + 1, 0, request=request)])
         commit_s = max(10.0, start_s - 1.75)
         temp_c = plan.at(commit_s, temp_c)
         points = [PlanPoint(*corner) for corner in plan.make(commit_s, temp_c)]
@@ -218,7 +218,7 @@ def test_replanning_in_steps_keeps_what_is_committed_and_every_limit():
 
 
 def test_a_million_moves_take_no_more_memory_than_their_area():
-    plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft(interface_c=150.0))
+    plan = TemperaturePlan(LIMITS, ABS, AROUND, PlanOptions(interface_c=150.0))
     for batch in range(200):
         start_s = 50.0 * batch
         plan.add(
@@ -239,12 +239,12 @@ def test_a_million_moves_take_no_more_memory_than_their_area():
         plan.finish(start_s + 49.0)
     columns, held = plan.sizes()
     assert columns <= 11 * 14 and held <= 1040
-    books = plan.summary()
-    assert books.pieces > 199_000 and books.length_mm == pytest.approx(0.5 * books.pieces)
+    totals = plan.summary()
+    assert totals.pieces > 199_000 and totals.length_mm == pytest.approx(0.5 * totals.pieces)
 
 
-def test_the_books_compare_with_one_fixed_temperature():
-    plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft(interface_c=150.0))
+def test_the_totals_compare_with_one_fixed_temperature():
+    plan = TemperaturePlan(LIMITS, ABS, AROUND, PlanOptions(interface_c=150.0))
     pieces = []
     for layer in range(30):
         for side in range(4):
@@ -255,9 +255,9 @@ def test_the_books_compare_with_one_fixed_temperature():
     plan.make(0.0, 240.0)
     rows = plan.finish(1e6, rows=1000)
     assert len(rows) == len(pieces) == plan.summary().pieces
-    books = plan.summary()
-    assert books.length_mm == pytest.approx(30 * 80.0)
-    assert books.spread_c[0] < 0.5 * books.spread_c[1]
+    totals = plan.summary()
+    assert totals.length_mm == pytest.approx(30 * 80.0)
+    assert totals.spread_c[0] < 0.5 * totals.spread_c[1]
     assert all(row.interface_c == pytest.approx(0.5 * (row.melt_c + row.substrate_c)) for row in rows)
 
 
@@ -267,7 +267,7 @@ def test_the_held_interface_is_what_the_window_reaches_on_both_ends_of_the_path(
     assert weld.held_c(170.0, (140.0, 160.0), 130.0) == 160.0
     assert weld.held_c(150.0, (180.0, 164.0), 130.0) == 172.0  # too narrow: the middle
     assert weld.held_c(150.0, (100.0, 120.0), 130.0) == 130.0  # never below what bonds
-    plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft(interface_c=130.0, follow_mm=60000.0))
+    plan = TemperaturePlan(LIMITS, ABS, AROUND, PlanOptions(interface_c=130.0, follow_mm=60000.0))
     plan.add([line(0.5 * i, 0.5, 0, 4 * i, 20, 4 * i) for i in range(40)])  # all of it on the bed of 100 degC
     band_c = plan.summary().band_c
     assert band_c == pytest.approx((0.5 * (ABS.low_c + 100.0), 0.5 * (ABS.high_c + 100.0)), abs=0.5)
@@ -278,14 +278,14 @@ def test_the_held_interface_is_what_the_window_reaches_on_both_ends_of_the_path(
 
 def test_a_power_too_small_is_refused():
     with pytest.raises(ValueError, match="holds"):
-        TemperaturePlan(melt_exchange.NozzleLimits(power_w=2.0), ABS, AROUND, Craft())
+        TemperaturePlan(melt_exchange.NozzleLimits(power_w=2.0), ABS, AROUND, PlanOptions())
 
 
 @settings(max_examples=60, deadline=None)
 @given(ROWS, st.floats(170.0, 290.0), st.sampled_from([0.005, 0.02, 1.0]))
 def test_a_thinned_plan_stays_near_the_plan_and_is_nowhere_steeper(rows, start_c, within_c):
     pieces = pieces_of(rows)
-    plans = [TemperaturePlan(LIMITS, ABS, AROUND, Craft(interface_c=150.0)) for _ in range(2)]
+    plans = [TemperaturePlan(LIMITS, ABS, AROUND, PlanOptions(interface_c=150.0)) for _ in range(2)]
     for plan in plans:
         plan.add(pieces)
     whole = Reference.of(plans[0].make(pieces[0].start_s, start_c))
@@ -304,16 +304,16 @@ def test_a_thinned_plan_stays_near_the_plan_and_is_nowhere_steeper(rows, start_c
 
 def test_a_plan_from_nowhere_is_none():
     """As of a nozzle that has not been led to where it begins."""
-    plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft())
-    plan.add([line(10.0, 1.0, 0, 0, 20, 0, wish=240.0)])
+    plan = TemperaturePlan(LIMITS, ABS, AROUND, PlanOptions())
+    plan.add([line(10.0, 1.0, 0, 0, 20, 0, request=240.0)])
     assert plan.ahead(10.0, math.nan, 0.02) is None
     assert plan.ahead(10.0, 240.0, 0.02) is not None
 
 
 def test_the_way_home_is_part_of_what_was_planned():
     """A plan that begins again after it starts from there, and its holder has been there."""
-    plan = TemperaturePlan(LIMITS, ABS, AROUND, Craft())
-    plan.add([line(10.0, 1.0, 0, 0, 20, 0, wish=240.0)])
+    plan = TemperaturePlan(LIMITS, ABS, AROUND, PlanOptions())
+    plan.add([line(10.0, 1.0, 0, 0, 20, 0, request=240.0)])
     plan.make(10.0, 240.0)
     plan.finish(12.0)
     warm_c = plan.holder_c(12.0, 240.0)
@@ -326,7 +326,7 @@ def test_the_way_home_is_part_of_what_was_planned():
         held_k_s = LIMITS.holder_w_k * max(0.0, a - warm_c) / LIMITS.capacity.at(a)
         assert 0.0 < (a - b) / (t1 - t0) <= melt_exchange.cooling_k_s(LIMITS, a, 0.0) + held_k_s
     assert way[-1][0] - 12.0 > (240.0 - 200.0) / melt_exchange.cooling_k_s(LIMITS, 240.0, 0.0)
-    plan.add([line(way[-1][0] + 5.0, 1.0, 20, 0, 40, 0, wish=230.0)])
+    plan.add([line(way[-1][0] + 5.0, 1.0, 20, 0, 40, 0, request=230.0)])
     again = plan.make(way[-1][0] + 4.0, 200.0)
     assert all(
         temp_c == pytest.approx(200.0, abs=1e-6) for time_s, temp_c in again if time_s <= way[-1][0] + 4.0

@@ -169,7 +169,7 @@ def test_a_block_names_every_option_its_section_reads(document: tuple[list[Block
     assert not missing, f"options missing in {PAGE} ({blocks[0].where}): {missing}"
 
 
-def test_a_block_tells_the_right_defaults(document: tuple[list[Block], Loaded]) -> None:
+def test_a_block_reports_the_right_defaults(document: tuple[list[Block], Loaded]) -> None:
     blocks, loaded = document
     wrong = []
     for block in blocks:

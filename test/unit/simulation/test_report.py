@@ -125,7 +125,7 @@ def test_the_table_holds_the_figures_of_the_trace(run: PrintRun) -> None:
     assert value_of(run.table, "Faults") == "none"
 
 
-def test_a_fault_is_told_in_the_table(trace: Trace) -> None:
+def test_a_fault_is_reported_in_the_table(trace: Trace) -> None:
     faulty = PrintRun.of(trace, {**SUMMARY, "faults": ["guard tripped"]})
     assert value_of(faulty.table, "Faults") == "guard tripped"
 
@@ -241,7 +241,7 @@ def test_the_picture_is_drawn(trace: Trace, tmp_path: Path) -> None:
     assert 0.02 < ink < 0.9  # neither blank nor a blot
 
 
-def test_a_print_that_lays_nothing_down_is_reported_all_the_same(tmp_path: Path) -> None:
+def test_a_print_that_deposits_nothing_down_is_reported_all_the_same(tmp_path: Path) -> None:
     still = made_up_print()
     nothing = np.zeros_like(still.flow_mm3_s)
     trace = Trace(*(nothing if name == "flow_mm3_s" else getattr(still, name) for name in COLUMNS))
@@ -265,14 +265,14 @@ def test_a_print_that_lays_nothing_down_is_reported_all_the_same(tmp_path: Path)
         ("", "no column"),
     ],
 )
-def test_an_unusable_trace_is_told_in_one_sentence(text: str, complaint: str, tmp_path: Path) -> None:
+def test_an_unusable_trace_is_reported_in_one_sentence(text: str, complaint: str, tmp_path: Path) -> None:
     path = tmp_path / "t.csv"
     path.write_text(text)
     with pytest.raises(ReportError, match=complaint):
         write_report(path, {}, "part.gcode", html=tmp_path / "r.html")
 
 
-def test_missing_files_are_told_by_name(trace: Trace, tmp_path: Path) -> None:
+def test_missing_files_are_found_by_name(trace: Trace, tmp_path: Path) -> None:
     with pytest.raises(ReportError, match=r"cannot read the trace .*absent\.csv"):
         write_report(tmp_path / "absent.csv", {}, "part.gcode")
     path = write_csv(trace, tmp_path / "t.csv")

@@ -35,14 +35,14 @@ class Nozzle:
     mass: float = 1.0
     loss: float = 1.0
     coupling: float = 1.0  # heat over what the host believes
-    most_mm3_s: float = math.inf  # beyond this the gear slips
+    max_mm3_s: float = math.inf  # beyond this the gear slips
     ua_per_k: float = 0.0  # the exchange grows with the wall's temperature, relative to 230 degC
     c_per_k: float = 0.0  # so does the heat of the filament, relative to its mean over 25..230 degC
     wall_k_w: float = 0.0  # between the skin, which is measured, and the bore
 
 
 def melt_w(n: Nozzle, bore_c: float, flow: float) -> float:
-    flow = min(flow, n.most_mm3_s)
+    flow = min(flow, n.max_mm3_s)
     if flow <= 0.0:
         return 0.0
     return flow * n.c * enthalpy_k(n, leaves_c(n, bore_c, flow))
@@ -101,15 +101,15 @@ def recording(n: Nozzle, moves: bool = True) -> tuple[Row, ...]:
             if run.over:
                 break
         coming.append(decided_w)
-        told_w = coming.popleft()
-        given_j += told_w * TICK_S
+        sent_w = coming.popleft()
+        given_j += sent_w * TICK_S
         feed = schedule.at(now_s)
         taken_w = melt_w(n, bore_c, feed)
         through_w = n.loss * 0.0411 * (skin_c - second_c)
         hot_k, cold_k = skin_c + 273.15, ROOM_C + 273.15
         air_w = n.loss * (0.00716 * (skin_c - ROOM_C) + 5.670374e-12 * (hot_k**4 - cold_k**4))
         heat_j_k = 0.414 * n.mass * (1.0 + 4.5e-4 * (skin_c - 25.0))
-        skin_c += TICK_S * (n.coupling * told_w - through_w - air_w - taken_w) / heat_j_k
+        skin_c += TICK_S * (n.coupling * sent_w - through_w - air_w - taken_w) / heat_j_k
         second_c += TICK_S * (through_w - n.loss * 0.016 * (second_c - ROOM_C)) / 0.572
         bore_c += TICK_S * (skin_c - n.wall_k_w * taken_w - bore_c) / 0.049
     assert run.stage == "done", run.fault
@@ -172,14 +172,14 @@ def test_what_the_model_lacks_costs_this_much(n: Nozzle, limit_c: float) -> None
     assert max(errors) < limit_c
 
 
-def test_an_empty_extruder_is_told() -> None:
+def test_an_empty_extruder_is_reported() -> None:
     with pytest.raises(MeltFitError, match="no filament is loaded, it slips, or the nozzle is clogged"):
-        fitted(Nozzle(most_mm3_s=0.0))
+        fitted(Nozzle(max_mm3_s=0.0))
 
 
-def test_filament_that_slips_at_the_fastest_flow_is_told() -> None:
+def test_filament_that_slips_at_the_fastest_flow_is_reported() -> None:
     with pytest.raises(MeltFitError, match="the filament slipped at that flow"):
-        fit_melt.fit_held(steps(Nozzle(most_mm3_s=9.0)), ROOM_C)
+        fit_melt.fit_held(steps(Nozzle(max_mm3_s=9.0)), ROOM_C)
 
 
 def test_flows_too_slow_to_tell_the_exchange_are_refused() -> None:
@@ -188,8 +188,8 @@ def test_flows_too_slow_to_tell_the_exchange_are_refused() -> None:
         fit_melt.fit_held(steps(Nozzle(), flow_mm3_s=3.0), ROOM_C)
 
 
-def test_an_extruder_that_does_not_move_is_told() -> None:
-    rows = list(recording(Nozzle(most_mm3_s=0.0), moves=False))
+def test_an_extruder_that_does_not_move_is_reported() -> None:
+    rows = list(recording(Nozzle(max_mm3_s=0.0), moves=False))
     fit = fit_load.fit_rows(rows, 81.0, ROOM_C, is_nozzle=True)
     with pytest.raises(MeltFitError, match="the extruder did not move"):
         fit_load.fit_further(rows, fit, ROOM_C)
@@ -205,7 +205,7 @@ def test_the_nozzles_own_numbers_do_not_depend_on_the_filament() -> None:
     """While it is fed, the model of the nozzle is led by the readings."""
     fits = [
         fit_load.fit_rows(list(recording(n)), 81.0, ROOM_C, is_nozzle=True)
-        for n in (Nozzle(), Nozzle(most_mm3_s=0.0))
+        for n in (Nozzle(), Nozzle(max_mm3_s=0.0))
     ]
     for name, true in (("heat_capacity_j_per_k", 0.414), ("loss_factor", 1.0), ("second_mass_factor", 1.0)):
         for fit in fits:
@@ -233,7 +233,7 @@ def test_a_fit_that_does_not_predict_the_step_it_was_not_shown_is_refused() -> N
         fit_melt.fit_held(steps(Nozzle(), bend_w=0.12), ROOM_C)
 
 
-def test_losses_a_little_other_than_found_before_are_told_by_the_steps_without_flow() -> None:
+def test_losses_a_little_other_than_found_before_are_found_by_the_steps_without_flow() -> None:
     """A fan that turns slowly beside the nozzle all the time, 2 % of the losses: 90 mW of the 1.3 W of a slow step."""
     draught = [replace(h, heat_w=h.heat_w + 0.02 * h.loss_w) for h in steps(Nozzle())]
     found = fit_melt.fit_held(draught, ROOM_C).exchange
@@ -255,7 +255,7 @@ def test_the_doubt_covers_what_chance_does() -> None:
         assert abs(float(np.mean(scores))) < 1.0
 
 
-def test_a_nozzle_that_did_not_hold_its_temperature_is_told() -> None:
+def test_a_nozzle_that_did_not_hold_its_temperature_is_reported() -> None:
     rows = [
         row._replace(temp_c=row.temp_c - 4.0 * row.time_s) if row.stage == "melt fast, hot" else row
         for row in recording(Nozzle())

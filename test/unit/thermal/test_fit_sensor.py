@@ -184,7 +184,7 @@ def test_unusable_input_is_refused_in_one_line(
     ("option", "name", "expected"),
     [("--json", "nowhere/out.json", "No such file"), ("--plot", "out.nonsense", "nonsense")],
 )
-def test_output_that_cannot_be_written_is_told_in_one_line(
+def test_output_that_cannot_be_written_is_reported_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], option: str, name: str, expected: str
 ) -> None:
     assert fit_sensor.main([str(TABLE1), option, str(tmp_path / name)]) == 2

@@ -94,7 +94,7 @@ class Truth:
         return Sample(self.now_s, self.now_s, self.nodes.sensor_c, 0.05, output)
 
 
-def test_the_filter_tells_a_weak_drive_from_a_draught() -> None:
+def test_the_filter_reports_a_weak_drive_from_a_draught() -> None:
     """30 % less heat shows while heating, 3 W taken away shows while holding: each is learned as what it is."""
     weak = Truth(replace(NOZZLE, output_w=0.7), 25.0, 0.005)
     state = predictive_filter.begin(NOZZLE, 25.0, 0.0)
@@ -252,9 +252,9 @@ def test_the_plan_is_what_a_host_on_time_would_say(temp_c: float, flow_s: float)
         output.value,
     )
     on_time = stepped_on_time(flow, temp_c, 10.02)
-    told_j = sum(plan.at(said.time_s + 1e-4) * NOZZLE.hold_s for said in on_time)
+    sent_j = sum(plan.at(said.time_s + 1e-4) * NOZZLE.hold_s for said in on_time)
     asked_j = sum(said.value * NOZZLE.hold_s for said in on_time)
-    assert told_j == pytest.approx(asked_j, abs=0.02)  # 0.05 degC of this nozzle
+    assert sent_j == pytest.approx(asked_j, abs=0.02)  # 0.05 degC of this nozzle
     for said in on_time[:6]:
         assert plan.at(said.time_s + 1e-4) == pytest.approx(said.value, abs=0.02 * 81.3)
 

@@ -1,4 +1,4 @@
-"""PID autotune and the practical law on plants written down here."""
+"""PID autotune and the two-period law on plants written down here."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def tune(plant: Plant, target_c: float = 60.0, **more: float) -> relay.RelayRun:
 
 
 @pytest.mark.parametrize("delay_s", [3.0, 9.0])
-def test_the_swing_tells_integrator_and_delay(delay_s: float) -> None:
+def test_the_swing_reports_integrator_and_delay(delay_s: float) -> None:
     result = relay.evaluate(tune(Plant(0.4, delay_s, 2000.0)))
     assert result.gain_per_s == pytest.approx(0.4, rel=0.1)  # the losses are a bit of it
     assert result.delay_s == pytest.approx(delay_s, abs=0.2 * delay_s)
@@ -106,7 +106,7 @@ def test_impossible_gains_are_refused(bad: tuple[float, float, float]) -> None:
         pid.klipper_pid(*bad, 1.0, 1.0)
 
 
-# The practical law, Table 2 row by row
+# The two-period law, Table 2 row by row
 
 
 @pytest.mark.parametrize(
@@ -122,9 +122,9 @@ def test_falling_heats_even_above_the_target(below_c: float, value: int) -> None
 
 
 def test_the_cutoff_stops_what_the_table_would_heat() -> None:
-    parameters = two_period.PracticalParameters(1.0, cutoff_c=15.0)
-    state = two_period.PracticalState(False, 250.0)
-    near, state = two_period.practical_step(parameters, state, ControlInput(230.0, 244.0), 0.0)
-    far, _ = two_period.practical_step(parameters, state, ControlInput(225.0, 243.9), 0.3)
+    parameters = two_period.TwoPeriodParameters(1.0, cutoff_c=15.0)
+    state = two_period.TwoPeriodState(False, 250.0)
+    near, state = two_period.two_period_step(parameters, state, ControlInput(230.0, 244.0), 0.0)
+    far, _ = two_period.two_period_step(parameters, state, ControlInput(225.0, 243.9), 0.3)
     assert near.value == pytest.approx(220 / 255)
     assert far.value == 0.0

@@ -77,13 +77,13 @@ def test_small_requests_are_met_on_average_by_pulses(request_w: float) -> None:
     assert {c.phase_ticks for c in commands} <= {0, 2012}
 
 
-@pytest.mark.parametrize(("idle", "interval_s", "most_w"), [(False, 0.1, 0.14), (True, 0.5, 0.03)])
-def test_measuring_goes_on_without_a_request(idle: bool, interval_s: float, most_w: float) -> None:
+@pytest.mark.parametrize(("idle", "interval_s", "max_w"), [(False, 0.1, 0.14), (True, 0.5, 0.03)])
+def test_measuring_goes_on_without_a_request(idle: bool, interval_s: float, max_w: float) -> None:
     got, commands = mean_power(0.0, 10.0, idle)
     starts = [c.time_s for c in commands if c.phase_ticks]
     gaps = [b - a for a, b in itertools.pairwise(starts)]
     assert max(gaps) <= interval_s + PULSE_S + STEP_S + 1e-9  # a pulse's length and one step of waiting
-    assert got < most_w  # 1.51 W * 8.73 ms / interval, at most
+    assert got < max_w  # 1.51 W * 8.73 ms / interval, at most
 
 
 DEBT_PULSES = 4  # what is owed or overdrawn is kept up to so many pulses

@@ -15,16 +15,16 @@ from thermal.sensing import blocks, features, heat_balance_monitor, temperature_
 
 BLOCK_S = 0.0016
 LOSS, HEAT = heat_loss.LossLaw(), heat_loss.HeatCapacity()
-CHAIN = new_chain(filtered=temperature_filter.TrackParameters(LOSS, HEAT))
+CHAIN = new_chain(filtered=temperature_filter.FilterParameters(LOSS, HEAT))
 
 
 class Filter:
     """The filter alone: blocks whose temperature and heat are told."""
 
     def __init__(self) -> None:
-        self.state: Any = FFI.new("struct track_state *")
-        LIB.track_reset(self.state)
-        self._parameters = FFI.addressof(told(CHAIN), "track")
+        self.state: Any = FFI.new("struct filter_state *")
+        LIB.filter_reset(self.state)
+        self._parameters = FFI.addressof(told(CHAIN), "filter")
 
     def block(self, n: int, power_w: float, temp_c: float, noise_c: float = 0.1) -> TempEstimate | None:
         one = blocks.Blocks()
@@ -33,7 +33,7 @@ class Filter:
         raw.time_s, raw.duration_s, raw.phase_ticks = n * BLOCK_S, BLOCK_S, 8000
         raw.centre_s, raw.end_s, raw.heat_w = (n + 0.5) * BLOCK_S, (n + 1) * BLOCK_S, power_w
         raw.temp_c, raw.sigma_c, raw.noise_c, raw.c_per_unit = temp_c, 1.0, noise_c, 1.3
-        LIB.track_block(self._parameters, self.state, one.raw)
+        LIB.filter_block(self._parameters, self.state, one.raw)
         return one.tracked(0)
 
 
@@ -100,7 +100,7 @@ def test_uncertainty_holds_the_laws_part_and_shrinks_only_the_noise() -> None:
 
 
 @pytest.mark.parametrize("noise_lsb", [0.15, 0.3, 0.5, 1.0, 3.0])
-def test_noise_is_told_from_the_span_of_blocks(noise_lsb: float) -> None:
+def test_noise_is_distinguished_from_the_span_of_blocks(noise_lsb: float) -> None:
     random = np.random.default_rng(5)
     chain = new_chain()
     for n in range(400):
@@ -142,11 +142,11 @@ def test_six_blocks_are_as_uncertain_as_they_say_with_any_noise(noise_lsb: float
 
 def balance(
     power_factor: float, seconds: float, capacity: float = 1.0
-) -> heat_balance_monitor.PlausibleState:
+) -> heat_balance_monitor.HeatBalanceState:
     """Hold 250 degC with `power_factor` times the heat the model needs for it."""
     loss = heat_balance_monitor.scaled(1.0, 25.0)
-    parameters = heat_balance_monitor.PlausibleParameters(HEAT, loss, 0.03)
-    state = heat_balance_monitor.PlausibleState(second_c=25.0)
+    parameters = heat_balance_monitor.HeatBalanceParameters(HEAT, loss, 0.03)
+    state = heat_balance_monitor.HeatBalanceState(second_c=25.0)
     second = 25.0
     for n in range(int(seconds * 10)):
         watts = loss.skin_out_w(250.0, second) * power_factor
@@ -172,8 +172,8 @@ def test_nothing_is_said_before_it_has_been_quiet_for_long() -> None:
 
 @pytest.mark.parametrize(("factor", "named"), [(1.0, False), (0.5, True), (1.6, True), (1.2, False)])
 def test_a_nozzle_of_another_mass_is_named_from_its_heat_up(factor: float, named: bool) -> None:
-    parameters = heat_balance_monitor.PlausibleParameters(HEAT, heat_balance_monitor.scaled(1.0, 25.0))
-    state, temp, second = heat_balance_monitor.PlausibleState(), 25.0, 25.0
+    parameters = heat_balance_monitor.HeatBalanceParameters(HEAT, heat_balance_monitor.scaled(1.0, 25.0))
+    state, temp, second = heat_balance_monitor.HeatBalanceState(), 25.0, 25.0
     for n in range(60):
         heat_balance_monitor.observe(parameters, state, 0.1 * n, temp, 8.13, True)
         out = parameters.loss.skin_out_w(temp, second)
@@ -187,9 +187,9 @@ def test_a_nozzle_of_another_mass_is_named_from_its_heat_up(factor: float, named
 def test_a_start_with_a_hot_nozzle_takes_the_unknown_second_mass_for_no_drift() -> None:
     """As after a RESTART in a print: the skin is known, what stands behind it is not."""
     loss = heat_balance_monitor.scaled(1.0, 25.0)
-    parameters = heat_balance_monitor.PlausibleParameters(HEAT, loss, 0.03)
+    parameters = heat_balance_monitor.HeatBalanceParameters(HEAT, loss, 0.03)
     for behind in (30.0, 70.0, 135.0):
-        state, temp, second, told = heat_balance_monitor.PlausibleState(), 135.0, behind, []
+        state, temp, second, told = heat_balance_monitor.HeatBalanceState(), 135.0, behind, []
         for n in range(1200):  # two minutes of cooling, exactly by the model
             heat_balance_monitor.observe(parameters, state, 0.1 * n, temp, 0.0, True)
             told.append(state.drift_c)

@@ -46,7 +46,7 @@ static void tell(unsigned port, unsigned i, int level)
 }
 
 /* An open-drain output that is high lets its line go: to its pull-up. The world's lines have no other. */
-static void tell_outputs(unsigned port, uint32_t which)
+static void send_outputs(unsigned port, uint32_t which)
 {
     struct port *p = &ports[port];
     for (; which; which &= which - 1) {
@@ -116,7 +116,7 @@ static void set_outputs(unsigned unit, uint32_t value)
 {
     uint32_t changed = (ports[unit].out ^ value) & 0xffffu;
     ports[unit].out = value & 0xffffu;
-    tell_outputs(unit, changed);
+    send_outputs(unit, changed);
 }
 
 static void mode_write(unsigned unit, uint32_t value)

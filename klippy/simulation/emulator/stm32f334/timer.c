@@ -18,7 +18,7 @@ static struct timer {
     uint64_t base, at;  /* the count there was at clock `at`, when the rate was last changed */
     struct event due;
     uint8_t told[CHANNELS]; /* a PWM value has been told to the world */
-    uint32_t told_value[CHANNELS], told_cycle[CHANNELS];
+    uint32_t sent_value[CHANNELS], sent_cycle[CHANNELS];
 } timers[UNITS];
 
 static const struct { const char *name; unsigned irq, irq_compare, bits, channels, apb2, has_moe; } FIXED[UNITS] = {
@@ -153,7 +153,7 @@ static int channel_pwm(const struct timer *t, unsigned channel)
     return mode == 6 ? 1 : mode == 7 ? -1 : 0;
 }
 
-static void tell_pwm(unsigned unit)
+static void send_pwm(unsigned unit)
 {
     struct timer *t = &timers[unit];
     for (unsigned i = 0; i < sizeof PINS / sizeof *PINS; i++) {
@@ -170,11 +170,11 @@ static void tell_pwm(unsigned unit)
             fault("%s channel %u drives pin P%c%u in a mode that is not PWM", FIXED[unit].name, c + 1, 'A' + PINS[i].pin / 16,
                   PINS[i].pin % 16u);
         uint32_t cycle = (uint32_t)ticks_of((uint32_t)(length(unit) * (t->psc + 1)), clock_hz(unit));
-        if (t->told[c] && t->told_value[c] == value && t->told_cycle[c] == cycle)
+        if (t->told[c] && t->sent_value[c] == value && t->sent_cycle[c] == cycle)
             continue;
         t->told[c] = 1;
-        t->told_value[c] = value;
-        t->told_cycle[c] = cycle;
+        t->sent_value[c] = value;
+        t->sent_cycle[c] = cycle;
         board.pwm_write(board.ctx, PINS[i].pin, cycle, value, now());
     }
 }
@@ -184,7 +184,7 @@ void timer_pin_changed(unsigned pin)
     for (unsigned i = 0; i < sizeof PINS / sizeof *PINS; i++)
         if (PINS[i].pin == pin && timers[PINS[i].unit].cr1 & CEN) {
             timers[PINS[i].unit].told[PINS[i].channel] = 0;
-            tell_pwm(PINS[i].unit);
+            send_pwm(PINS[i].unit);
         }
 }
 
@@ -318,7 +318,7 @@ void timer_write(unsigned unit, uint32_t offset, uint32_t value)
     plan(unit);
     update_lines(unit);
     if (FIXED[unit].channels && timers[unit].ccer & 0x1111u)
-        tell_pwm(unit);
+        send_pwm(unit);
 }
 
 void timer_reset(unsigned unit)

@@ -7,7 +7,15 @@ from dataclasses import replace
 
 import pytest
 
-from thermal.plan.requests import Comment, Range, Wishes, WishTable, read_comment, read_names, read_ranges
+from thermal.plan.requests import (
+    Comment,
+    Range,
+    Requests,
+    RequestTable,
+    read_comment,
+    read_names,
+    read_ranges,
+)
 
 
 @pytest.mark.parametrize(
@@ -38,7 +46,7 @@ def test_heights_and_what_says_nothing() -> None:
         assert read_comment(line) is None
 
 
-TABLE = WishTable(
+TABLE = RequestTable(
     {"external perimeter": 215.0},
     {"PART_A": 225.0},
     (Range(1, 1, 230.0), Range(5, 9, 210.0)),
@@ -47,41 +55,41 @@ TABLE = WishTable(
 
 
 def test_the_first_that_speaks_wins() -> None:
-    def wish(state: Wishes, layer: int = 3, z_mm: float = 1.0) -> float:
-        return state.wish_c(TABLE, 0.0, layer, z_mm)
+    def request(state: Requests, layer: int = 3, z_mm: float = 1.0) -> float:
+        return state.request_c(TABLE, 0.0, layer, z_mm)
 
-    plain = Wishes()
-    assert math.isnan(wish(plain))
-    assert wish(plain, z_mm=15.0) == 205.0
-    assert wish(plain, layer=5, z_mm=15.0) == 210.0
+    plain = Requests()
+    assert math.isnan(request(plain))
+    assert request(plain, z_mm=15.0) == 205.0
+    assert request(plain, layer=5, z_mm=15.0) == 210.0
     wall = plain.comment(Comment("feature", "external perimeter"))
-    assert wish(wall, layer=5, z_mm=15.0) == 215.0
-    assert wish(wall.inside("part_a")) == 225.0  # names of objects are not case sensitive
-    assert wish(wall.inside("part_a").explicitly(240.0)) == 240.0
-    assert wish(wall.inside("part_a").explicitly(math.nan)) == 225.0
+    assert request(wall, layer=5, z_mm=15.0) == 215.0
+    assert request(wall.inside("part_a")) == 225.0  # names of objects are not case sensitive
+    assert request(wall.inside("part_a").explicitly(240.0)) == 240.0
+    assert request(wall.inside("part_a").explicitly(math.nan)) == 225.0
 
 
 def test_layers_named_by_the_slicer_count_before_those_seen() -> None:
-    state = Wishes()
+    state = Requests()
     for _ in range(5):
         state = state.comment(Comment("layer"))
-    assert state.wish_c(TABLE, 0.0, 1, 0.2) == 210.0
+    assert state.request_c(TABLE, 0.0, 1, 0.2) == 210.0
 
 
-def test_an_explicit_wish_ends_where_it_was_told_to() -> None:
+def test_an_explicit_request_ends_where_it_was_told_to() -> None:
     for until, ender in (
         ("layer", lambda s: s.comment(Comment("layer"))),
         ("feature", lambda s: s.comment(Comment("feature", "infill"))),
         ("object", lambda s: s.inside("b")),
     ):
-        state = Wishes().inside("a").explicitly(222.0, until)
-        assert state.wish_c(WishTable(), 0.0, 1, 0.0) == 222.0
+        state = Requests().inside("a").explicitly(222.0, until)
+        assert state.request_c(RequestTable(), 0.0, 1, 0.0) == 222.0
         others = [state.comment(Comment("height", value=0.1)), state.inside("a")]
         assert all(s.explicit_c == 222.0 for s in others)
         assert math.isnan(ender(state).explicit_c)
-    timed = Wishes(since_s=10.0, explicit_c=222.0, duration_s=5.0)
-    assert timed.wish_c(WishTable(), 14.9, 1, 0.0) == 222.0
-    assert math.isnan(timed.wish_c(WishTable(), 15.1, 1, 0.0))
+    timed = Requests(since_s=10.0, explicit_c=222.0, duration_s=5.0)
+    assert timed.request_c(RequestTable(), 14.9, 1, 0.0) == 222.0
+    assert math.isnan(timed.request_c(RequestTable(), 15.1, 1, 0.0))
 
 
 def test_tables_of_the_config() -> None:
@@ -100,16 +108,16 @@ def test_tables_of_the_config() -> None:
 
 
 def test_a_mark_matters_only_if_the_table_asks_for_something_there() -> None:
-    inside = Wishes().comment(read_comment(";TYPE:Solid infill")).inside("box")  # type: ignore[arg-type]
+    inside = Requests().comment(read_comment(";TYPE:Solid infill")).inside("box")  # type: ignore[arg-type]
     next_layer = inside.comment(read_comment(";LAYER_CHANGE"))  # type: ignore[arg-type]
-    nothing, layers = WishTable(), WishTable(layers=(Range(3, 5, 210.0),))
-    assert Wishes().asks(nothing) == inside.asks(nothing) == next_layer.asks(nothing)
+    nothing, layers = RequestTable(), RequestTable(layers=(Range(3, 5, 210.0),))
+    assert Requests().asks(nothing) == inside.asks(nothing) == next_layer.asks(nothing)
     assert inside.asks(layers) != next_layer.asks(layers)
-    for table in (WishTable({"solid infill": 230.0}), WishTable(objects={"BOX": 220.0})):
-        assert Wishes().asks(table) != inside.asks(table) == next_layer.asks(table)
+    for table in (RequestTable({"solid infill": 230.0}), RequestTable(objects={"BOX": 220.0})):
+        assert Requests().asks(table) != inside.asks(table) == next_layer.asks(table)
     for other in (inside.explicitly(230.0), inside.comment(read_comment(";HEIGHT:0.3"))):  # type: ignore[arg-type]
         assert inside.asks(nothing) != other.asks(nothing)
-    assert inside.asks(nothing) != replace(inside, pace=0.5).asks(nothing)
+    assert inside.asks(nothing) != replace(inside, speed_factor=0.5).asks(nothing)
     assert inside.explicitly(230.0).asks(nothing) != inside.explicitly(230.0, duration_s=5.0).asks(nothing)
 
 
