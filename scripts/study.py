@@ -42,10 +42,11 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument("study", type=Path, metavar="STUDY.toml")
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder of the results")
-    parser.add_argument(
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument(
         "--workers", type=int, metavar="N", help="prints at a time (default: one for each core)"
     )
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a dask scheduler, as tcp://host:8786")
+    where.add_argument("--scheduler", metavar="ADDRESS", help="a dask scheduler, as tcp://host:8786")
     parser.add_argument(
         "--run", metavar="KEY", help="repeat one print, with trace, log and report in DIR/runs/KEY"
     )

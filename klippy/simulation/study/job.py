@@ -19,7 +19,6 @@ import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
-from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -65,7 +64,6 @@ def digest(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-@lru_cache(maxsize=1)
 def version() -> str:
     """Hash of the sources of host, firmware and simulator: the same commit, the same version."""
     total = hashlib.sha256()
@@ -76,7 +74,6 @@ def version() -> str:
     return total.hexdigest()
 
 
-@lru_cache(maxsize=256)
 def input_hashes(config: str, gcode: str) -> tuple[str, str]:
     """Of the config with all it includes, and of the G-code file. Raises WrongWorker."""
     try:
@@ -103,10 +100,10 @@ def execute(job: Job, keep: Path | None = None, wanted: Callable[[], bool] = lam
 
     Returns `row`, which is a function of the job alone, and `seen`, which is not.
     """
-    if job.version != version():
-        raise WrongWorker("it has another version of Ferrite's sources than the study; use the same commit.")
+    if job.version != version():  # computed each time: somebody may edit a file while a study runs
+        raise WrongWorker("its sources of Ferrite are not, or no longer, those that the study began with.")
     if job.inputs != input_hashes(job.config, job.gcode):
-        raise WrongWorker(f"its {job.config} or {job.gcode} is not that of the study.")
+        raise WrongWorker(f"its {job.config} or {job.gcode} is not, or no longer, that of the study.")
     start = time.monotonic()
     with tempfile.TemporaryDirectory(prefix="ferrite-study-") as name:
         row = _sessions(job, Path(name), keep, wanted)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -41,15 +42,28 @@ def prepare(study: Study, sample: Callable[[str], Path]) -> Prepared:
     all_points = list(points(study.plan, study.parameters, base))
     _check_names(study, options, all_points[0])
     _check_ranges(study, all_points)
-    files = [(name, _file(study, name, sample)) for name in study.files]
+    files = [_file(study, name, sample) for name in study.files]
     prepared = Prepared({}, {}, [])
-    for _, path in files:
-        for seed in study.seeds:
-            for point in all_points:
-                job = _job(study, path, seed, point)
-                prepared.jobs[job.key] = job
-                prepared.points[job.key] = point
-                prepared.order.append(job.key)
+    figures = {name: dict(figure) for name, figure in study.figures.items()}
+    sources = version()
+    for path in files:
+        config, file = portable(study.config), portable(path)
+        inputs = _hashes(study, config, file)
+        for seed, point in itertools.product(study.seeds, all_points):
+            job = Job(
+                config,
+                file,
+                seed,
+                _overrides(point),
+                study.before,
+                study.until_s,
+                figures,
+                sources,
+                inputs,
+            )
+            prepared.jobs[job.key] = job
+            prepared.points[job.key] = point
+            prepared.order.append(job.key)
     return prepared
 
 
@@ -72,14 +86,11 @@ def _overrides(point: Mapping[str, Any]) -> tuple[tuple[str, str, str], ...]:
     return tuple(found)
 
 
-def _job(study: Study, gcode: Path, seed: int, point: Mapping[str, Any]) -> Job:
-    config, file = portable(study.config.resolve()), portable(gcode)
+def _hashes(study: Study, config: str, file: str) -> tuple[str, str]:
     try:
-        inputs = input_hashes(config, file)
+        return input_hashes(config, file)
     except WrongWorker as e:
         raise study.error(("config",), str(e)) from None
-    figures = {name: dict(figure) for name, figure in study.figures.items()}
-    return Job(config, file, seed, _overrides(point), study.before, study.until_s, figures, version(), inputs)
 
 
 def _file(study: Study, name: str, sample: Callable[[str], Path]) -> Path:

@@ -10,7 +10,7 @@ import pytest
 
 from simulation.study.analysis import influences, judge
 from simulation.study.figures import collect
-from simulation.study.job import Job, copy_config
+from simulation.study.job import Job, WrongWorker, copy_config, execute, input_hashes, version
 from simulation.study.results import Rows
 from simulation.study.sampling import Parameter, Plan, points
 from simulation.study.studyfile import Limit
@@ -119,6 +119,23 @@ def test_the_key_of_a_print_is_what_determines_it_not_where_its_files_are() -> N
         "inputs": ("d", "g"),
     }
     assert len({Job(**facts | {name: value}).key for name, value in changes.items()} | {job.key}) == 7
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"version": "of yesterday"}, "sources of Ferrite are not, or no longer"),
+        (
+            {"inputs": ("edited", "since")},
+            "config/sim-induction.cfg or config/studies/disc.gcode is not, or no longer",
+        ),
+    ],
+)
+def test_a_worker_with_other_sources_or_files_refuses(changes: dict[str, Any], message: str) -> None:
+    files = ("config/sim-induction.cfg", "config/studies/disc.gcode")
+    facts = {"version": version(), "inputs": input_hashes(*files), **changes}
+    with pytest.raises(WrongWorker, match=message):
+        execute(Job(*files, 1, (), (), None, {}, **facts))
 
 
 def test_a_copied_config_still_includes_what_stays_behind(tmp_path: Path) -> None:
