@@ -148,6 +148,7 @@ def test_a_study_leaves_one_row_a_print_sorted_by_key_and_a_page(reference: Path
     assert len(set(noise)) == 8 and min(noise) >= 0.5 and max(noise) <= 4.0  # times the preset's 1 LSB
     page = (reference / "index.html").read_text()
     links = re.findall(r'href="(runs/\w+/report.html)"', page)
+    assert "mass_factor</span> = " in page
     assert links and all((reference / link).exists() for link in links)
     assert (reference / "failures.txt").read_text() == ""
 

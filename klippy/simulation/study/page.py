@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,6 +36,7 @@ class Content:
 def render(content: Content) -> str:
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["figure"] = _text
+    environment.filters["short"] = _short_names(next(iter(content.points.values()), {})).__getitem__
     statuses: dict[str, int] = {}
     for key in sorted(content.rows):
         status = content.rows[key]["status"]
@@ -53,6 +54,12 @@ def render(content: Content) -> str:
 
 def _text(value: Any) -> str:
     return "–" if value is None else f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _short_names(names: Iterable[str]) -> dict[str, str]:
+    """Parameters by the option's name alone where no two sections share it."""
+    options = [name.rpartition(".")[2] for name in names]
+    return {n: n if options.count(o) > 1 else o for n, o in zip(names, options, strict=True)}
 
 
 def _statistics(values: Sequence[float]) -> dict[str, float]:

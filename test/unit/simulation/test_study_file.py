@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -89,6 +90,12 @@ def test_printed_has_a_limit_though_the_file_has_none(tmp_path: Path) -> None:
 )
 def test_the_studies_that_come_with_ferrite_can_be_read(path: Path) -> None:
     assert read_study(path).limits
+
+
+def test_every_study_is_linked_by_a_page_with_its_figures() -> None:
+    pages = (ROOT / "docs" / "theory").glob("*.md")
+    linked = {name for page in pages for name in re.findall(r"config/studies/(\w+\.toml)", page.read_text())}
+    assert linked == {path.name for path in (ROOT / "config" / "studies").glob("*.toml")}
 
 
 def test_the_example_of_the_reference_can_be_read(tmp_path: Path) -> None:
