@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import signal
 import subprocess
@@ -203,6 +204,21 @@ def test_prints_on_a_cluster_end_with_their_study(
     assert running.returncode == (-signal.SIGKILL if how == signal.SIGKILL else 130)
     assert_gone(prints)
     assert not prints_below(workers), "the next tasks start no print"
+
+
+def test_ctrl_c_ends_a_study_with_one_line(tmp_path: Path) -> None:
+    """It reaches the workers, too, as in a terminal; that is no reason for their traces."""
+    command = [*PROGRAM, str(write_study(tmp_path, LONG)), "--out", str(tmp_path / "out"), "--workers", "1"]
+    running = subprocess.Popen(command, text=True, stderr=subprocess.PIPE, start_new_session=True)
+    above = psutil.Process(running.pid)
+    started = tmp_path / "out" / "journal.jsonl"  # after the config has been read, by a process like a print's
+    wait_for(lambda: started.exists() and prints_below(above), "a print")
+    below = above.children(recursive=True)
+    os.killpg(running.pid, signal.SIGINT)
+    _, errors = running.communicate(timeout=GONE_S)
+    assert (running.returncode, errors) == (130, "study: interrupted; the same command continues\n")
+    assert_gone(below)
+    assert pq.read_table(tmp_path / "out" / "results.parquet").num_rows == 0
 
 
 def test_failed_prints_are_rows_with_a_command_that_repeats_them(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
@@ -60,10 +61,13 @@ def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
             return
         count = workers or os.cpu_count() or 1
         options = {"n_workers": count, "threads_per_worker": 1, "dashboard_address": ":0"}
-        with (
-            LocalCluster(silence_logs=logging.CRITICAL, **options) as cluster,
-            Client(cluster, set_as_default=False) as client,
-        ):
+        # Ctrl-C in a terminal reaches every process of the group: the workers inherit that they ignore it.
+        interrupt = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            cluster = LocalCluster(silence_logs=logging.CRITICAL, **options)
+        finally:
+            signal.signal(signal.SIGINT, interrupt)
+        with cluster, Client(cluster, set_as_default=False) as client:
             yield client
 
 

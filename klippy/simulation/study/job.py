@@ -172,6 +172,7 @@ def run_child(
             stdout=subprocess.DEVNULL,
             stderr=stderr,
             text=True,
+            start_new_session=True,  # a Ctrl-C in a terminal is not for the print
         )
         try:
             process.communicate(json.dumps({**task, "parent": os.getpid(), "memory_mb": MEMORY_MB}), POLL_S)
