@@ -211,7 +211,8 @@ def test_ctrl_c_ends_a_study_with_one_line(tmp_path: Path) -> None:
     command = [*PROGRAM, str(write_study(tmp_path, LONG)), "--out", str(tmp_path / "out"), "--workers", "1"]
     running = subprocess.Popen(command, text=True, stderr=subprocess.PIPE, start_new_session=True)
     above = psutil.Process(running.pid)
-    started = tmp_path / "out" / "journal.jsonl"  # after the config has been read, by a process like a print's
+    # There is a journal after the config has been read, which takes a process like a print's.
+    started = tmp_path / "out" / "journal.jsonl"
     wait_for(lambda: started.exists() and prints_below(above), "a print")
     below = above.children(recursive=True)
     os.killpg(running.pid, signal.SIGINT)

@@ -49,8 +49,9 @@ def make_task() -> Callable[[dict[str, Any]], dict[str, Any]]:
 @contextmanager
 def connect(scheduler: str | None, workers: int | None) -> Iterator[Client]:
     """A client of that scheduler, or of a cluster of this computer that ends with the context."""
-    silent = {"distributed.worker.memory.terminate": False, "distributed.logging.distributed": "error"}
-    with dask.config.set(silent):
+    # Workers only wait for processes: nothing to sample a hundred times a second, nothing to measure or to log.
+    quiet = {"distributed.worker.profile.enabled": False, "distributed.logging.distributed": "error"}
+    with dask.config.set(quiet):
         if scheduler:
             try:
                 client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)
