@@ -36,6 +36,7 @@ class ActuatorParameters:
     )
     phase_low_ticks: int = SENSING_PHASE_TICKS
     pulses_max: int = 2  # in one piece: as many as fill the time until the next command
+    look_s: float = 36 / 120000.0  # a look at the sensing phase within a strong drive
 
     @property
     def power_low_w(self) -> float:
@@ -52,6 +53,7 @@ class ActuatorState:
     owed_j: float = 0.0  # asked minus delivered
     last_excited_s: float = -math.inf  # end of the last pulse or continuous drive
     driving: bool = False  # continuous drive (phase above the smallest) since last_s
+    look_s: float = -math.inf  # start of the newest look at the sensing phase
 
 
 def _account(parameters: ActuatorParameters, state: ActuatorState, time_s: float) -> None:
@@ -123,3 +125,27 @@ def ahead(
         before = PhaseCommand(planned.time_s, phase, law.power_w(phase))
         commands.append(before)
     return commands
+
+
+LOOK_SHARE = 0.05  # of full power: a weaker drive is read without looks
+LOOK_C = 3.0  # the nozzle rises by this much from look to look ...
+LOOK_MIN_S = 0.008
+LOOK_MAX_S = 0.100  # ... or this time passes
+
+
+def with_look(
+    parameters: ActuatorParameters, state: ActuatorState, commands: list[PhaseCommand], rate_k_s: float
+) -> list[PhaseCommand]:
+    """A strong drive begins with a short look at the sensing phase, if one is due."""
+    first = commands[0]
+    if (first.phase_ticks / parameters.law.phase_max_ticks) ** 2 < LOOK_SHARE:
+        return commands
+    since_s = first.time_s - state.look_s
+    apart_s = min(LOOK_MAX_S, max(LOOK_MIN_S, LOOK_C / max(1e-3, abs(rate_k_s))))
+    if 1e-6 < since_s < apart_s:
+        return commands
+    state.look_s = first.time_s
+    after_s = first.time_s + parameters.look_s
+    look = PhaseCommand(first.time_s, parameters.phase_low_ticks, parameters.power_low_w)
+    rest = [c for c in commands[1:] if c.time_s > after_s]
+    return [look, first._replace(time_s=after_s), *rest]

@@ -94,6 +94,9 @@ class BridgeDriver:
         commands = actuator.actuate(parameters.actuator, state.actuator, power_w, at_s, is_on, idle)
         if len(commands) == 1 and horizon:
             commands += actuator.ahead(parameters.actuator, commands[0], horizon)
+        if commands and self.parameters.supervise.calibrated:
+            rate = power_w / parameters.filter.heat.at(20.0)
+            commands = actuator.with_look(parameters.actuator, state.actuator, commands, rate)
         state.line.note(commands, now_s)
         return commands
 
