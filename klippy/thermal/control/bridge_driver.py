@@ -96,7 +96,8 @@ class BridgeDriver:
             commands += actuator.ahead(parameters.actuator, commands[0], horizon)
         if commands and self.parameters.supervise.calibrated:
             rate = power_w / parameters.filter.heat.at(20.0)
-            commands = actuator.with_look(parameters.actuator, state.actuator, commands, rate)
+            doubt_c = math.sqrt(self.chain.state.drive.variance)
+            commands = actuator.with_look(parameters.actuator, state.actuator, commands, rate, doubt_c)
         state.line.note(commands, now_s)
         return commands
 

@@ -6,7 +6,8 @@
 
 #define DRIVE_SHAPE 1.3     // detuning, supply, resistance: exponents 1.2 to 1.6
 #define START_C 60.0        // 1 sigma at full drive before any step: 4 % of supply and 0.1 % of C1
-#define WALK_C 6.0          // of k within a second
+#define WALK_C 0.25         // of k within a second ...
+#define WARM_C 0.7          // ... and while the nozzle warms by a degree: the law's error changes with the temperature
 #define STEP_MIN 0.02       // of h: smaller steps say too little
 #define GAP_S 0.006         // a step within this time shows
 #define RISE_DOUBT 0.15     // of the temperature's own change between the two blocks
@@ -27,7 +28,7 @@ drive_offset_block(struct drive_offset *s, const struct filter_params *p, double
     if (b->fault != BLOCK_GOOD)
         return;
     if (dt_s > 0.0) {
-        s->variance = fmin(START_C * START_C, s->variance + WALK_C * WALK_C * dt_s);
+        s->variance = fmin(START_C * START_C, s->variance + WALK_C * WALK_C * dt_s + WARM_C * WARM_C * fabs(b->temp_c - s->temp_c - s->full_c * (h - s->lever)));
         double step = h - s->lever;
         if (dt_s < GAP_S && fabs(step) > STEP_MIN) {
             double before_s = fmin(s->half_s, dt_s), lost_w = nozzle_loss_w(p->conductance_w_k, p->radiation_m2,
