@@ -23,6 +23,12 @@ from thermal.models.drive_law import DriveLaw
 from thermal.records import PhaseCommand, Planned
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 
+LOOK_SHARE = 0.05  # of full power: a weaker drive is read without looks
+# From look to look the nozzle rises by this much, within these times. A look of 0.3 ms each 12 ms costs 2.5 % of power.
+LOOK_C, LOOK_MIN_S, LOOK_MAX_S = 4.0, 0.012, 0.100
+LOOK_RARE_S = 0.050  # so far apart they may be long
+LOOK_DOUBT_C = 20.0  # more doubt about full drive than this: a look at each command
+
 
 @dataclass(frozen=True, slots=True)
 class ActuatorParameters:
@@ -36,8 +42,8 @@ class ActuatorParameters:
     )
     phase_low_ticks: int = SENSING_PHASE_TICKS
     pulses_max: int = 2  # in one piece: as many as fill the time until the next command
-    look_s: float = 36 / 120000.0  # a short look at the sensing phase within a strong drive ...
-    long_look_s: float = 84 / 120000.0  # ... and one that is taken rarely
+    look_s: float = 0.0  # a look at the sensing phase within a strong drive; 0: none ...
+    long_look_s: float = 0.0  # ... and one that is taken rarely
 
     @property
     def power_low_w(self) -> float:
@@ -128,14 +134,6 @@ def ahead(
     return commands
 
 
-LOOK_SHARE = 0.05  # of full power: a weaker drive is read without looks
-LOOK_C = 4.0  # the nozzle rises by this much from look to look ...
-LOOK_MIN_S = 0.012
-LOOK_MAX_S = 0.100  # ... or this time passes
-LOOK_RARE_S = 0.050
-DOUBT_C, DOUBT_S = 20.0, 0.004  # with more doubt than this about full drive: at each command
-
-
 def with_look(
     parameters: ActuatorParameters,
     state: ActuatorState,
@@ -143,19 +141,19 @@ def with_look(
     rate_k_s: float,
     doubt_c: float,
 ) -> list[PhaseCommand]:
-    """A strong drive begins with a short look at the sensing phase, if one is due. `doubt_c`: 1 sigma of what full drive
-    adds to the reading."""
+    """A strong drive begins with a look at the sensing phase, if one is due: where the reading is true. It shows by how
+    much that of the strong drive is off (thermal/sensing/drive_offset.h).
+
+    `rate_k_s`: heating rate of the commands; `doubt_c`: 1 sigma of what full drive adds to the reading.
+    """
     first = commands[0]
-    if (first.phase_ticks / parameters.law.phase_max_ticks) ** 2 < LOOK_SHARE:
+    strong = (first.phase_ticks / parameters.law.phase_max_ticks) ** 2 >= LOOK_SHARE
+    if not strong or not parameters.look_s:
         return commands
-    since_s = first.time_s - state.look_s
-    apart_s = min(LOOK_MAX_S, max(LOOK_MIN_S, LOOK_C / max(1e-3, abs(rate_k_s))))
-    if doubt_c > DOUBT_C:
-        apart_s = DOUBT_S
-    if 1e-6 < since_s < apart_s:
+    apart_s = min(LOOK_MAX_S, max(LOOK_MIN_S, LOOK_C / max(1e-3, rate_k_s)))
+    if 0.0 < first.time_s - state.look_s < (0.0 if doubt_c > LOOK_DOUBT_C else apart_s):
         return commands
     state.look_s = first.time_s
-    after_s = first.time_s + (parameters.look_s if apart_s < LOOK_RARE_S else parameters.long_look_s)
+    after_s = first.time_s + (parameters.long_look_s if apart_s >= LOOK_RARE_S else parameters.look_s)
     look = PhaseCommand(first.time_s, parameters.phase_low_ticks, parameters.power_low_w)
-    rest = [c for c in commands[1:] if c.time_s > after_s]
-    return [look, first._replace(time_s=after_s), *rest]
+    return [look, first._replace(time_s=after_s), *(c for c in commands[1:] if c.time_s > after_s)]

@@ -4,7 +4,9 @@
 // steps is the error of the sensing law at the stronger drive, whatever its cause (supply, dead time, resistance of the
 // steel). The reading at the sensing phase is taken for the truth.
 //
-//     reading = T + k h,    h = (phase/phase_max)^2 to the power DRIVE_SHAPE,    k walks at random
+//     reading = T + k h,    h = (phase/phase_max)^2.6,    k (degC at full drive) walks at random
+//
+// Between the centres of two blocks the temperature changes by the heat balance; the rest of a step is k's.
 //
 // The actuator puts short looks at the sensing phase into a strong drive, so that there are steps.
 
@@ -15,7 +17,7 @@ struct filter_state;
 struct drive_offset {
     double full_c, variance;        // k and its variance, degC at full drive
     double time_s;                  // centre of the newest block with a reading; NaN: none yet
-    double temp_c, noise_c;         // its reading, uncorrected
+    double reading_c, temp_c, noise_c;  // its reading, and corrected
     double lever;                   // its h
     double heat_w, half_s;          // its heat and half its duration
 };
