@@ -147,6 +147,7 @@ class Chain:
     last: tuple[TempEstimate, float, float, float, float] | None = (
         None  # reading, degC, h, W, half its duration
     )
+    strong: float = 0.0  # h of the newest strong drive
     noise_lsb: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -202,7 +203,9 @@ class Chain:
         if self.last is not None and own.time_s > self.last[0].time_s:
             before, temp_c, h_before, before_w, half_s = self.last
             dt, p = own.time_s - before.time_s, self.filter
-            variance = min(3600.0, variance + dt / 16 + 0.49 * abs(own.temp_c - k * h - temp_c))
+            other = abs(h - self.strong) if h > 0.02 else 0.0
+            walk = dt / 16 + 0.49 * abs(own.temp_c - k * h - temp_c) + 100.0 * other
+            variance = min(3600.0, variance + walk)
             first = min(half_s, dt)
             kelvin, air = temp_c + 273.15, p.loss.ambient_c + 273.15
             lost_w = p.loss.conductance_w_k * (kelvin - air)
@@ -218,6 +221,7 @@ class Chain:
                     k += variance * step / total * off_c
                     variance *= 1 - step**2 * variance / total
         self.offset = k, variance
+        self.strong = h if h > 0.02 else self.strong
         corrected = own.temp_c - k * h
         self.last = own, corrected, h, heat_w, block.duration_s / 2
         doubt = h * math.hypot(math.sqrt(variance), 0.15 * k * (1 - h))

@@ -24,8 +24,8 @@ from thermal.records import PhaseCommand, Planned
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 
 LOOK_SHARE = 0.05  # of full power: a weaker drive is read without looks
-# From look to look the nozzle rises by this much, within these times. A look of 0.3 ms each 12 ms costs 2.5 % of power.
-LOOK_C, LOOK_MIN_S, LOOK_MAX_S = 4.0, 0.012, 0.100
+# From look to look the nozzle rises by this much, within these times. A look of 0.3 ms each 18 ms costs 1.7 % of power.
+LOOK_C, LOOK_MIN_S, LOOK_MAX_S = 6.0, 0.018, 0.100
 LOOK_RARE_S = 0.050  # so far apart they may be long
 LOOK_DOUBT_C = 20.0  # more doubt about full drive than this: a look at each command
 

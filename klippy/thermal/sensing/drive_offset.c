@@ -8,6 +8,7 @@
 #define START_C 60.0        // 1 sigma of k before any step: what 4 % of supply and 0.1 % of C1 make together
 #define WALK_C 0.25         // of k within a second ...
 #define WARM_C 0.7          // ... and while the nozzle warms by a degree: the law's error changes with the temperature
+#define OTHER_C 10.0        // ... and while the strong drive moves by the whole of h: the shape is not quite right
 #define STEP_MIN 0.02       // of h: smaller steps show too little
 #define GAP_S 0.006         // longer after the block before, too little is known of what happened between
 #define RISE_DOUBT 0.15     // of the temperature's own change between the two blocks
@@ -53,7 +54,9 @@ drive_offset_block(struct drive_offset *s, const struct filter_params *p, double
     if (b->centre_s > s->time_s) {
         double dt_s = b->centre_s - s->time_s, rise_c = rise_between(s, p, rate_k_s, b);
         double warmed_c = fabs(reading_c - s->full_c * h - s->temp_c);
-        s->variance = fmin(START_C * START_C, s->variance + WALK_C * WALK_C * dt_s + WARM_C * WARM_C * warmed_c);
+        double other = h > STEP_MIN ? fabs(h - s->strong) : 0.0;
+        double walk = WALK_C * WALK_C * dt_s + WARM_C * WARM_C * warmed_c + OTHER_C * OTHER_C * other;
+        s->variance = fmin(START_C * START_C, s->variance + walk);
         if (dt_s < GAP_S && fabs(h - s->lever) > STEP_MIN)
             learn(s, b, h - s->lever, rise_c);
     }
@@ -64,6 +67,7 @@ drive_offset_block(struct drive_offset *s, const struct filter_params *p, double
     s->temp_c = b->temp_c;
     s->noise_c = b->noise_c;
     s->lever = h;
+    s->strong = h > STEP_MIN ? h : s->strong;
     s->heat_w = b->heat_w;
     s->half_s = 0.5 * b->duration_s;
 }
