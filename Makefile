@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan soak soak-motion fuzz mutants clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan bench-studies soak soak-motion fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -28,6 +28,7 @@ help:
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
 	@echo "make bench-firmware     cost of samples, steps, commands on the images of both chips (QUICK=1)"
 	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it"
+	@echo "make bench-studies      the studies of config/studies: random machines, calibrated machines, the sample"
 	@echo "make soak               a long print in closed loop: does it leak? (HOURS=10, hours of wall time, too)"
 	@echo "make soak-motion        random moves on every machine against the analytic path (SECONDS=600)"
 	@echo "make mutants FILE=guard  do its tests notice each small change of a safety file? (without FILE: all, hours)"
@@ -83,6 +84,11 @@ bench-plan: bench-%: setup sim chelper
 	@$(BENCH)
 	@$(PYTHON) scripts/bench/bench_plan_cost.py --memory benchy.gcode
 	@$(PYTHON) scripts/bench/bench_plan_cost.py --real-time 30
+
+bench-studies: setup sim chelper
+	@scripts/setup.sh study
+	@status=0; for study in $(wildcard config/studies/*.toml); do \
+	    $(PYTHON) scripts/study.py $$study --out $(OUT)/studies/$$(basename $$study .toml) || status=1; done; exit $$status
 
 soak: setup sim chelper
 	@$(PYTHON) scripts/bench/soak_print.py --hours $(or $(HOURS),10)

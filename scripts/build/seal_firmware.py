@@ -4,8 +4,8 @@
 Usage: seal_firmware.py ferrite.elf
 
 The checksum covers all that lies in flash before the section: vectors, code, constants, the image of .data. It is
-the one the chip's CRC unit computes: polynomial 0x04c11db7, start 0xffffffff, a little-endian word at a time, the most
-significant bit first, nothing reversed.
+the one the chip's CRC unit computes: polynomial 0x04c11db7, start 0xffffffff, a little-endian word at a time, highest
+bit first, nothing reversed.
 """
 
 from __future__ import annotations

@@ -157,7 +157,7 @@ def test_blocks_equal_the_reference_whatever_comes(y, settle, shift, length, sta
 
 
 @pytest.mark.parametrize("counts", [(65535,), (65535, 1), (65534, 1), (70_000, 1000), (1, 65535)])
-def test_more_lost_samples_than_a_block_can_count_are_the_most_it_can(counts):
+def test_more_lost_samples_than_a_block_can_count_are_its_maximum(counts):
     fast = Fast(3, 0, 0)
     for count in counts:
         fast.gap(count)

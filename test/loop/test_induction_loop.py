@@ -273,7 +273,7 @@ def test_a_held_nozzle_wakes_the_host_once_for_four_messages_until_its_target_mo
     rig.run(1.0)
     assert 51 <= len(rig.sent_s) - commanded <= 53  # a step for each batch of 19.2 ms
     rig.set_target(TARGET_C + 5.0)
-    assert max(sizes_of_messages(rig, 0.1)) == RECORDS
+    assert max(sizes_of_messages(rig, 0.1)[1:]) == RECORDS  # but for the batch under way
     rig.run(1.0)
     assert in_batches(sizes_of_messages(rig, 0.1))
 

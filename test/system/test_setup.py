@@ -164,6 +164,20 @@ def test_only_the_levels_of_browser_and_flash_ask_for_their_programs(root_comput
     assert {"avrdude", "openocd"} <= flash and "chromium" not in flash
 
 
+def test_studies_have_a_list_of_their_own_that_serves_the_demo_too(root_computer: Computer) -> None:
+    def installed() -> list[str]:
+        calls = [call for call in root_computer.calls("python") if "pip install" in call and " -r " in call]
+        return [call.split(" -r ")[-1] for call in calls]
+
+    for level, lists in (
+        ("demo", ["sim", "data"]),
+        ("study", ["sim", "data", "study", "data"]),
+        ("demo", ["sim", "data", "study", "data"]),
+    ):
+        assert root_computer.run("setup.sh", level).returncode == 0
+        assert installed() == [f"requirements-{name}.txt" for name in lists]
+
+
 # ---------------------------------------------------------------- install.sh
 
 

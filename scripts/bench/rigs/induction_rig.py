@@ -180,7 +180,11 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
         _control(choice, pid_control.PidParameters(**pid), heat, balance, drive, timing, held),
         loss,
         actuator.ActuatorParameters(
-            drive, pulse_s, pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1
+            drive,
+            pulse_s,
+            pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1,
+            look_s=settle_s + defaults.LOOK_SAMPLES * PERIOD_S,
+            long_look_s=settle_s + defaults.LONG_LOOK_SAMPLES * PERIOD_S,
         ),
         supervision.SuperviseParameters(-10.0, max_temp_c),
         timing,
