@@ -1,0 +1,110 @@
+"""Chips on a bus of the board of bus_rig.py, written from their data sheets: frames in, what the chip makes of them.
+
+`take(chip, device)` gives a device all that the board sends at start and what it is sent afterwards.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, Protocol
+
+from bus_rig import Chip
+
+EARLY = re.compile(r"(spi_send|i2c_transfer) oid=(\d+) (?:data|write)=([0-9a-f]*)")
+
+
+class Device(Protocol):
+    """What a frame does to it."""
+
+    def frame(self, data: bytes) -> None: ...
+
+
+def frames(chip: Chip, oid: int) -> list[bytes]:
+    """What the device with this oid has been sent: at start, then in the run."""
+    found = [
+        bytes.fromhex(data) for _, number, data in EARLY.findall("\n".join(chip.init)) if int(number) == oid
+    ]
+    for name, values, _, _ in chip.sent:
+        if name in ("spi_send", "i2c_transfer", "spi_transfer") and values[0] == oid:
+            found.append(bytes(values[1]))
+    return found
+
+
+def take(chip: Chip, device: Any, oid: int = 0) -> Any:
+    """The device after all that it has been sent."""
+    for data in frames(chip, oid):
+        device.frame(data)
+    return device
+
+
+class Ad5206:
+    """Resistance from wiper to B, as share of the whole (256 positions), by channel address."""
+
+    def __init__(self) -> None:
+        self.shares: dict[int, float] = {}
+
+    def frame(self, data: bytes) -> None:
+        word = int.from_bytes(data, "big") & 0x7FF  # a shift register of 11 bits
+        address = word >> 8
+        assert address < 6, "addresses 6 and 7 are none"
+        self.shares[address] = (word & 0xFF) / 256.0
+
+
+class Dac084S085:
+    """Outputs as share of the reference, by channel letter."""
+
+    def __init__(self) -> None:
+        self.shares: dict[str, float] = {}
+        self.registers: dict[str, float] = {}
+
+    def frame(self, data: bytes) -> None:
+        assert len(data) == 2, "16 falling edges, or the frame is void"
+        word = int.from_bytes(data, "big")
+        letter, operation = "ABCD"[word >> 14], word >> 12 & 3
+        self.registers[letter] = (word >> 4 & 0xFF) / 256.0
+        if operation == 1:  # 0: the register only
+            self.shares[letter] = self.registers[letter]
+
+
+class Mcp4451:
+    """Resistance from wiper to B as share of the whole (256 steps), by wiper number."""
+
+    def __init__(self) -> None:
+        self.shares: dict[int, float] = {}
+
+    def frame(self, data: bytes) -> None:
+        first, low = data
+        assert first >> 2 & 3 == 0, "not a write"
+        code = (first & 3) << 8 | low
+        assert code <= 0x100, "beyond terminal A"
+        self.shares[{0: 0, 1: 1, 6: 2, 7: 3}[first >> 4]] = code / 256.0
+
+
+class Mcp4018:
+    """Resistance from wiper to B as share of the whole, 127 steps."""
+
+    share = 0.5  # after power-on
+
+    def frame(self, data: bytes) -> None:
+        (code,) = data
+        assert code < 128
+        self.share = code / 127.0
+
+
+class Mcp4728:
+    """Volts out by channel number, and what its EEPROM has been told to hold."""
+
+    SUPPLY_V = 5.0
+
+    def __init__(self) -> None:
+        self.volts: dict[int, float] = {}
+        self.is_eeprom_written = False
+
+    def frame(self, data: bytes) -> None:
+        assert data[0] >> 5 == 0b010, "a command that writes"
+        self.is_eeprom_written |= data[0] >> 3 & 3 != 0
+        word = int.from_bytes(data[1:], "big")
+        full_v = 2.048 * (1 + (word >> 12 & 1)) if word >> 15 else self.SUPPLY_V
+        assert word >> 13 & 3 == 0, "powered down"
+        if not data[0] & 1:  # UDAC
+            self.volts[data[0] >> 1 & 3] = full_v * (word & 0xFFF) / 4096.0
