@@ -6,9 +6,13 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Mapping
 from typing import Any, Protocol
 
-from bus_rig import Chip
+import pytest
+
+import bus_rig
+from bus_rig import Answer, Chip
 
 EARLY = re.compile(r"(spi_send|i2c_transfer) oid=(\d+) (?:data|write)=([0-9a-f]*)")
 
@@ -35,6 +39,27 @@ def take(chip: Chip, device: Any, oid: int = 0) -> Any:
     for data in frames(chip, oid):
         device.frame(data)
     return device
+
+
+def attach(monkeypatch: pytest.MonkeyPatch, answers: Mapping[str, Answer]) -> None:
+    """The board has these answers to commands from the start on."""
+    configure = bus_rig.Chip.configure
+
+    def with_answers(board: Chip) -> None:
+        board.answers.update(answers)
+        configure(board)
+
+    monkeypatch.setattr(bus_rig.Chip, "configure", with_answers)
+
+
+def on_i2c(transfer: Callable[[bytes, int], bytes | None]) -> dict[str, Answer]:
+    """Answers of a device on I2C: (written, bytes wanted) -> bytes, or None for no acknowledgement."""
+
+    def answer(values: list[Any]) -> dict[str, Any]:
+        data = transfer(bytes(values[1]), values[2])
+        return {"i2c_bus_status": "START_NACK" if data is None else "SUCCESS", "response": data or b""}
+
+    return {"i2c_transfer": answer}
 
 
 class Ad5206:
@@ -108,3 +133,43 @@ class Mcp4728:
         assert word >> 13 & 3 == 0, "powered down"
         if not data[0] & 1:  # UDAC
             self.volts[data[0] >> 1 & 3] = full_v * (word & 0xFFF) / 4096.0
+
+
+class Ads1115:
+    """Codes of the voltages at its inputs. A conversion takes 1/128 s, or 10 % more."""
+
+    RANGES_V = (6.144, 4.096, 2.048, 1.024, 0.512, 0.256, 0.256, 0.256)
+    PAIRS = ((0, 1), (0, 3), (1, 3), (2, 3), (0, None), (1, None), (2, None), (3, None))
+
+    def __init__(
+        self, volts: list[float], bits: int = 16, rates_hz: tuple[float, ...] = (8, 16, 32, 64, 128)
+    ) -> None:
+        self.volts, self.bits, self.rates_hz = volts, bits, rates_hz
+        self.now: Callable[[], float] = lambda: 0.0
+        self.configuration = 0x8583
+        self.done_s = 0.0
+        self.is_there = True
+        self._pointer = 0
+
+    def transfer(self, written: bytes, count: int) -> bytes | None:
+        if not self.is_there:
+            return None
+        if written:
+            self._pointer = written[0]
+        if len(written) == 3:
+            assert self._pointer == 1
+            self.configuration = int.from_bytes(written[1:], "big")
+            if self.configuration >> 15:
+                assert self.configuration & 0x100, "started by hand: single shots"
+                self.done_s = self.now() + 1.1 / self.rates_hz[self.configuration >> 5 & 7]
+        if not count:
+            return b""
+        if self._pointer == 1:
+            word = self.configuration & 0x7FFF | (0x8000 if self.now() >= self.done_s else 0)
+            return word.to_bytes(2, "big")
+        plus, minus = self.PAIRS[self.configuration >> 12 & 7]
+        volt = self.volts[plus] - (0.0 if minus is None else self.volts[minus])
+        share = volt / self.RANGES_V[self.configuration >> 9 & 7]
+        top = 1 << self.bits - 1
+        code = max(-top, min(top - 1, round(share * top))) << 16 - self.bits
+        return code.to_bytes(2, "big", signed=True)
