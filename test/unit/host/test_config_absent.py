@@ -119,12 +119,12 @@ def test_what_a_printer_relies_on_is_refused_all_at_once(tmp_path: Path) -> None
     (tmp_path / "probe.cfg").write_text("\n[probe_eddy_current eddy]\nsensor_type: ldc1612\n")
     text = start_error(
         tmp_path,
-        "[include probe.cfg]\n[tmc2660 stepper_x]\ncs_pin: PA1\n[pause_resume]\n[sx1509 duex]\n"
+        "[include probe.cfg]\n[palette2]\nserial: x\n[pause_resume]\n[sx1509 duex]\n"
         "[fan]\npin: sx1509_duex:PIN_0\n[display]\n[delta_calibrate]\n",
     )
     assert text.splitlines()[:5] == [
         "Klipper has [probe_eddy_current eddy], Ferrite does not yet (probe.cfg, line 2).",
-        "Klipper has [tmc2660 stepper_x], Ferrite does not yet (printer.cfg, line 2).",
+        "Klipper has [palette2], Ferrite does not yet (printer.cfg, line 2).",
         "Klipper has [sx1509 duex], Ferrite does not yet (printer.cfg, line 5).",
         "Klipper has [delta_calibrate], Ferrite does not yet (printer.cfg, line 9).",
         "Take these sections out of the config, and what refers to them.",
