@@ -173,3 +173,67 @@ class Ads1115:
         top = 1 << self.bits - 1
         code = max(-top, min(top - 1, round(share * top))) << 16 - self.bits
         return code.to_bytes(2, "big", signed=True)
+
+
+class Apa102:
+    """A chain: each LED takes the next 32 bits after the start, and passes on the rest."""
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.stream = b""
+
+    def frame(self, data: bytes) -> None:
+        self.stream += data
+
+    def colors(self) -> list[tuple[int, int, int]]:
+        """(red, green, blue) of each LED after the last start."""
+        content = self.stream[self.stream.rindex(bytes(4)) + 4 :]
+        leds, tail = content[: 4 * self.count], content[4 * self.count :]
+        assert 8 * len(tail) >= self.count / 2, "too few clocks for the last LED"
+        found = []
+        for i in range(0, len(leds), 4):
+            first, blue, green, red = leds[i : i + 4]
+            assert first == 0xFF, "three ones and the full brightness"
+            found.append((red, green, blue))
+        return found
+
+
+class Registers:
+    """A chip whose first byte is a register's number and whether the next bytes go to the next ones."""
+
+    def __init__(self, increment: int, mask: int) -> None:
+        self.increment, self.mask = increment, mask
+        self.registers: dict[int, int] = {}
+
+    def frame(self, data: bytes) -> None:
+        number = data[0] & self.mask
+        assert len(data) == 2 or data[0] & self.increment
+        for value in data[1:]:
+            self.registers[number] = value
+            number += 1
+
+
+class Pca9533(Registers):
+    """Duty cycles of LED0 to LED3."""
+
+    def __init__(self) -> None:
+        super().__init__(0x10, 0x07)
+
+    def duties(self) -> list[float]:
+        blinks = [0.0, 1.0, self.registers[2] / 256.0, self.registers[4] / 256.0]
+        assert self.registers[1] == self.registers[3] == 0, "152 Hz, or it can be seen"
+        return [blinks[self.registers[5] >> 2 * led & 3] for led in range(4)]
+
+
+class Pca9632(Registers):
+    """Duty cycles of the transistors at LED0 to LED3."""
+
+    def __init__(self) -> None:
+        super().__init__(0x80, 0x0F)
+
+    def duties(self) -> list[float]:
+        assert not self.registers[0] & 0x10, "asleep"
+        mode2 = self.registers[1]
+        assert mode2 & 0x14 == 0x14, "inverted, totem pole"
+        states = [self.registers[8] >> 2 * led & 3 for led in range(4)]
+        return [(0.0, 1.0, self.registers[2 + led] / 256.0, 0.0)[state] for led, state in enumerate(states)]
