@@ -35,10 +35,9 @@ DISPENSABLE = (
 BROUGHT_ALONG = {"display": "display_status"}
 
 REFUSED = frozenset({
-    "angle", "axis_twist_compensation", "bed_tilt", "delta_calibrate", "dotstar", "hall_filament_width_sensor",
-    "load_cell", "load_cell_probe", "palette2", "pca9533", "pca9632", "probe_eddy_current", "pwm_tool", "replicape",
-    "samd_sercom", "smart_effector", "static_pwm_clock", "sx1509", "temperature_probe",
-    "tsl1401cl_filament_width_sensor", "z_thermal_adjust",
+    "angle", "axis_twist_compensation", "bed_tilt", "delta_calibrate", "hall_filament_width_sensor", "load_cell",
+    "load_cell_probe", "palette2", "probe_eddy_current", "replicape", "smart_effector", "sx1509",
+    "temperature_probe", "tsl1401cl_filament_width_sensor", "z_thermal_adjust",
 })  # fmt: skip
 
 

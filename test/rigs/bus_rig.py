@@ -7,6 +7,7 @@ firmware would not take fails here.
 from __future__ import annotations
 
 import fcntl
+import json
 import subprocess
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -31,6 +32,30 @@ def build_dictionary() -> bytes:
     return DICTIONARY.read_bytes()
 
 
+# Commands of boards that Ferrite has no firmware for, as the firmware of Klipper for SAMD51 and for Linux lists them.
+ELSEWHERE = {
+    "commands": (
+        "set_sercom_pin bus=%u sercom_pin_type=%u pin=%u",
+        "config_ds18b20 oid=%c serial=%*s max_error_count=%c",
+        "query_ds18b20 oid=%c clock=%u rest_ticks=%u min_value=%i max_value=%i",
+    ),
+    "responses": ("ds18b20_result oid=%c next_clock=%u value=%i fault=%u",),
+    "enumerations": {"bus": {"sercom0": [0, 8]}, "sercom_pin_type": {"tx": 0, "rx": 1, "clk": 2}},
+}
+
+
+def all_boards_dictionary() -> bytes:
+    """The dictionary of the firmware, with the commands of ELSEWHERE as well."""
+    content = json.loads(build_dictionary())
+    number = max(*content["commands"].values(), *content["responses"].values())
+    for kind in ("commands", "responses"):
+        for text in ELSEWHERE[kind]:
+            number += 1
+            content[kind][text] = number
+    content["enumerations"].update(ELSEWHERE["enumerations"])
+    return json.dumps(content).encode()
+
+
 class RigPin:
     """A digital_out, pwm or adc pin; `log` is what it was told, (print time, value)."""
 
@@ -52,6 +77,9 @@ class RigPin:
 
     def setup_cycle_time(self, cycle_time_s: float, hardware_pwm: bool = False) -> None:
         self.setup["cycle_time"], self.setup["hardware"] = cycle_time_s, hardware_pwm
+
+    def setup_waiting(self, count: int) -> None:
+        self.setup["waiting"] = count
 
     def setup_adc_sample(self, sample_time: float, sample_count: int, **limits: Any) -> None:
         self.setup["sample"] = limits
@@ -165,6 +193,9 @@ class Chip:
     def get_enumerations(self) -> dict[str, dict[str, int]]:
         return self.parser.get_enumerations()
 
+    def get_constant_float(self, name: str) -> float:
+        return float(self.constants[name])
+
     def get_constants(self) -> dict[str, Any]:
         return self.constants
 
@@ -227,7 +258,7 @@ def add_printer_objects(config: Any) -> None:
     """The board and the toolhead of a printer."""
     printer = config.get_printer()
     parser = msgproto.MessageParser()
-    parser.process_identify(build_dictionary(), decompress=False)
+    parser.process_identify(all_boards_dictionary(), decompress=False)
     chip = Chip(printer, parser)
     printer.lookup_object("pins").register_chip("mcu", chip)
     printer.add_object("mcu", chip)
