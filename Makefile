@@ -161,7 +161,7 @@ check-words:
 check-formats: sim
 	$(PYTHON) scripts/check/check_formats.py $(OUT)/simulator/ferrite.dict
 
-# FILE: guard oversample phase attention wire timed_output supervision.
+# FILE: guard oversample phase wire timed_output supervision.
 mutants: setup-test
 	@$(PYTHON) scripts/check/mutants.py $(FILE)
 

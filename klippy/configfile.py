@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import configabsent
+import configaliases
 import configtext
 import util
 from configtext import ConfigData, ConfigError, Origin
@@ -343,6 +344,9 @@ class PrinterConfig:
         for note in data.notes:
             logging.warning(note)
             self.add_warning({"type": "runtime_warning", "message": note})
+        for warning in configaliases.replace_old(data.sections):
+            logging.warning(warning["message"])
+            self.add_warning(warning)
         self._data = data
         return ConfigWrapper(self.printer, data, self._access, "printer")
 

@@ -39,8 +39,8 @@ class Features(NamedTuple):
     """What the estimator needs of one block."""
 
     time_s: float  # centre of the block
-    error_units: float
-    noise_units: float  # standard deviation of error_units from sample noise
+    signal_units: float
+    noise_units: float  # standard deviation of signal_units from sample noise
     phase_ticks: int
     power_fraction: float  # p = (phase/45000)^2, the "power %" of Oskolkov 2021 as a fraction
     count: int  # type: ignore[assignment]

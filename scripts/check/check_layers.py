@@ -28,7 +28,7 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
         ("thermal", "thermal"),
         (
             "base",
-            "util queuelogger reactor roles configabsent configtext configfile"
+            "util queuelogger reactor roles configabsent configaliases configtext configfile"
             " gcode_command gcode gcode_io pins msgproto",
         ),
         ("link", "link serialhdl clocksync mcu"),
@@ -44,7 +44,7 @@ ROOMS: tuple[tuple[str, ...], ...] = (
     ("models",),
     ("sensing",),
     ("control",),
-    ("identification", "plan"),
+    ("identification", "plan", "recording"),
 )
 
 # thermal/ computes and nothing else: it needs no more than the standard library and the C helper. Its fits run
@@ -54,7 +54,7 @@ OFFLINE = f"{PURE_PYTHON}/identification/fit"
 OFFLINE_PACKAGES = frozenset({"numpy", "scipy", "pyswarm"})
 
 # C files that compute and nothing else (state and input in, result out), without suffix.
-PURE_C = ("oversample", "oversample_kernel", "phase", "guard", "attention", "filters", "wire")
+PURE_C = ("oversample", "oversample_kernel", "phase", "guard", "filters", "wire")
 FORBIDDEN_IN_PURE_C = re.compile(r"^(board/|sched\.h$|command\.h$|basecmd\.h$)")
 PORTS = ("atmega2560", "stm32f334", "simulator", "template")
 # What the simulated world and the emulators may take from src/.

@@ -19,7 +19,7 @@ dice(uint32_t sides)
 
 struct life {
     struct oversample o;
-    struct phase_track t;
+    struct phase_schedule t;
     struct guard g;
     uint32_t index, clock;
     uint64_t fed, lost, told, blocks;

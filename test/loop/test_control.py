@@ -38,7 +38,7 @@ def test_model_reaches_every_promised_figure(plant: str, overshoot_c: float) -> 
     assert (r.late, r.trips, r.fault) == (0, 0, "")
 
 
-@pytest.mark.parametrize("other", ["pid", "practical", "watermark"])
+@pytest.mark.parametrize("other", ["pid", "two_period", "watermark"])
 def test_model_beats_the_other_laws_in_every_figure(other: str) -> None:
     ours, theirs = measured("model", "reference"), measured(other, "reference")
     for figure in (

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from extras.induction import supply as induction_supply
-from induction_rig import Plant, Rig, default_parameters
+from induction_rig import BATCH_WAIT_S, Plant, Rig, default_parameters
 from thermal.sensing import features, laws
 
 # The reference tank's components, as a calibration of the C plant finds them.
@@ -57,7 +57,7 @@ def test_a_nozzle_of_another_mass_is_named(factor: float) -> None:
     rig = Rig(Plant(3, mass_factor=factor), default_parameters(law=TANK), 5)
     hold(rig, 4.0)
     assert "wrong nozzle" in rig.loop.state.warning
-    assert rig.loop.state.plausible.capacity_ratio == pytest.approx(factor, rel=0.1)
+    assert rig.loop.state.heat_balance.capacity_ratio == pytest.approx(factor, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -108,8 +108,8 @@ def test_a_fault_takes_the_bridge_off_by_one_command_of_the_loop_not_by_the_watc
     changed_s = rig.now_s
     while not rig.loop.fault:
         rig.run(0.001)
-    # six blocks of 1.6 ms, then the message of seven that is being gathered in a calm, six of them at once
-    assert rig.now_s - changed_s < 0.0096 + 6 * 7 * 0.0016 + 0.03
+    # six blocks of 1.6 ms, then the batch of messages that is being gathered
+    assert rig.now_s - changed_s < 0.0096 + BATCH_WAIT_S + 0.03
     fault_s, sent = rig.now_s, len(rig.sent_s)
     assert rig.phase > 0 and rig.loop.state.target_c == 0.0
     while rig.phase:

@@ -123,9 +123,9 @@ class Chain:
     estimator: block_temperature.EstimatorParameters
     supervise: supervision.SuperviseParameters
     drive: DriveLaw
-    track: temperature_filter.FilterParameters
-    heard_s: float = math.inf
-    believed_s: float = math.inf
+    filter: temperature_filter.FilterParameters
+    last_block_s: float = math.inf
+    last_valid_s: float = math.inf
     reason: str = ""
     beyond: int = 0
     tripped_c: float = NAN
@@ -171,16 +171,16 @@ class Chain:
         return mean
 
     def _watch(self, own: TempEstimate, end_s: float) -> None:
-        self.heard_s = end_s
+        self.last_block_s = end_s
         if self.tripped_c == self.tripped_c or not own.phase_ticks:
             return
         if not self.supervise.calibrated:
-            self.believed_s = end_s
+            self.last_valid_s = end_s
             return
         self.reason = own.reason
         if not own.valid:
             return
-        self.believed_s = end_s
+        self.last_valid_s = end_s
         within = self.supervise.temp_low_c <= own.temp_c <= self.supervise.temp_high_c + self.supervise.over_c
         self.beyond = 0 if within else self.beyond + 1
         if self.beyond >= self.supervise.limit_blocks:
@@ -189,7 +189,7 @@ class Chain:
     def _filter(
         self, block: SampleBlock, own: TempEstimate, heat_w: float, end_s: float
     ) -> TempEstimate | None:
-        p = self.track
+        p = self.filter
         silent = not self.known or end_s - self.measured_s > p.gap_s or block.time_s < self.time_s
         if not silent:
             self._predict(block.centre_s, heat_w)
@@ -226,7 +226,7 @@ class Chain:
 
     def _predict(self, centre_s: float, heat_w: float) -> None:
         """F = [[1, dt], [0, 1]] around the heat balance; the drive's step lies where the block before ended."""
-        p, dt = self.track, centre_s - self.time_s
+        p, dt = self.filter, centre_s - self.time_s
         before = min(max(0.0, self.end_s - self.time_s), dt)
         mean_w = (self.power_w * before + heat_w * (dt - before)) / dt if dt > 0 else heat_w
         kelvin, air = self.x[0] + 273.15, p.loss.ambient_c + 273.15

@@ -84,16 +84,12 @@ class _Future:
             self.nodes = self.run(self.nodes, output, self.time_s, dt_s)
             self.time_s += dt_s
 
-    def reach(self, most: float, horizon_s: float) -> None:
-        self.without = self.run(self.nodes, 0.0, self.time_s, horizon_s)
-        self.reached = self.run(self.nodes, most, self.time_s, horizon_s)
-
-    def choose(self, most: float, hold_s: float) -> float:
-        """Unlimited output from now on, for so long."""
-        p, horizon_s = self.p, max(self.p.aim_s, hold_s)
-        fade = math.exp(-horizon_s / p.fade_s) if p.fade_s else 0.0
-        aim_c = _aim(p, self.inputs, self.nodes.temp_c, self.time_s, horizon_s, fade)
-        self.reach(most, horizon_s)
+    def choose(self, most: float) -> float:
+        """Unlimited output from now on."""
+        p = self.p
+        aim_c = _aim(p, self.inputs, self.nodes.temp_c, self.time_s, p.aim_s, p.fade)
+        self.without = self.run(self.nodes, 0.0, self.time_s, p.aim_s)
+        self.reached = self.run(self.nodes, most, self.time_s, p.aim_s)
         reach_c = self.reached.temp_c - self.without.temp_c
         return most * (aim_c - self.without.temp_c) / reach_c if reach_c > 1e-9 else 0.0
 
@@ -109,7 +105,6 @@ def _plan(p: ModelParameters, future: _Future, first: float) -> tuple[Planned, .
     """What follows the first output, as far as it differs; ends holding the wanted temperature."""
     inputs, horizon, output, said = future.inputs, [], first, first
     same, most = SAME_SHARE * p.output_high, p.output_high
-    future.reach(most, p.aim_s)
     added = [(b - a) / most for a, b in zip(future.without, future.reached, strict=True)]
     reach_c = max(added[TEMP], 1e-12)
     future.hold(output, p.aim_s)
@@ -144,7 +139,7 @@ def _lengths(ahead: int) -> tuple[int, ...]:
     return (1,) * (ahead - 2 * doubles) + (2,) * doubles
 
 
-def _is_calm(p: ModelParameters, future: _Future) -> bool:
+def _is_unchanging(p: ModelParameters, future: _Future) -> bool:
     """Nothing is going to happen within the horizon that a single output does not do."""
     inputs = future.inputs
     now_s, end_s = future.time_s, future.time_s + (p.ahead + 1) * p.aim_s
@@ -194,7 +189,6 @@ def model_step(
     samples = _samples(p, state, inputs, time_s)
     state = observe(p, state, samples, inputs.flow_mm3_s, inputs.fan)
     apply_s = inputs.apply_s if inputs.apply_s == inputs.apply_s else time_s + p.delay_s
-    hold_s = inputs.hold_s if inputs.hold_s == inputs.hold_s else p.hold_s
     own = inputs.pending is None
     if not state.known or inputs.reference_c <= 0.0:
         off = Planned(apply_s, 0.0)
@@ -203,9 +197,9 @@ def model_step(
     future = _Future(p, state, inputs, state.time_s)
     future.follow(state.sent if inputs.pending is None else inputs.pending, samples[-1].output, apply_s)
     at = future.nodes
-    unlimited = future.choose(p.output_high, hold_s)
-    value = _limited(p, inputs, unlimited, state.output, hold_s)
-    calm = not p.ahead or _is_calm(p, future)
+    unlimited = future.choose(p.output_high)
+    value = _limited(p, inputs, unlimited, state.output, p.hold_s)
+    calm = not p.ahead or _is_unchanging(p, future)
     horizon = () if calm else _plan(p, future, value)
     per_output_w = heat_per_output_w(p, at.temp_c) * state.gain
     flow, fan = schedule_at(inputs.flow_mm3_s, apply_s), schedule_at(inputs.fan, apply_s)

@@ -170,7 +170,7 @@ class ModelState(NamedTuple):
     gain: float = 1.0
     covariance: Matrix = ()
     innovation_c: float = 0.0  # newest: measured minus expected
-    heard_s: float = -math.inf  # newest measurement
+    measured_s: float = -math.inf  # newest measurement
     output: float = 0.0  # newest output decided
     driven: float = 0.0  # output in force at the newest measurement
     offset_c: float = 0.0  # taken off the readings ...
@@ -337,7 +337,7 @@ class _Run(NamedTuple):
     time_s: float
     weight: float  # sum of 1/variance
     innovation_c: float  # weighted mean
-    heard_s: float
+    measured_s: float
     output: float  # mean over the time walked
     rebased_c: float  # 1 sigma of what a step of the drive may have moved the reading, 0: there was none
     driven: float
@@ -382,7 +382,7 @@ def _walk(
     p: ModelParameters, state: ModelState, samples: Sequence[Sample], flow: Schedule, fan: Schedule
 ) -> _Run:
     """Through the outputs of these samples; within one of them the expected temperature is a straight line."""
-    nodes, now_s, heard_s = state.nodes, state.time_s, state.heard_s
+    nodes, now_s, measured_s = state.nodes, state.time_s, state.measured_s
     weight = pulled = passed = 0.0
     rebased_c, driven = 0.0, state.driven
     offset_c, offset_output = state.offset_c, state.offset_output
@@ -411,7 +411,7 @@ def _walk(
             weight += share
             levered += share * lever
             pulled += share * off_c
-            heard_s, driven = sample.time_s, sample.output
+            measured_s, driven = sample.time_s, sample.output
         passed += sample.output * span_s
         now_s += span_s
     elapsed_s = now_s - state.time_s
@@ -423,7 +423,7 @@ def _walk(
         now_s,
         weight,
         mean_c,
-        heard_s,
+        measured_s,
         output,
         rebased_c,
         driven,
@@ -493,7 +493,7 @@ def observe(
     """The state after these samples, in order of time."""
     if not samples:
         return state
-    if not state.known or samples[-1].end_s - state.heard_s > p.gap_s:
+    if not state.known or samples[-1].end_s - state.measured_s > p.gap_s:
         measured = [s for s in samples if s.temp_c == s.temp_c]
         if not measured:
             return state
@@ -541,7 +541,7 @@ def _observe_piece(
         gain,
         tuple(map(tuple, rows)),
         by_c,
-        run.heard_s,
+        run.measured_s,
         state.output,
         run.driven,
         run.offset_c,

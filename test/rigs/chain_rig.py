@@ -51,7 +51,7 @@ def estimate(
     one = blocks.Blocks()
     one.count = 1
     raw = one.raw[0]
-    raw.error_units, raw.noise_units, raw.phase_ticks = error, noise, phase
+    raw.signal_units, raw.noise_units, raw.phase_ticks = error, noise, phase
     LIB.chain_estimate(told(new_chain(read=parameters)), one.raw)
     return one.estimate(0)
 

@@ -203,7 +203,7 @@ def test_an_ended_run_leaves_the_heater_off_and_nothing_changed(simulate: Simula
 def test_the_published_table_swings_a_strong_nozzle_and_the_cutoff_bounds_it(
     simulate: Simulate, tmp_path: Path, cutoff_c: int, peak_c: float
 ) -> None:
-    more = f"[induction_heater nozzle]\ncontrol: practical\npractical_cutoff: {cutoff_c}\n"
+    more = f"[induction_heater nozzle]\ncontrol: two_period\npractical_cutoff: {cutoff_c}\n"
     more += "[simulator nozzle nozzle]\npreset: strong\n"
     run = simulate("M109 S250\nG4 P5000\nM104 S0\n", config=machine(tmp_path, more))
     assert run.status == 0, run.stderr  # M109 ended, no guard tripped

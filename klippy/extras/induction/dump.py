@@ -65,7 +65,7 @@ class InductionDump:
         listeners = self.heater.loop.listeners
         wanted = bool(self._clients) or self._file is not None
         if wanted and self._on_block not in listeners:
-            self.heater.listen(self._on_block)
+            listeners.append(self._on_block)
         elif not wanted and self._on_block in listeners:
             listeners.remove(self._on_block)
 

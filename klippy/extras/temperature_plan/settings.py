@@ -104,14 +104,14 @@ def _material(config: ConfigWrapper) -> Material:
 def nozzle_limits(settings: Settings, parameters: LoopParameters, min_extrude_c: float) -> NozzleLimits:
     """What an [induction_heater] lets the plan do. Its melt exchange is as the heater knows it (MODEL_CALIBRATE with
     FLOW measures it), unless [temperature_plan] says otherwise."""
-    holder, own = parameters.plausible.loss, parameters.melt
+    holder, own = parameters.heat_balance.loss, parameters.melt
     return NozzleLimits(
         min_c=parameters.supervise.temp_low_c,
         max_c=parameters.supervise.temp_high_c - HEADROOM_C,
         min_extrude_c=min_extrude_c,
         power_w=settings.power_share * parameters.control.power_max_w,
         loss=parameters.loss,
-        capacity=parameters.track.heat,
+        capacity=parameters.filter.heat,
         exchange=replace(own, ua_w_k=settings.exchange_w_k or own.ua_w_k, volume_mm3=settings.melt_mm3),
         holder_w_k=holder.link_w_k**2 / (holder.link_w_k + holder.second_w_k),
         holder_s=holder.second_j_k / (holder.link_w_k + holder.second_w_k),

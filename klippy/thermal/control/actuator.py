@@ -31,13 +31,15 @@ class ActuatorParameters:
     law: DriveLaw
     pulse_s: float  # settling plus one whole block
     sense_interval_s: float = 0.1  # longest time without a pulse while a target is set
-    idle_interval_s: float = 0.5  # the same with the heater off, if heard: 1.5 W * 8.9 ms / 0.5 s = 27 mW
+    idle_interval_s: float = (
+        0.5  # the same with the heater off, if its blocks arrive: 1.5 W * 8.9 ms / 0.5 s = 27 mW
+    )
     phase_low_ticks: int = SENSING_PHASE_TICKS
     pulses_max: int = 2  # in one piece: as many as fill the time until the next command
 
     @property
     def power_low_w(self) -> float:
-        """Heat at the least useful phase."""
+        """Heat at the smallest useful phase."""
         return self.law.power_w(self.phase_low_ticks)
 
 
@@ -49,11 +51,11 @@ class ActuatorState:
     request_w: float = 0.0  # request in force since last_s
     owed_j: float = 0.0  # asked minus delivered
     last_excited_s: float = -math.inf  # end of the last pulse or continuous drive
-    driving: bool = False  # continuous drive (phase above the least one) since last_s
+    driving: bool = False  # continuous drive (phase above the smallest) since last_s
 
 
 def _account(parameters: ActuatorParameters, state: ActuatorState, time_s: float) -> None:
-    """Book the request of the interval that ends now. Continuous drive delivers what is asked."""
+    """Add the request of the interval that ends now. Continuous drive delivers what is requested."""
     if state.driving:
         state.last_excited_s = time_s
         state.owed_j = 0.0
@@ -105,9 +107,9 @@ def actuate(
 def ahead(
     parameters: ActuatorParameters, first: PhaseCommand, horizon: Sequence[Planned]
 ) -> list[PhaseCommand]:
-    """Commands after `first` that follow a law's horizon; told for the case that nothing newer arrives.
+    """Commands after `first` that follow a law's horizon, for the case that nothing newer arrives.
 
-    Below the least useful phase the bridge is off or at that phase, whichever is nearer: pulses are booked only
+    Below the smallest useful phase the bridge is off or at that phase, whichever is nearer: pulses are booked only
     when they are sure to come.
     """
     law, low_w = parameters.law, parameters.power_low_w

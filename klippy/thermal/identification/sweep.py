@@ -135,7 +135,7 @@ class Sweep(Run):
             if seen.phase_ticks and seen.fault:
                 self.abort(f"{seen.fault} at {100.0 * seen.power_fraction:.1f} % power")
                 break
-            error = seen.error_units if seen.phase_ticks else 0.0
+            error = seen.signal_units if seen.phase_ticks else 0.0
             record.blocks.append((seen.time_s, error, seen.phase_ticks, seen.count, block.duration_s))
         return self.on_timer(now_s)
 

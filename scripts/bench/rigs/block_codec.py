@@ -23,6 +23,11 @@ class Row:
     offset: int = 0
 
 
+def one_step(phase: int) -> bytes:
+    """A plan of one phase, for queue_induction_plan."""
+    return struct.pack("<HH", 0, phase)
+
+
 def vlq(value: int) -> bytes:
     """A number as the link sends it: groups of seven bits, the first with its sign in two of them."""
     value = (value + (1 << 31)) % (1 << 32) - (1 << 31)

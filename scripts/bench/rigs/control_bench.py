@@ -22,7 +22,7 @@ BAND_C = 3.0
 IDLE_S, HOLD_S, FLOW_S, STEP_S = 0.6, 3.0, 1.0, 1.0
 FLOW_KNOWN_S = 0.25  # look-ahead: moves stand in the queue this long before they happen
 POWER_W = {"reference": 81.3, "strong": 282.0}
-OURS = ("model", "pid", "practical", "watermark")
+OURS = ("model", "pid", "two_period", "watermark")
 PEERS = ("indx-like", "mpc-like")
 
 PLANTS: dict[str, tuple[str, dict[str, float]]] = {

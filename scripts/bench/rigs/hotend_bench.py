@@ -53,7 +53,7 @@ PID = pid.klipper_pid(22.2, 1.08, 114.0, 1.0, 1.0)  # a common hotend's, as in s
 LAWS: dict[str, tuple[Any, Any]] = {
     "model": (predictive.MODEL, HOTEND),
     "pid": (pid.PID, PID),
-    "practical": (two_period.PRACTICAL, two_period.TwoPeriodParameters(1.0)),
+    "two_period": (two_period.TWO_PERIOD, two_period.TwoPeriodParameters(1.0)),
     "watermark": (pid.WATERMARK, pid.WatermarkParameters(2.0, 1.0)),
 }
 PLANTS: dict[str, dict[str, float]] = {

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
@@ -12,7 +11,7 @@ import pytest
 from doc_rig import Figures
 from extras.induction import calibrate, mcu, settings
 from heater_fakes import FakePrinter
-from thermal.control import loop, nozzle_model, steady
+from thermal.control import bridge_driver, loop, nozzle_model
 from thermal.sensing import block_temperature, features, laws
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 
@@ -41,12 +40,12 @@ def coefficient(value: float) -> str:
 
 def thermometer_rows() -> Iterator[str]:
     unit, p = options()
-    exp, eq5, tank, heat = laws.ExpLaw(), laws.Eq5Law(), laws.TankLaw(), p.plausible
+    exp, eq5, tank, heat = laws.ExpLaw(), laws.Eq5Law(), laws.TankLaw(), p.heat_balance
     span = block_temperature.EstimatorParameters(exp)
     settle_s = unit.settle_samples / unit.frequency_hz
     yield f"block | {unit.block_samples} samples, {ms(p.timing.block_s)}"
     yield f"settling after a phase step | {unit.settle_samples} samples, {1e3 * settle_s:.2f} ms"
-    yield f"blocks in a message | {unit.records}, in steady state {unit.calm_records}"
+    yield f"blocks in a message | {unit.records}"
     share = 100.0 * features.power_fraction(SENSING_PHASE_TICKS)
     yield f"smallest phase that measures | {SENSING_PHASE_TICKS} ticks, {share:.1f} % of full power"
     yield f"range of a valid temperature | −{-span.temp_low_c:g} °C to {span.temp_high_c:g} °C"
@@ -57,9 +56,9 @@ def thermometer_rows() -> Iterator[str]:
     residuals = ", ".join(f"{law.residual_units:g}" for law in (exp, eq5, tank))
     yield f"residual of `exp`, `eq5`, `tank` on Table 1 | {residuals} units"
     yield f"noise needed at the ADC | {features.NOISE_NEEDED_LSB:g} LSB"
-    yield f"spectral density of the unexplained heating rate | {p.track.rate_noise:g} K²/s³"
-    yield f"filter starts anew after a gap of | {p.track.gap_s:g} s"
-    yield f"outlier | {p.track.gate_sigma:g} σ and {p.track.gate_c:g} °C off; {p.track.outliers_max} in a row"
+    yield f"spectral density of the unexplained heating rate | {p.filter.rate_noise:g} K²/s³"
+    yield f"filter starts anew after a gap of | {p.filter.gap_s:g} s"
+    yield f"outlier | {p.filter.gate_sigma:g} σ and {p.filter.gate_c:g} °C off; {p.filter.outliers_max} in a row"
     yield f"quiet time before a report | {heat.window_s:g} s, {heat.ready_s:g} s"
     yield f"drift reported | {heat.limit_c:g} °C"
     known, measured = 100.0 * heat.loss_uncertainty, 100.0 * calibrate.LOSS_UNCERTAINTY
@@ -70,14 +69,14 @@ def thermometer_rows() -> Iterator[str]:
 
 
 def control_rows() -> Iterator[str]:
-    _, p = options()
+    unit, p = options()
     calibrated = settings.CALIBRATED_APPROACH
     assert calibrated.band_c == p.approach.band_c
     yield f"control interval | {ms(p.timing.control_s)}"
     yield f"command lead | {ms(p.timing.lead_s)}"
     yield f"phases in a plan | max {mcu.PLAN_STEPS_MAX}"
     yield f"plan reaches ahead | {ms(nozzle_model.AHEAD_S)}"
-    yield f"new plan when it differs by | {100.0 * loop.RESAY_SHARE:g} % of full power"
+    yield f"new plan when it differs by | {100.0 * bridge_driver.RESAY_SHARE:g} % of full power"
     yield f"closed-loop time constant | {ms(nozzle_model.FADE_S)}"
     yield f"lag from extruder motor to nozzle flow | {ms(nozzle_model.FLOW_LAG_S)}"
     yield f"disturbance: process noise | {nozzle_model.DISTURBANCE_W:g} W per √s"
@@ -87,30 +86,15 @@ def control_rows() -> Iterator[str]:
     limits = f"{p.approach.power_w:g} W (`tank` law {calibrated.power_w:g} W), {p.approach.band_c:g} °C"
     yield f"near the target: power limit, band | {limits}"
 
-
-def steady_rows() -> Iterator[str]:
-    unit, _ = options()
-    yield f"begins when held | {steady.CALM_S:g} s within {steady.CALM_C:g} °C"
-    yield f"blocks in a message | {unit.calm_records}"
-    yield f"interval of control steps | {ms(steady.LOT_S)}"
-    weight = 1.0 / 8.0  # src/attention.h
-    assert abs(steady.MEAN_SHARE - math.sqrt(weight / (2.0 - weight))) < 1e-3
-    yield "weight of a block in the mean | 1/8"
-    yield f"report deadband | {steady.STRAY_C:g} °C, or {steady.STRAY_SIGMA:g} standard deviations of the mean"
-    yield f"normal rate for | {steady.STRAY_S:g} s"
-    again = steady.feedings(loop.PhaseCommand(0.0, SENSING_PHASE_TICKS, 1.5), unit.max_duration_s)
-    yield "| {:.0f} and {:.0f} ms after its first command".format(*(1e3 * c.time_s for c in again))
-    yield f"late host tolerated | {ms(steady.STALL_S)}"
-
-
-def all_control_rows() -> Iterator[str]:
-    yield from control_rows()
-    yield from steady_rows()
+    settled_s, settled_c = loop.InductionLoop.SETTLED_S, loop.InductionLoop.SETTLED_C
+    yield f"holding: begin | within {settled_c:g} °C of the target for {settled_s:g} s"
+    message_s = unit.records * unit.block_samples / unit.frequency_hz
+    yield f"interval of control steps | {ms(int(mcu.BATCH_S / message_s) * message_s)}"
 
 
 SECTIONS = (
     (Figures("Induction.md", "Numbers in the program"), thermometer_rows),
-    (Figures("Control.md", "Numbers in the program"), all_control_rows),
+    (Figures("Control.md", "Numbers in the program"), control_rows),
 )
 
 

@@ -173,7 +173,6 @@ class World:
             applied=rng.choice([math.nan, rng.uniform(0.0, p.output_high)]),
             apply_s=rng.choice([math.nan, apply_s]),
             reference=a_reference(rng, self.now_s, max(1.0, target_c)),
-            hold_s=rng.choice([math.nan, p.hold_s, 2.0 * p.hold_s]),
             samples=samples,
             pending=rng.choice([None, tuple(sorted(pending))]),
             flow_mm3_s=a_schedule(rng, self.now_s, 25.0),

@@ -121,7 +121,7 @@ def test_a_block_that_cannot_be_used_says_why(change: dict[str, float], reason: 
 def test_front_end_scale_and_count_set_error_and_noise() -> None:
     block = SampleBlock(0, 0, 0.0, 0.001, 100, 300.0, 290, 310, 9000, 0, 0)
     (got,) = features.extract(features.FeatureParameters(256.0, 6.4, 1.0), blocks.Blocks.of([block]))
-    assert got.error_units == pytest.approx(44.0 * 6.4)
+    assert got.signal_units == pytest.approx(44.0 * 6.4)
     assert got.noise_units == pytest.approx(6.4 * math.sqrt((1.0 + 1.0 / 12.0) / 100))
     assert got.power_fraction == pytest.approx(0.04)
 

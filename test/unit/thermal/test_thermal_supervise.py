@@ -65,7 +65,7 @@ def test_silence_is_a_fault_after_its_time_and_not_before() -> None:
     assert on.watch(3.001, 100.0, 200.0, 0.4) == "no samples from the induction unit for 1.0 s"
 
 
-def test_blocks_without_a_believable_temperature_are_a_fault_with_the_reason() -> None:
+def test_blocks_without_a_valid_temperature_are_a_fault_with_the_reason() -> None:
     on = Watched()
     fault = ""
     for n in range(200):
@@ -86,7 +86,7 @@ def test_blocks_that_say_nothing_are_a_fault_after_two_seconds(reason: str, word
     on.block(0.5, 100.0)
     on.block(2.5, reason=reason)
     assert on.watch(2.5, 100.0, 0.0, 0.0) == ""
-    assert on.watch(2.501, 100.0, 0.0, 0.0) == f"no believable nozzle temperature for 2.0 s ({words})"
+    assert on.watch(2.501, 100.0, 0.0, 0.0) == f"no valid nozzle temperature for 2.0 s ({words})"
 
 
 def test_what_was_wrong_is_named_though_the_bridge_is_off_now() -> None:
@@ -121,7 +121,7 @@ def test_the_temperature_that_tripped_is_kept_and_blocks_go_on_being_heard() -> 
     on = Watched(supervision.SuperviseParameters(0.0, 300.0, limit_blocks=1))
     on.block(0.1, 306.0)
     on.block(5.0, 307.0)
-    assert (on.seen.is_tripped, on.seen.tripped_c, on.seen.heard_s) == (1, 306.0, 5.0)
+    assert (on.seen.is_tripped, on.seen.tripped_c, on.seen.last_block_s) == (1, 306.0, 5.0)
 
 
 def test_without_a_calibration_only_silence_is_a_fault() -> None:

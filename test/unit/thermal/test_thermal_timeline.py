@@ -21,9 +21,9 @@ def plan(*steps: tuple[float, float]) -> list[Planned]:
 
 
 def test_what_was_said_already_does_not_stray() -> None:
-    assert not line().strays(plan(*TOLD), 0.5)
-    assert not line().strays(plan((1.00, 5.2), (1.02, 8.9), (1.05, 7.3)), 0.5)
-    assert not line().strays(plan((1.02, 9.0), (1.05, 7.0)), 0.5)  # from a later start
+    assert not line().differs(plan(*TOLD), 0.5)
+    assert not line().differs(plan((1.00, 5.2), (1.02, 8.9), (1.05, 7.3)), 0.5)
+    assert not line().differs(plan((1.02, 9.0), (1.05, 7.0)), 0.5)  # from a later start
 
 
 @pytest.mark.parametrize(
@@ -37,8 +37,8 @@ def test_what_was_said_already_does_not_stray() -> None:
         ((1.00, 5.0),),  # nothing of what was said holds any more
     ],
 )
-def test_any_step_that_differs_strays(steps: tuple[tuple[float, float], ...]) -> None:
-    assert line().strays(plan(*steps), 0.5)
+def test_any_step_that_differs_is_found(steps: tuple[tuple[float, float], ...]) -> None:
+    assert line().differs(plan(*steps), 0.5)
 
 
 @pytest.mark.parametrize(

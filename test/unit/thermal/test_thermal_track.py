@@ -24,7 +24,7 @@ class Filter:
     def __init__(self) -> None:
         self.state: Any = FFI.new("struct filter_state *")
         LIB.filter_reset(self.state)
-        self._parameters = FFI.addressof(told(CHAIN), "track")
+        self._parameters = FFI.addressof(told(CHAIN), "filter")
 
     def block(self, n: int, power_w: float, temp_c: float, noise_c: float = 0.1) -> TempEstimate | None:
         one = blocks.Blocks()

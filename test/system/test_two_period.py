@@ -1,4 +1,4 @@
-"""`control: practical` on the induction nozzle: a law that swings, under the one guard that is its own."""
+"""`control: two_period` on the induction nozzle: a law that swings, under the one guard that is its own."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 
 from system.conftest import Simulate
 
-PRACTICAL = "induction_heater nozzle.control=practical"
+TWO_PERIOD = "induction_heater nozzle.control=two_period"
 STRONG = ("simulator nozzle nozzle.preset=strong", "induction_heater nozzle.power_full_w=282")
 
 
@@ -17,7 +17,7 @@ def test_the_cutoff_bounds_the_swing_and_m109_ends(
     simulate: Simulate, tmp_path: Path, cutoff_c: float, low_c: float, high_c: float
 ) -> None:
     """Table 2 heats at 82 % above the target too, so the swing sits at the cutoff; on top 10 ms of 282 W, 7 degC."""
-    settings = (PRACTICAL, *STRONG, f"induction_heater nozzle.practical_cutoff={cutoff_c}")
+    settings = (TWO_PERIOD, *STRONG, f"induction_heater nozzle.two_period_cutoff={cutoff_c}")
     run = simulate("M109 S250\nG4 P5000\n", settings=settings)
     assert run.status == 0, run.stderr
     assert run.column("t_s")[-1] < 12.0  # M109 took its climb and a second or so, then the 5 s
@@ -29,12 +29,12 @@ def test_the_cutoff_bounds_the_swing_and_m109_ends(
 def test_without_more_words_it_has_the_published_table_and_a_cutoff_of_15(
     simulate: Simulate, tmp_path: Path
 ) -> None:
-    run = simulate("M109 S250\nG4 P4000\n", settings=(PRACTICAL,))
+    run = simulate("M109 S250\nG4 P4000\n", settings=(TWO_PERIOD,))
     assert run.status == 0, run.stderr
     assert 255.0 < max(run.column("true_c")) < 275.0
 
 
 def test_an_impossible_cutoff_is_refused_by_name(simulate: Simulate) -> None:
-    run = simulate("G4 P100\n", settings=(PRACTICAL, "induction_heater nozzle.practical_cutoff=-1"))
+    run = simulate("G4 P100\n", settings=(TWO_PERIOD, "induction_heater nozzle.two_period_cutoff=-1"))
     assert run.status == 2
-    assert "practical_cutoff" in run.stderr + run.stdout
+    assert "two_period_cutoff" in run.stderr + run.stdout
