@@ -15,6 +15,7 @@ from typing import Any
 
 import msgproto
 from base_rig import BarePrinter, Session
+from check_formats import COMMANDS_ELSEWHERE, RESPONSES_ELSEWHERE
 
 ROOT = Path(__file__).resolve().parents[2]
 DICTIONARY = ROOT / "out" / "simulator" / "ferrite.dict"
@@ -32,27 +33,16 @@ def build_dictionary() -> bytes:
     return DICTIONARY.read_bytes()
 
 
-# Commands of boards that Ferrite has no firmware for, as the firmware of Klipper for SAMD51 and for Linux lists them.
-ELSEWHERE = {
-    "commands": (
-        "set_sercom_pin bus=%u sercom_pin_type=%u pin=%u",
-        "config_ds18b20 oid=%c serial=%*s max_error_count=%c",
-        "query_ds18b20 oid=%c clock=%u rest_ticks=%u min_value=%i max_value=%i",
-    ),
-    "responses": ("ds18b20_result oid=%c next_clock=%u value=%i fault=%u",),
-    "enumerations": {"bus": {"sercom0": [0, 8]}, "sercom_pin_type": {"tx": 0, "rx": 1, "clk": 2}},
-}
-
-
 def all_boards_dictionary() -> bytes:
-    """The dictionary of the firmware, with the commands of ELSEWHERE as well."""
+    """The dictionary of the firmware, with what only Klipper's firmware for other boards knows."""
     content = json.loads(build_dictionary())
     number = max(*content["commands"].values(), *content["responses"].values())
-    for kind in ("commands", "responses"):
-        for text in ELSEWHERE[kind]:
+    for kind, texts in (("commands", COMMANDS_ELSEWHERE), ("responses", RESPONSES_ELSEWHERE)):
+        for text in texts:
             number += 1
             content[kind][text] = number
-    content["enumerations"].update(ELSEWHERE["enumerations"])
+    content["enumerations"]["bus"] = {"sercom0": [0, 8]}
+    content["enumerations"]["sercom_pin_type"] = {"tx": 0, "rx": 1, "clk": 2}
     return json.dumps(content).encode()
 
 

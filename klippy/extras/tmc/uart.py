@@ -159,9 +159,7 @@ class RegisterLink:
         self.name = config.get_name().split(None, 1)[-1]
         self.wire = lookup_wire(config)
         self.mcu = self.wire.mcu
-        self.address = (
-            config.getint("uart_address", 0, minval=0, maxval=addresses - 1) if addresses > 1 else 0
-        )
+        self.address = config.getint("uart_address", 0, minval=0, maxval=addresses - 1)
         self.selection = self.wire.read_selection(config)
         other = self.wire.addresses.setdefault((self.selection, self.address), self.name)
         if other != self.name:
