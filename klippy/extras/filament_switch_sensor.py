@@ -18,7 +18,7 @@ from gcode import GCodeCommand
 
 from .buttons import debounced
 
-START_DELAY_S = 2.0  # after ready: the switches tell their state first
+START_DELAY_S = 2.0  # after ready: the switches report their state first
 
 
 @dataclass(frozen=True, slots=True)

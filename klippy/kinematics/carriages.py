@@ -4,7 +4,7 @@
     place of carriage = scale * axis + offset
 
 A carriage that is in use has scale 1 and offset 0. On an axis with more, the others rest (scale 0, the place is the
-offset), copy it (scale 1) or mirror it (scale -1). Every mode is such a group of numbers, so a motor is always
+offset), copy it (scale 1) or mirror it (scale -1). Every mode is such a pair of numbers, so a motor is always
 a fixed mix of x, y, z plus a constant: the solver of the linear machines, and the range of an axis stays an interval.
 """
 
@@ -148,22 +148,32 @@ def _is_beyond(carriage: Carriage, other: Carriage) -> bool:
     return one.positive_dir == two.positive_dir and ((beyond > 0.0) if one.positive_dir else (beyond < 0.0))
 
 
+def solve(rows: Sequence[Sequence[float]], right: Sequence[float], pivot_min: float) -> list[float]:
+    """Solution of a square system by elimination with pivots; ValueError if there is none.
+
+    Not numpy's: that takes 15 MB of the host's memory, for four unknowns at most.
+    """
+    work = [[*row, value] for row, value in zip(rows, right, strict=True)]
+    for column in range(len(work)):
+        pivot = max(range(column, len(work)), key=lambda r: abs(work[r][column]))
+        if abs(work[pivot][column]) <= pivot_min:
+            raise ValueError("the points determine no surface")
+        work[column], work[pivot] = work[pivot], work[column]
+        for row, values in enumerate(work):
+            if row != column:
+                share = values[column] / work[column][column]
+                work[row] = [a - share * b for a, b in zip(values, work[column], strict=True)]
+    return [row[-1] / row[column] for column, row in enumerate(work)]
+
+
 def solve_axes(rows: Sequence[tuple[Sequence[float], float]]) -> list[float] | None:
-    """x, y, z with the least squared error of `row . xyz = value`; None if the rows do not determine them."""
+    """x, y, z with the smallest squared error of `row . xyz = value`; None if the rows do not determine them."""
     system = [[math.fsum(r[i] * r[j] for r, _ in rows) for j in range(3)] for i in range(3)]
     right = [math.fsum(r[i] * value for r, value in rows) for i in range(3)]
-    for column in range(3):  # elimination with row exchange
-        best = max(range(column, 3), key=lambda i: abs(system[i][column]))
-        if abs(system[best][column]) < SMALLEST_PIVOT:
-            return None
-        system[column], system[best] = system[best], system[column]
-        right[column], right[best] = right[best], right[column]
-        for i in range(3):
-            if i != column:
-                factor = system[i][column] / system[column][column]
-                system[i] = [a - factor * b for a, b in zip(system[i], system[column], strict=True)]
-                right[i] -= factor * right[column]
-    return [right[i] / system[i][i] for i in range(3)]
+    try:
+        return solve(system, right, SMALLEST_PIVOT)
+    except ValueError:
+        return None
 
 
 @dataclass(frozen=True, slots=True)

@@ -35,7 +35,7 @@ class Reading:
     gas_ohm: float | None = None
 
 
-Pause = Callable[[float], None]  # for so many seconds
+Pause = Callable[[float], None]  # argument: seconds
 
 
 class Device(Protocol):
@@ -301,6 +301,6 @@ TYPES: dict[str, Callable[[Any], I2cTemperature]] = {
 
 
 def register_builtin(heaters: Any) -> None:
-    """Tell the registry the types of this file."""
+    """Register the types of this file."""
     for name, build in TYPES.items():
         heaters.add_sensor_factory(name, build)

@@ -94,6 +94,13 @@ class BridgeDriver:
         commands = actuator.actuate(parameters.actuator, state.actuator, power_w, at_s, is_on, idle)
         if len(commands) == 1 and horizon:
             commands += actuator.ahead(parameters.actuator, commands[0], horizon)
+        if commands and parameters.supervise.calibrated:
+            rate_k_s = power_w / parameters.filter.heat.at(state.estimate.temp_c)
+            doubt_c = math.sqrt(self.chain.state.drive.variance)
+            looked = actuator.with_look(parameters.actuator, state.actuator, commands, rate_k_s, doubt_c)
+            state.line.note(looked, now_s)
+            state.line.head = commands[0]
+            return looked
         state.line.note(commands, now_s)
         return commands
 
