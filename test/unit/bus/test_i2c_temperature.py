@@ -277,9 +277,9 @@ def test_a_ds18b20_is_read_and_watched_by_the_linux_board(
         serial = b"28-031674b175ff".hex()
         assert f"config_ds18b20 oid=0 serial={serial} max_error_count=4" in s.chip.config
         assert s.chip.init[0].endswith(f"rest_ticks={3 * bus_rig.FREQ} min_value=-10000 max_value=60500")
-        s.chip.tell("ds18b20_result", 0, next_clock=10 * bus_rig.FREQ, value=21437, fault=0)
+        s.chip.report("ds18b20_result", 0, next_clock=10 * bus_rig.FREQ, value=21437, fault=0)
         assert s.status("temperature_sensor air")["temperature"] == pytest.approx(21.44)
-        s.chip.tell("ds18b20_result", 0, next_clock=13 * bus_rig.FREQ, value=0, fault=1)
+        s.chip.report("ds18b20_result", 0, next_clock=13 * bus_rig.FREQ, value=0, fault=1)
         assert s.status("temperature_sensor air")["temperature"] == pytest.approx(21.44)
         assert "28-031674b175ff" in caplog.text
 
