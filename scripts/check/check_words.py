@@ -22,7 +22,11 @@ ROOMS_CHECKED = (
     *("klippy", "src", "config", "test", "scripts"),
 )
 # Rooms within them that still have private words.
-ROOMS_NOT_YET = ("klippy/simulation/plant", "test/unit/project/test_checks.py", "scripts/check/check_words.py")
+ROOMS_NOT_YET = (
+    "klippy/simulation/plant",
+    "test/unit/project/test_checks.py",
+    "scripts/check/check_words.py",
+)
 WORDS_A_SENTENCE = 25
 
 # What to write, and a pattern of what not to write.
