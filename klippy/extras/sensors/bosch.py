@@ -6,6 +6,7 @@ sensor of a BME680 is heated for one reading in GAS_EVERY, as its heat warms the
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -26,10 +27,6 @@ class Model(Protocol):
     def read(self, i2c: bus.MCU_I2C, pause: Pause) -> Reading: ...
 
 
-def _words(data: bytes, signed: bool) -> list[int]:
-    return [int.from_bytes(data[i : i + 2], "little", signed=signed) for i in range(0, len(data), 2)]
-
-
 def _signed(byte: int) -> int:
     return byte - 256 if byte > 127 else byte
 
@@ -43,10 +40,7 @@ class Bmp180:
     calibration: tuple[int, ...] = ()  # AC1 ... MD
 
     def set_up(self, i2c: bus.MCU_I2C, pause: Pause) -> None:
-        data = fetch(i2c, [0xAA], 22)
-        self.calibration = tuple(
-            int.from_bytes(data[2 * i : 2 * i + 2], "big", signed=i not in (3, 4, 5)) for i in range(11)
-        )
+        self.calibration = struct.unpack(">3h3H5h", fetch(i2c, [0xAA], 22))
 
     def read(self, i2c: bus.MCU_I2C, pause: Pause) -> Reading:
         i2c.i2c_write([0xF4, 0x2E])
@@ -90,18 +84,13 @@ class Bme280:
         i2c.i2c_write([0xE0, 0xB6])  # reset
         pause(0.010)
         data = fetch(i2c, [0x88], 26)
-        unsigned, signed = _words(data[:24], False), _words(data[:24], True)
-        self.temp = (unsigned[0], *signed[1:3])
-        self.pressure = (unsigned[3], *signed[4:12])
+        words = struct.unpack_from("<HhhH8h", data)
+        self.temp, self.pressure = words[:3], words[3:]
         if not self.has_humidity:
             return
         more = fetch(i2c, [0xE1], 7)
-        signed_12 = (
-            int.from_bytes(more[3:4], "big", signed=True) << 4 | more[4] & 0x0F,
-            int.from_bytes(more[5:6], "big", signed=True) << 4 | more[4] >> 4,
-        )
-        h6 = int.from_bytes(more[6:7], "big", signed=True)
-        self.humidity = (data[25], _words(more[:2], True)[0], more[2], *signed_12, h6)
+        h2, h3, h4, h45, h5, h6 = struct.unpack("<hBbBbb", more)
+        self.humidity = (data[25], h2, h3, h4 << 4 | h45 & 0x0F, h5 << 4 | h45 >> 4, h6)
         i2c.i2c_write([0xF2, TWOFOLD])
 
     def read(self, i2c: bus.MCU_I2C, pause: Pause) -> Reading:
@@ -149,14 +138,11 @@ class Bmp388:
     def set_up(self, i2c: bus.MCU_I2C, pause: Pause) -> None:
         i2c.i2c_write([0x7E, 0xB6])  # reset
         pause(0.010)
-        data = fetch(i2c, [0x31], 21)
-        word, signed = (lambda i: data[i] | data[i + 1] << 8), (lambda i: _words(data[i : i + 2], True)[0])
-        self.temp = (word(0) * 2.0**8, word(2) / 2.0**30, _signed(data[4]) / 2.0**48)
-        self.pressure = (
-            (signed(5) - 2**14) / 2.0**20, (signed(7) - 2**14) / 2.0**29, _signed(data[9]) / 2.0**32,
-            _signed(data[10]) / 2.0**37, word(11) * 2.0**3, word(13) / 2.0**6, _signed(data[15]) / 2.0**8,
-            _signed(data[16]) / 2.0**15, signed(17) / 2.0**48, _signed(data[19]) / 2.0**48, _signed(data[20]) / 2.0**65,
-        )  # fmt: skip
+        t1, t2, t3, p1, p2, *p = struct.unpack("<HHbhhbbHHbbhbb", fetch(i2c, [0x31], 21))
+        self.temp = (t1 * 2.0**8, t2 / 2.0**30, t3 / 2.0**48)
+        exponents = (32, 37, -3, 6, 8, 15, 48, 48, 65)  # of PAR_P3 to PAR_P11
+        rest = (value / 2.0**exponent for value, exponent in zip(p, exponents, strict=True))
+        self.pressure = ((p1 - 2**14) / 2.0**20, (p2 - 2**14) / 2.0**29, *rest)
         i2c.i2c_write([0x1C, 1 << 3 | 1])  # OSR: twofold
 
     def read(self, i2c: bus.MCU_I2C, pause: Pause) -> Reading:
@@ -200,22 +186,14 @@ class Bme680:
         i2c.i2c_write([0xE0, 0xB6])  # reset
         pause(0.010)
         low, high = fetch(i2c, [0x89], 25), fetch(i2c, [0xE1], 16)
-        word = lambda data, i, signed: _words(data[i : i + 2], signed)[0]  # noqa: E731
-        byte = lambda data, i: _signed(data[i])  # noqa: E731
-        self.temp = (word(high, 0xE9 - 0xE1, False), word(low, 1, True), byte(low, 3))
-        self.pressure = (
-            word(low, 5, False), word(low, 7, True), byte(low, 9), word(low, 11, True), word(low, 13, True),
-            byte(low, 16), byte(low, 15), word(low, 19, True), word(low, 21, True), low[23],
-        )  # fmt: skip
-        self.humidity = (
-            high[2] << 4 | high[1] & 0x0F, high[0] << 4 | high[1] >> 4, byte(high, 3), byte(high, 4), byte(high, 5),
-            high[6], byte(high, 7),
-        )  # fmt: skip
+        p1_p5, (p7, p6) = struct.unpack_from("<Hhbxhh", low, 5), struct.unpack_from("<bb", low, 15)
+        t1, g2, g1, g3 = struct.unpack_from("<Hhbb", high, 8)
+        self.temp = (t1, *struct.unpack_from("<hb", low, 1))
+        self.pressure = (*p1_p5, p6, p7, *struct.unpack_from("<hhB", low, 19))
+        h1, h2 = high[2] << 4 | high[1] & 0x0F, high[0] << 4 | high[1] >> 4
+        self.humidity = (h1, h2, *struct.unpack_from("<bbbBb", high, 3))
         heat_val, heat_range, switching = (fetch(i2c, [register], 1)[0] for register in (0x00, 0x02, 0x04))
-        self.gas = (
-            byte(high, 0xED - 0xE1), word(high, 0xEB - 0xE1, True), byte(high, 0xEE - 0xE1), heat_range >> 4 & 3,
-            _signed(heat_val), _signed(switching) >> 4,
-        )  # fmt: skip
+        self.gas = (g1, g2, g3, heat_range >> 4 & 3, _signed(heat_val), _signed(switching) >> 4)
         i2c.i2c_write([0x72, TWOFOLD])
 
     def read(self, i2c: bus.MCU_I2C, pause: Pause) -> Reading:
