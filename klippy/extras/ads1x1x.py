@@ -29,7 +29,7 @@ MARGIN = 1.2  # the rate of conversions may be 10 % lower
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What tells the chips apart."""
+    """What differs between the chips."""
 
     rate_bits: int
     rate_hz: float

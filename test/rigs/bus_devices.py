@@ -117,7 +117,7 @@ class Mcp4018:
 
 
 class Mcp4728:
-    """Volts out by channel number, and what its EEPROM has been told to hold."""
+    """Volts out by channel number, and whether its EEPROM was written."""
 
     SUPPLY_V = 5.0
 

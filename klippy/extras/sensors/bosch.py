@@ -288,5 +288,5 @@ def build_bme280(config: ConfigWrapper) -> I2cTemperature:
 
 
 def register_builtin(heaters: Any) -> None:
-    """Tell the registry the type of this file."""
+    """Add the type of this file."""
     heaters.add_sensor_factory("BME280", build_bme280)

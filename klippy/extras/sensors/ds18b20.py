@@ -74,5 +74,5 @@ class Ds18b20:
 
 
 def register_builtin(heaters: Any) -> None:
-    """Tell the registry the type of this file."""
+    """Add the type of this file."""
     heaters.add_sensor_factory("DS18B20", Ds18b20)

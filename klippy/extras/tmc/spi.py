@@ -99,7 +99,7 @@ class ShortLink:
     """Registers of a TMC2660: datagrams of 20 bits in three bytes, with the register in their highest bits.
 
     Its answer has 20 bits, the first ones to come: of the kind that RDSEL of DRVCONF named when the datagram began.
-    Nothing tells whether the driver has understood.
+    The driver confirms nothing.
     """
 
     def __init__(self, config: ConfigWrapper) -> None:

@@ -159,7 +159,7 @@ def test_a_bmp180_works_out_the_example_of_its_data_sheet() -> None:
         (BMP388.table, {"temperature": 24.94, "humidity": None, "pressure": 1773.87}),
     ],
 )
-def test_chips_of_bosch_are_told_apart_by_their_ids(
+def test_chips_of_bosch_are_known_by_their_ids(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     table: dict[bytes, bytes],
@@ -254,7 +254,7 @@ def test_a_bme680_agrees_with_the_other_version_of_its_data_sheet(
     assert heater == pytest.approx(113, abs=1)
 
 
-def test_an_aht3x_with_a_wrong_checksum_is_not_believed(
+def test_an_aht3x_with_a_wrong_checksum_stops_the_printer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     table = {**AHT30.table, b"\xac\x33\x00": AHT30.table[b"\xac\x33\x00"][:6] + b"\0"}
