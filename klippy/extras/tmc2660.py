@@ -21,8 +21,6 @@ class Tmc2660Driver(StepperDriver):
 
     def register(self) -> None:
         super().register()
-        if self.hold_current == self.run_current:
-            return
         for event, is_idle in (("idle", True), ("printing", False)):
             self.printer.register_event_handler(
                 f"idle_timeout:{event}", lambda print_time, is_idle=is_idle: self._set_idle(is_idle)
