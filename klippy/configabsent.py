@@ -35,11 +35,9 @@ DISPENSABLE = (
 BROUGHT_ALONG = {"display": "display_status"}
 
 REFUSED = frozenset({
-    "ad5206", "adc_scaled", "ads1x1x", "angle", "axis_twist_compensation", "bed_tilt", "dac084S085",
-    "delta_calibrate", "dotstar", "hall_filament_width_sensor", "load_cell", "load_cell_probe", "mcp4018", "mcp4451",
-    "mcp4728", "palette2", "pca9533", "pca9632", "probe_eddy_current", "pwm_tool", "replicape", "samd_sercom",
-    "smart_effector", "static_pwm_clock", "sx1509", "temperature_probe", "tmc2660",
-    "tsl1401cl_filament_width_sensor", "z_thermal_adjust",
+    "angle", "axis_twist_compensation", "bed_tilt", "delta_calibrate", "hall_filament_width_sensor", "load_cell",
+    "load_cell_probe", "palette2", "probe_eddy_current", "replicape", "smart_effector", "sx1509",
+    "temperature_probe", "tsl1401cl_filament_width_sensor", "z_thermal_adjust",
 })  # fmt: skip
 
 

@@ -19,7 +19,7 @@ import msgproto
 import pins
 import serialhdl
 from clocksync import ClockSync, SecondarySync
-from link import serialport
+from link import serialport, usb_power
 from link.mcu_io import MCU_adc, MCU_digital_out, MCU_endstop, MCU_pwm, MCU_trsync, TriggerDispatch
 from link.mcu_session import ConfigScript, TaskLoad, shutdown_help
 from serialhdl import CommandQueryWrapper, CommandWrapper
@@ -42,6 +42,7 @@ MAX_NOMINAL_DURATION_S = 3.0  # the longest time ahead anything is scheduled
 RESET_SETTLE_S = 0.050  # for the reset command to leave the host before the port is closed
 RESTART_WAIT_S = 2.0
 WATCH_PERIOD_S = 1.0
+RESTART_METHODS = ("arduino", "cheetah", "command", "rpi_usb")
 PIN_TYPES: dict[str, Callable[..., Any]] = {
     "endstop": MCU_endstop,
     "digital_out": MCU_digital_out,
@@ -68,12 +69,7 @@ def read_options(config: Any) -> McuOptions:
             f"Option 'canbus_uuid' in section '{section}': boards on a CAN bus are not supported by this version."
             " Connect the board by USB or UART and use the option 'serial'."
         )
-    restart_method = config.get("restart_method", None)
-    if restart_method not in (None, "arduino", "command"):
-        raise config.error(
-            f"Option 'restart_method' in section '{section}' is '{restart_method}'; this version knows 'arduino'"
-            " (toggle DTR) and 'command' (ask the firmware)."
-        )
+    restart_method = config.getchoice("restart_method", RESTART_METHODS, default=None)
     return McuOptions(
         config.get("serial"),
         config.getint("baud", 250000, minval=2400),
@@ -121,6 +117,8 @@ class MCU:
         self._start_args = start_args
         self._is_fileoutput = start_args.get("debugoutput") is not None
         open_port = start_args.get("open_port") or serialport.open_port
+        if self._options.restart_method == "cheetah" and open_port is serialport.open_port:
+            open_port = serialport.open_cheetah_port
         self._serial = serialhdl.SerialReader(self._reactor, f"mcu '{self._name}': ", open_port)
         self._script = ConfigScript()
         self._load = TaskLoad()
@@ -344,11 +342,16 @@ class MCU:
 
     def _firmware_restart(self) -> None:
         """Reset the MCU; the next start of the host finds it unconfigured."""
+        if self._options.restart_method == "rpi_usb" and not self._is_fileoutput:
+            logging.info("Attempting MCU '%s' reset by USB power", self._name)
+            self._disconnect()
+            usb_power.cycle()
+            return
         if self._is_fileoutput or self._serial.port is None:
             return
         self._is_shutdown = True  # the greeting of the MCU that starts again is no surprise
         reset, config_reset = self.try_lookup_command("reset"), self.try_lookup_command("config_reset")
-        if self._options.restart_method == "arduino" or (reset is None and config_reset is None):
+        if self._options.restart_method in ("arduino", "cheetah") or (reset is None and config_reset is None):
             logging.info("Attempting MCU '%s' reset by its port", self._name)
             self._serial.port.reset()
         elif reset is not None:

@@ -292,9 +292,12 @@ class MCU_I2C:
 
 
 def MCU_I2C_from_config(
-    config: ConfigWrapper, default_addr: int | None = None, default_speed: int = 100000
+    config: ConfigWrapper,
+    default_addr: int | None = None,
+    default_speed: int = 100000,
+    older_pins: bool = False,
 ) -> MCU_I2C:
-    """The device of a section, by its I2C options."""
+    """The device of a section, by its I2C options; with `older_pins` the pins may be scl_pin and sda_pin."""
     printer = config.get_printer()
     name = config.get("i2c_mcu", "mcu")
     mcu = printer.lookup_object("mcu" if name == "mcu" else f"mcu {name}", None)
@@ -306,13 +309,16 @@ def MCU_I2C_from_config(
         address = config.getint("i2c_address", **limits)
     else:
         address = config.getint("i2c_address", default_addr, **limits)
-    if config.get("i2c_software_scl_pin", None) is None:
+    prefix = "" if older_pins and config.get("scl_pin", None) is not None else "i2c_software_"
+    if config.get(f"{prefix}scl_pin", None) is None:
         return MCU_I2C(mcu, config.get("i2c_bus", None), address, speed)
     pins = printer.lookup_object("pins")
     lines = [
-        pins.lookup_pin(config.get(f"i2c_software_{line}_pin"), share_type=f"i2c_software_{line}_pin")
+        pins.lookup_pin(config.get(f"{prefix}{line}_pin"), share_type=f"i2c_software_{line}_pin")
         for line in ("scl", "sda")
     ]
+    if not prefix:
+        mcu = lines[0]["chip"]
     _same_chip(config, lines, mcu)
     return MCU_I2C(mcu, None, address, speed, I2cPins(*(params["pin"] for params in lines)))
 

@@ -32,6 +32,36 @@ StateCallback = Callable[[float, int], None]
 PushCallback = Callable[[float], None]
 
 
+class Debouncer:
+    """Passes a state on when it has stayed for `delay_s`."""
+
+    def __init__(self, reactor: Any, delay_s: float, callback: StateCallback) -> None:
+        self.reactor = reactor
+        self._delay_s = delay_s
+        self._callback = callback
+        self._state = self._passed = 0
+        self._timer = reactor.register_timer(self._pass_on)
+
+    def on_state(self, eventtime: float, state: int) -> None:
+        """The switch has changed."""
+        self._state = state
+        wake = self.reactor.NEVER if state == self._passed else self.reactor.monotonic() + self._delay_s
+        self.reactor.update_timer(self._timer, wake)
+
+    def _pass_on(self, eventtime: float) -> float:
+        self._passed = self._state
+        self._callback(eventtime, self._state)
+        return float(self.reactor.NEVER)
+
+
+def debounced(config: ConfigWrapper, callback: StateCallback) -> StateCallback:
+    """The callback with option debounce_delay before it."""
+    delay_s = config.getfloat("debounce_delay", 0.0, minval=0.0)
+    if not delay_s:
+        return callback
+    return Debouncer(config.get_printer().get_reactor(), delay_s, callback).on_state
+
+
 class MCU_buttons:
     """Up to eight pins of one MCU."""
 

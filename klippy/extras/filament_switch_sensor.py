@@ -16,6 +16,8 @@ from typing import Any
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
 
+from .buttons import debounced
+
 START_DELAY_S = 2.0  # after ready: the switches report their state first
 
 
@@ -127,7 +129,7 @@ class SwitchSensor:
         buttons = config.get_printer().load_object(config, "buttons")
         self.runout_helper = RunoutHelper(config)
         self.get_status = self.runout_helper.get_status
-        buttons.register_buttons([config.get("switch_pin")], self._on_switch)
+        buttons.register_buttons([config.get("switch_pin")], debounced(config, self._on_switch))
 
     def _on_switch(self, eventtime: float, state: int) -> None:
         self.runout_helper.note_filament_present(eventtime, bool(state))

@@ -8,6 +8,8 @@ from typing import Any
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
 
+from .buttons import debounced
+
 
 class GCodeButton:
     """The object `gcode_button NAME`."""
@@ -21,13 +23,14 @@ class GCodeButton:
         self._press = templates.load_template(config, "press_gcode")
         self._release = templates.load_template(config, "release_gcode", "")
         buttons = self.printer.load_object(config, "buttons")
+        on_button = debounced(config, self._on_button)
         pin = config.get("pin")
         analog_range = config.getfloatlist("analog_range", None, count=2)
         if analog_range is None:
-            buttons.register_buttons([pin], self._on_button)
+            buttons.register_buttons([pin], on_button)
         else:
             pullup_ohm = config.getfloat("analog_pullup_resistor", 4700.0, above=0.0)
-            buttons.register_adc_button(pin, *sorted(analog_range), pullup_ohm, self._on_button)
+            buttons.register_adc_button(pin, *sorted(analog_range), pullup_ohm, on_button)
 
     def register(self) -> None:
         """Make the command known."""

@@ -15,9 +15,11 @@ _MAX_KEEP_ALIVE_S = 5.0
 class PrinterOutputPin:
     """The object `output_pin NAME`. Values are in units of `scale` outwards, 0..1 inside."""
 
+    output_class = ScheduledPin
+
     def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
-        self.is_pwm = config.getboolean("pwm", False)
+        self.is_pwm = self._read_is_pwm(config)
         self.scale = config.getfloat("scale", 1.0, above=0.0) if self.is_pwm else 1.0
         self.pin = self._make_pin(config)
         max_duration_s = config.getfloat("maximum_mcu_duration", 0.0, minval=0.5, maxval=_MAX_KEEP_ALIVE_S)
@@ -26,9 +28,12 @@ class PrinterOutputPin:
         shutdown = config.getfloat("shutdown_value", 0.0, minval=0.0, maxval=self.scale) / self.scale
         self.pin.setup_start_value(start, shutdown)
         self.last_value = start
-        self._output = ScheduledPin(self.printer, self.pin.get_mcu(), self._apply, start)
+        self._output = self.output_class(self.printer, self.pin.get_mcu(), self._apply, start)
         self._output.keep_alive(max_duration_s, shutdown)
         self._templates = self.printer.load_object(config, "template_evaluator")
+
+    def _read_is_pwm(self, config: ConfigWrapper) -> bool:
+        return bool(config.getboolean("pwm", False))
 
     def _make_pin(self, config: ConfigWrapper) -> Any:
         pins = self.printer.lookup_object("pins")

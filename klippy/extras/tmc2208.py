@@ -12,8 +12,6 @@ from .tmc.uart import RegisterLink
 
 def load_config_prefix(config: ConfigWrapper) -> StepperDriver:
     sense_ohm = config.getfloat("sense_resistor", 0.110, above=0.0)
-    driver = StepperDriver(
-        config, TMC2208, RegisterLink(config, addresses=1), TwoRanges(sense_ohm, (0.325, 0.180))
-    )
+    driver = StepperDriver(config, TMC2208, RegisterLink(config), TwoRanges(sense_ohm, (0.325, 0.180)))
     driver.register()
     return driver

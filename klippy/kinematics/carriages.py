@@ -1,17 +1,18 @@
-"""Machines described by carriages: each motor moves a mix of carriages, and an axis may have two of them (IDEX).
+"""Machines described by carriages: each motor moves a mix of carriages, and an axis may have several of them (IDEX).
 
     motor = sum of coefficient * place of carriage
     place of carriage = scale * axis + offset
 
-A carriage that is in use has scale 1 and offset 0. On an axis with two, one may rest (scale 0, its place is the
-offset), copy the other (scale 1) or mirror it (scale -1). Every mode is such a pair of numbers, so a motor is always
+A carriage that is in use has scale 1 and offset 0. On an axis with more, the others rest (scale 0, the place is the
+offset), copy it (scale 1) or mirror it (scale -1). Every mode is such a pair of numbers, so a motor is always
 a fixed mix of x, y, z plus a constant: the solver of the linear machines, and the range of an axis stays an interval.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -93,58 +94,58 @@ class Drive:
 
 
 @dataclass(eq=False, slots=True)
-class CarriagePair:
-    """The two carriages of one axis. `safe_mm`: minimum distance between them, 0: not watched."""
+class CarriageGroup:
+    """The carriages of one axis. `safe_mm`: minimum distance of two of them, 0: not watched."""
 
     axis: int
-    carriages: tuple[Carriage, Carriage]
-    safe_mm: float
+    carriages: tuple[Carriage, ...]
+    safe_mm: dict[frozenset[Carriage], float]
 
     def active(self) -> Carriage:
         return next(c for c in self.carriages if c.mode == PRIMARY)
 
-    def other(self, carriage: Carriage) -> Carriage:
-        first, second = self.carriages
-        return second if carriage is first else first
-
-    def upper(self) -> Carriage:
-        """The one on the side of larger positions."""
+    def upwards(self) -> list[Carriage]:
+        """As they stand on the axis."""
 
         def height(carriage: Carriage) -> tuple[float, float]:
             return sum(carriage.rail.get_range()), carriage.rail.get_homing_info().position_endstop
 
-        first, second = self.carriages
-        return first if height(first) > height(second) else second
+        return sorted(self.carriages, key=height)
 
     def home_order(self) -> list[Carriage]:
-        """The primary carriage first, unless the dual one is beyond it in the direction both home to."""
-        first, second = self.carriages
-        one, two = first.rail.get_homing_info(), second.rail.get_homing_info()
-        if one.positive_dir == two.positive_dir:
-            beyond = two.position_endstop - one.position_endstop
-            if (beyond > 0.0) if one.positive_dir else (beyond < 0.0):
-                return [second, first]
-        return [first, second]
+        """The primary carriage first, then the dual ones; but before one that it is beyond where both home to."""
+        order: list[Carriage] = []
+        for carriage in self.carriages:
+            place = next((i for i, other in enumerate(order) if _is_beyond(carriage, other)), len(order))
+            order.insert(place, carriage)
+        return order
 
     def limits(self) -> tuple[float, float]:
-        """Range of the axis (mm) in which all that moves stays on its rail and clear of the other."""
-        active = self.active()
-        low, high = active.axis_range()
-        other = self.other(active)
-        if low > high or not other.homed:
+        """Range of the axis (mm) in which all that moves stays on its rail and clear of the others."""
+        low, high = self.active().axis_range()
+        homed = [c for c in self.upwards() if c.homed]
+        if low > high:
             return low, high
-        if other.mode in (COPY, MIRROR):
-            other_low, other_high = other.axis_range()
-            low, high = max(low, other_low), min(high, other_high)
-        if self.safe_mm:
-            # distance = other - active = (scale - 1) * axis + offset, to stay beyond safe_mm on its side
-            side = 1.0 if other is self.upper() else -1.0
-            slope, rest = side * (other.scale - 1.0), side * other.offset - self.safe_mm
-            if slope < 0.0:
-                high = min(high, rest / -slope)
-            elif slope > 0.0:
-                low = max(low, -rest / slope)
+        for follower in homed:
+            if follower.mode in (COPY, MIRROR):
+                follower_low, follower_high = follower.axis_range()
+                low, high = max(low, follower_low), min(high, follower_high)
+        for lower, upper in itertools.combinations(homed, 2):
+            safe_mm = self.safe_mm.get(frozenset((lower, upper)), 0.0)
+            # distance = slope * axis + rest
+            slope, rest = upper.scale - lower.scale, upper.offset - lower.offset
+            if safe_mm and slope < 0.0:
+                high = min(high, (rest - safe_mm) / -slope)
+            elif safe_mm and slope > 0.0:
+                low = max(low, (safe_mm - rest) / slope)
         return low, high
+
+
+def _is_beyond(carriage: Carriage, other: Carriage) -> bool:
+    """Both home in the same direction, `carriage` farther."""
+    one, two = other.rail.get_homing_info(), carriage.rail.get_homing_info()
+    beyond = two.position_endstop - one.position_endstop
+    return one.positive_dir == two.positive_dir and ((beyond > 0.0) if one.positive_dir else (beyond < 0.0))
 
 
 def solve(rows: Sequence[Sequence[float]], right: Sequence[float], pivot_min: float) -> list[float]:
@@ -177,11 +178,11 @@ def solve_axes(rows: Sequence[tuple[Sequence[float], float]]) -> list[float] | N
 
 @dataclass(frozen=True, slots=True)
 class CarriageMachine:
-    """What a configuration describes: a carriage for each axis, pairs on some, the motors."""
+    """What a configuration describes: a carriage for each axis, several on some, the motors."""
 
     primary: tuple[Carriage, Carriage, Carriage]
     drives: list[Drive]
-    pairs: dict[int, CarriagePair] = field(default_factory=dict)  # by axis
+    groups: dict[int, CarriageGroup] = field(default_factory=dict)  # by axis
 
 
 class CarriageKinematics(BoxKinematics):
@@ -189,14 +190,14 @@ class CarriageKinematics(BoxKinematics):
 
     def __init__(self, toolhead: Any, config: Any, machine: CarriageMachine) -> None:
         self.machine = machine
-        self.pairs = machine.pairs
+        self.groups = machine.groups
         self.toolhead = toolhead
         self._ffi, self._lib = chelper.get_ffi()
         self._keeps_grid = False
         self._homing_axes: set[int] = set()
-        for pair in self.pairs.values():
-            resting = pair.carriages[1]
-            resting.mode, resting.scale = INACTIVE, 0.0
+        for group in self.groups.values():
+            for resting in group.carriages[1:]:
+                resting.mode, resting.scale = INACTIVE, 0.0
         for drive in machine.drives:
             drive.motor.setup_itersolve("generic_cartesian_stepper_alloc", 0.0, 0.0, 0.0)
             drive.motor.set_trapq(toolhead.get_trapq())
@@ -232,16 +233,16 @@ class CarriageKinematics(BoxKinematics):
 
     def active(self, axis: int) -> Carriage:
         """The carriage that executes the moves of an axis."""
-        pair = self.pairs.get(axis)
-        return self.machine.primary[axis] if pair is None else pair.active()
+        group = self.groups.get(axis)
+        return self.machine.primary[axis] if group is None else group.active()
 
     def _update_limits(self) -> None:
         for axis in range(3):
-            pair = self.pairs.get(axis)
-            if pair is None or axis in self._homing_axes:
+            group = self.groups.get(axis)
+            if group is None or axis in self._homing_axes:
                 self.limits[axis] = self.active(axis).axis_range()
             else:
-                self.limits[axis] = pair.limits()
+                self.limits[axis] = group.limits()
             self.rails[axis] = self.active(axis).rail
         self._note_ranges()
 
@@ -257,23 +258,25 @@ class CarriageKinematics(BoxKinematics):
 
     def clear_homing_state(self, clear_axes: Sequence[int] | str) -> None:
         for axis in axes_of(clear_axes):
-            pair = self.pairs.get(axis)
-            for carriage in (self.machine.primary[axis],) if pair is None else pair.carriages:
+            group = self.groups.get(axis)
+            for carriage in (self.machine.primary[axis],) if group is None else group.carriages:
                 carriage.homed = False
         self._update_limits()
 
-    def set_modes(self, pair: CarriagePair, active: Carriage, other_mode: str) -> None:
-        """From now on `active` executes the axis' moves, and the other rests, copies or mirrors."""
+    def set_modes(
+        self, group: CarriageGroup, active: Carriage, followers: Mapping[Carriage, str] | None = None
+    ) -> None:
+        """From now on `active` executes the axis' moves, the followers copy or mirror them, the others rest."""
         toolhead = self.toolhead
         toolhead.flush_step_generation()
         position = toolhead.get_position()
-        here = {c: c.place(position[pair.axis]) for c in pair.carriages}
-        other = pair.other(active)
-        active.mode, active.scale, active.offset = PRIMARY, 1.0, 0.0
-        other.mode, other.scale = other_mode, {INACTIVE: 0.0, COPY: 1.0, MIRROR: -1.0}[other_mode]
-        other.offset = here[other] - other.scale * here[active]
+        here = {c: c.place(position[group.axis]) for c in group.carriages}
+        for carriage in group.carriages:
+            carriage.mode = PRIMARY if carriage is active else (followers or {}).get(carriage, INACTIVE)
+            carriage.scale = {PRIMARY: 1.0, INACTIVE: 0.0, COPY: 1.0, MIRROR: -1.0}[carriage.mode]
+            carriage.offset = here[carriage] - carriage.scale * here[active]
         self._set_mixes()
-        position[pair.axis] = here[active]
+        position[group.axis] = here[active]
         self._keeps_grid = True
         try:
             toolhead.set_position(position)
@@ -285,30 +288,30 @@ class CarriageKinematics(BoxKinematics):
 
     def home(self, homing_state: Any) -> None:
         for axis in homing_state.get_axes():
-            pair = self.pairs.get(axis)
-            if pair is None:
+            group = self.groups.get(axis)
+            if group is None:
                 self.home_axis(homing_state, axis, self.machine.primary[axis].rail)
             else:
-                self._home_pair(homing_state, pair)
+                self._home_group(homing_state, group)
 
-    def _home_pair(self, homing_state: Any, pair: CarriagePair) -> None:
+    def _home_group(self, homing_state: Any, group: CarriageGroup) -> None:
         """One after the other; afterwards the primary carriage is in use."""
-        self._homing_axes.add(pair.axis)
+        self._homing_axes.add(group.axis)
         try:
-            for carriage in pair.home_order():
-                self.set_modes(pair, carriage, INACTIVE)
-                self.home_axis(homing_state, pair.axis, carriage.rail)
+            for carriage in group.home_order():
+                self.set_modes(group, carriage)
+                self.home_axis(homing_state, group.axis, carriage.rail)
         finally:
-            self._homing_axes.discard(pair.axis)
+            self._homing_axes.discard(group.axis)
             self._update_limits()
-        self.set_modes(pair, pair.carriages[0], INACTIVE)
+        self.set_modes(group, group.carriages[0])
 
 
 def check_machine(config: Any, machine: CarriageMachine) -> None:
     """Raise unless the motors determine x, y and z whichever of the carriages are in use."""
     choices: list[dict[int, Carriage]] = [{}]
-    for axis, pair in machine.pairs.items():
-        choices = [{**choice, axis: c} for choice in choices for c in pair.carriages]
+    for axis, group in machine.groups.items():
+        choices = [{**choice, axis: c} for choice in choices for c in group.carriages]
     for choice in choices:
         rows = []
         for drive in machine.drives:
@@ -338,13 +341,23 @@ def describe(coefficients: dict[Carriage, float]) -> str:
     return text
 
 
-def read_safe_distance(config: Any, first: stepper.GenericPrinterRail, second: Any) -> float:
-    """Option safe_distance; default: how far the one's range is shifted against the other's."""
+def range_shift(first: stepper.GenericPrinterRail, second: stepper.GenericPrinterRail) -> float:
+    """How far the one's range is shifted against the other's, mm."""
     (low1, high1), (low2, high2) = first.get_range(), second.get_range()
-    default = min(abs(low1 - low2), abs(high1 - high2))
-    return config.getfloat("safe_distance", default, minval=0.0)
+    return min(abs(low1 - low2), abs(high1 - high2))
+
+
+def read_safe_distance(config: Any, first: stepper.GenericPrinterRail, second: Any) -> float:
+    """Option safe_distance; default: the shift of the ranges."""
+    return float(config.getfloat("safe_distance", range_shift(first, second), minval=0.0))
 
 
 __all__: Sequence[str] = (
-    "AXIS_NAMES", "Carriage", "CarriageKinematics", "CarriageMachine", "CarriagePair", "CarriageRail", "Drive",
+    "AXIS_NAMES",
+    "Carriage",
+    "CarriageGroup",
+    "CarriageKinematics",
+    "CarriageMachine",
+    "CarriageRail",
+    "Drive",
 )  # fmt: skip

@@ -2,7 +2,7 @@
 
 [carriage NAME]        one for each axis: range and endstop
 [extra_carriage NAME]  another endstop for a carriage of the same axis, with motors of its own
-[dual_carriage NAME]   a second, independent carriage on an axis (see idex.py)
+[dual_carriage NAME]   a further, independent carriage on an axis (see idex.py)
 [stepper NAME]         carriages: carriage_x-0.5*carriage_y
 """
 
@@ -16,13 +16,14 @@ from kinematics import idex
 from kinematics.axes import AXIS_NAMES
 from kinematics.carriages import (
     Carriage,
+    CarriageGroup,
     CarriageKinematics,
     CarriageMachine,
-    CarriagePair,
     CarriageRail,
     Drive,
     check_machine,
     describe,
+    range_shift,
     read_safe_distance,
 )
 
@@ -62,7 +63,7 @@ class _Reader:
         self.config = config
         self.carriages: dict[str, Carriage] = {}
         self.primary: dict[int, Carriage] = {}
-        self.pairs: dict[int, CarriagePair] = {}
+        self.groups: dict[int, CarriageGroup] = {}
 
     def _add(self, section: Any, carriage: Carriage) -> Carriage:
         if carriage.name in self.carriages:
@@ -114,16 +115,32 @@ class _Reader:
                 "With generic_cartesian a second carriage has a name: [dual_carriage NAME] with primary_carriage"
             )
         for section in self.config.get_prefix_sections(f"{idex.SECTION} "):
-            primary = self._primary_of(section)
-            if primary.axis in self.pairs or primary is not self.primary[primary.axis]:
+            axis = section.getchoice("axis", AXIS_NAMES, None)
+            if axis is None or section.get("primary_carriage", None) is not None:
+                primary = self._primary_of(section)
+            else:
+                primary = self.primary[AXIS_NAMES.index(axis)]
+            if axis not in (None, AXIS_NAMES[primary.axis]):
                 raise section.error(
-                    f"Section '{section.get_name()}': '{primary.name}' already is one of a pair of carriages"
+                    f"Option 'axis' in section '{section.get_name()}': primary_carriage '{primary.name}' is on axis"
+                    f" {AXIS_NAMES[primary.axis]} ({section.where('axis')})."
                 )
             rail = CarriageRail(section)
             dual = Carriage(self._name(section), primary.axis, rail, rail.get_endstops()[0][0])
             self._add(section, dual)
-            safe_mm = read_safe_distance(section, primary.rail, rail)
-            self.pairs[primary.axis] = CarriagePair(primary.axis, (primary, dual), safe_mm)
+            self._add_dual(section, primary, dual)
+
+    def _add_dual(self, section: Any, primary: Carriage, dual: Carriage) -> None:
+        """Option safe_distance is to the primary carriage; to the others of the axis, what their ranges say."""
+        group = self.groups.setdefault(
+            primary.axis, CarriageGroup(primary.axis, (self.primary[primary.axis],), {})
+        )
+        for other in group.carriages:
+            shift_mm = range_shift(other.rail, dual.rail)
+            if other is primary:
+                shift_mm = read_safe_distance(section, primary.rail, dual.rail)
+            group.safe_mm[frozenset((other, dual))] = shift_mm
+        group.carriages = (*group.carriages, dual)
 
     def read_extra(self) -> None:
         for section in self.config.get_prefix_sections("extra_carriage "):
@@ -158,7 +175,7 @@ class _Reader:
         self.read_dual()
         self.read_extra()
         drives = self.read_drives()
-        return CarriageMachine((self.primary[0], self.primary[1], self.primary[2]), drives, self.pairs)
+        return CarriageMachine((self.primary[0], self.primary[1], self.primary[2]), drives, self.groups)
 
 
 class GenericCartesianKinematics(CarriageKinematics):
@@ -171,8 +188,8 @@ class GenericCartesianKinematics(CarriageKinematics):
         printer.lookup_object("gcode").register_command(
             "SET_STEPPER_CARRIAGES", self.cmd_SET_STEPPER_CARRIAGES, desc="Set stepper carriages"
         )
-        if machine.pairs:
-            names = {c.name: c for pair in machine.pairs.values() for c in pair.carriages}
+        if machine.groups:
+            names = {c.name: c for group in machine.groups.values() for c in group.carriages}
             idex.add_commands(printer, self, names)
 
     def get_status(self, eventtime: float) -> dict[str, Any]:

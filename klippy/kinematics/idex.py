@@ -1,4 +1,4 @@
-"""[dual_carriage]: a second carriage on an axis. SET_DUAL_CARRIAGE, SAVE_ and RESTORE_DUAL_CARRIAGE_STATE.
+"""[dual_carriage]: further carriages on an axis. SET_DUAL_CARRIAGE, SAVE_ and RESTORE_DUAL_CARRIAGE_STATE.
 
 Printer object 'dual_carriage'. On machines with fixed axes (cartesian, hybrid) the carriages are called 0 and 1, with
 generic_cartesian by their names.
@@ -13,14 +13,13 @@ import stepper
 from kinematics.axes import AXIS_NAMES, LinearMachine
 from kinematics.carriages import (
     COPY,
-    INACTIVE,
     MIRROR,
     PRIMARY,
     SMALLEST_PIVOT,
     Carriage,
+    CarriageGroup,
     CarriageKinematics,
     CarriageMachine,
-    CarriagePair,
     Drive,
     check_machine,
     read_safe_distance,
@@ -32,21 +31,21 @@ MODES = (PRIMARY, COPY, MIRROR)
 
 
 @dataclass(frozen=True, slots=True)
-class SavedPair:
-    """Modes of a pair's two carriages and their places (mm; None: not homed)."""
+class SavedGroup:
+    """Modes of the carriages of an axis, and their places (mm; None: not homed)."""
 
-    modes: tuple[str, str]
-    places: tuple[float | None, float | None]
+    modes: tuple[str, ...]
+    places: tuple[float | None, ...]
 
 
 class DualCarriages:
-    """The commands, and the status of all pairs."""
+    """The commands, and the status of all carriages."""
 
     def __init__(self, printer: Any, kin: CarriageKinematics, names: dict[str, Carriage]) -> None:
         self.printer = printer
         self.kin = kin
         self.names = names  # as CARRIAGE= names them
-        self.saved: dict[str, list[SavedPair]] = {}
+        self.saved: dict[str, list[SavedGroup]] = {}
 
     def register(self) -> None:
         gcode = self.printer.lookup_object("gcode")
@@ -64,8 +63,8 @@ class DualCarriages:
                 status[f"carriage_{name}"] = carriage.mode
         return status
 
-    def _pairs(self) -> list[CarriagePair]:
-        return list(self.kin.pairs.values())
+    def _groups(self) -> list[CarriageGroup]:
+        return list(self.kin.groups.values())
 
     # -- commands --
 
@@ -78,16 +77,17 @@ class DualCarriages:
         mode = gcmd.get("MODE", PRIMARY).upper()
         if mode not in MODES:
             raise gcmd.error(f"Invalid mode '{mode}' of a carriage (known: {', '.join(MODES)})")
-        pair = self.kin.pairs[carriage.axis]
+        group = self.kin.groups[carriage.axis]
         if mode == PRIMARY:
-            self.kin.set_modes(pair, carriage, INACTIVE)
+            self.kin.set_modes(group, carriage)
             return
-        self._check_follower(gcmd, pair, carriage, mode)
-        self.kin.set_modes(pair, pair.carriages[0], mode)
+        self._check_follower(gcmd, group, carriage, mode)
+        followers = {c: c.mode for c in group.carriages[1:]}
+        self.kin.set_modes(group, group.carriages[0], {**followers, carriage: mode})
 
     @staticmethod
-    def _check_follower(gcmd: Any, pair: CarriagePair, carriage: Carriage, mode: str) -> None:
-        first = pair.carriages[0]
+    def _check_follower(gcmd: Any, group: CarriageGroup, carriage: Carriage, mode: str) -> None:
+        first = group.carriages[0]
         if carriage is first:
             raise gcmd.error(f"The primary carriage '{first.name}' can not {mode}; the dual one can")
         if first.mode != PRIMARY:
@@ -96,18 +96,19 @@ class DualCarriages:
             )
         if not (first.homed and carriage.homed):
             raise gcmd.error(
-                f"Must home axis {AXIS_NAMES[pair.axis]} first: mode {mode} needs both carriages"
+                f"Must home axis {AXIS_NAMES[group.axis]} first: mode {mode} needs both carriages"
             )
 
     def cmd_SAVE_DUAL_CARRIAGE_STATE(self, gcmd: Any) -> None:
         """SAVE_DUAL_CARRIAGE_STATE [NAME=]."""
         position = self.kin.toolhead.get_position()
-        state = []
-        for pair in self._pairs():
-            first, second = pair.carriages
-            places = [c.place(position[pair.axis]) if c.homed else None for c in pair.carriages]
-            state.append(SavedPair((first.mode, second.mode), (places[0], places[1])))
-        self.saved[gcmd.get("NAME", "default")] = state
+        self.saved[gcmd.get("NAME", "default")] = [
+            SavedGroup(
+                tuple(c.mode for c in group.carriages),
+                tuple(c.place(position[group.axis]) if c.homed else None for c in group.carriages),
+            )
+            for group in self._groups()
+        ]
 
     def cmd_RESTORE_DUAL_CARRIAGE_STATE(self, gcmd: Any) -> None:
         """RESTORE_DUAL_CARRIAGE_STATE [NAME=] [MOVE=0|1] [MOVE_SPEED=mm/s]."""
@@ -116,35 +117,34 @@ class DualCarriages:
         if state is None:
             raise gcmd.error(f"Unknown DUAL_CARRIAGE state: {name}")
         speed = gcmd.get_float("MOVE_SPEED", None, above=0.0)
-        for pair, saved in zip(self._pairs(), state, strict=True):
+        for group, saved in zip(self._groups(), state, strict=True):
             if gcmd.get_int("MOVE", 1):
-                self._move_back(pair, saved, speed)
-            first, second = pair.carriages
-            if saved.modes[0] == PRIMARY:
-                if saved.modes[1] != INACTIVE and not (first.homed and second.homed):
-                    raise gcmd.error(f"Must home axis {AXIS_NAMES[pair.axis]} first")
-                self.kin.set_modes(pair, first, saved.modes[1])
-            else:
-                self.kin.set_modes(pair, second, INACTIVE)
+                self._move_back(group, saved, speed)
+            modes = dict(zip(group.carriages, saved.modes, strict=True))
+            active = next(c for c, mode in modes.items() if mode == PRIMARY)
+            followers = {c: mode for c, mode in modes.items() if mode in (COPY, MIRROR)}
+            if followers and not all(c.homed for c in (active, *followers)):
+                raise gcmd.error(f"Must home axis {AXIS_NAMES[group.axis]} first")
+            self.kin.set_modes(group, active, followers)
 
-    def _move_back(self, pair: CarriagePair, saved: SavedPair, speed: float | None) -> None:
-        """Each carriage to its place; first the one whose way is clear of the other."""
+    def _move_back(self, group: CarriageGroup, saved: SavedGroup, speed: float | None) -> None:
+        """Each carriage to its place; first one whose way is clear of the others."""
         way = [
             (c, place)
-            for c, place in zip(pair.carriages, saved.places, strict=True)
+            for c, place in zip(group.carriages, saved.places, strict=True)
             if place is not None and c.homed
         ]
-        if len(way) == 2 and not self._is_clear(pair, *way[0]):
-            way.reverse()
-        for carriage, place in way:
-            self.kin.set_modes(pair, carriage, INACTIVE)
+        while way:
+            carriage, place = next((step for step in way if self._is_clear(group, *step)), way[0])
+            way.remove((carriage, place))
+            self.kin.set_modes(group, carriage)
             target: list[float | None] = [None] * 3
-            target[pair.axis] = place
+            target[group.axis] = place
             self.kin.toolhead.manual_move(target, speed or carriage.rail.get_homing_info().speed)
 
-    def _is_clear(self, pair: CarriagePair, carriage: Carriage, place: float) -> bool:
-        self.kin.set_modes(pair, carriage, INACTIVE)
-        low, high = pair.limits()
+    def _is_clear(self, group: CarriageGroup, carriage: Carriage, place: float) -> bool:
+        self.kin.set_modes(group, carriage)
+        low, high = group.limits()
         return low <= place <= high
 
 
@@ -190,8 +190,9 @@ def load_dual(toolhead: Any, config: Any, machine: LinearMachine, axes: str) -> 
             for endstop, _name in mover.rail.get_endstops():
                 if drive.motor not in mover.rail.get_steppers():
                     endstop.add_stepper(drive.motor)
-    pair = CarriagePair(axis, (primary[axis], dual), read_safe_distance(section, rails[axis], dual_rail))
-    described = CarriageMachine((primary[0], primary[1], primary[2]), drives, {axis: pair})
+    safe_mm = {frozenset((primary[axis], dual)): read_safe_distance(section, rails[axis], dual_rail)}
+    group = CarriageGroup(axis, (primary[axis], dual), safe_mm)
+    described = CarriageMachine((primary[0], primary[1], primary[2]), drives, {axis: group})
     check_machine(config, described)
     kin = CarriageKinematics(toolhead, config, described)
     add_commands(config.get_printer(), kin, {"0": primary[axis], "1": dual})

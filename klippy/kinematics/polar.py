@@ -16,7 +16,7 @@ import stepper
 from kinematics.axes import ZLimits, axes_of
 from lookahead import Coord, Move
 
-# The bed turns at most this fast (rad/s).
+# The bed turns at most this fast (rad/s) unless max_angular_velocity says otherwise.
 BED_SPEED_MAX = 50.0
 # Within this of the centre a move counts as going through it (mm).
 CENTRE_MM = 0.02
@@ -35,6 +35,7 @@ class PolarKinematics:
         for placed in self.get_steppers():
             placed.set_trapq(toolhead.get_trapq())
         self.z_limits = ZLimits.read(config, toolhead)
+        self.bed_speed_max = config.getfloat("max_angular_velocity", BED_SPEED_MAX, above=0.0)
         self.max_r = self.arm.get_range()[1]
         self.homed_xy = self.homed_z = False
 
@@ -98,7 +99,7 @@ class PolarKinematics:
             return
         if nearest < CENTRE_MM:
             raise move.move_error(f"Move through the centre of the bed, within {CENTRE_MM:g} mm")
-        speed = BED_SPEED_MAX * nearest * move.move_d / math.sqrt(d2)
+        speed = self.bed_speed_max * nearest * move.move_d / math.sqrt(d2)
         move.limit_speed(speed, move.accel)
 
     def check_move(self, move: Move) -> None:

@@ -48,6 +48,12 @@ class Arm:
         ]
 
 
+def _calibrated(section: Any, name: str, default_mm: float) -> float:
+    """Length of an arm; upper_arm and lower_arm are what Klipper's calibration has saved, and go before the others."""
+    length_mm = section.getfloat(f"{name}_length", default_mm, above=0.0)
+    return float(section.getfloat(name, length_mm, above=0.0))
+
+
 class RotaryDeltaKinematics:
     """Limits, homing and positions of a rotary delta."""
 
@@ -67,8 +73,8 @@ class RotaryDeltaKinematics:
         self.arms = [
             Arm(
                 math.radians(s.getfloat("angle", DEFAULT_ANGLES[name])),
-                s.getfloat("upper_arm_length", upper, above=0.0),
-                s.getfloat("lower_arm_length", lower, above=0.0),
+                _calibrated(s, "upper_arm", upper),
+                _calibrated(s, "lower_arm", lower),
             )
             for name, s in zip("abc", sections, strict=True)
         ]

@@ -7,6 +7,7 @@ commands when the MCU is configured. Values are set with the print time at which
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable
 from typing import Any
 
@@ -111,7 +112,7 @@ class MCU_pwm:
         self._oid = mcu.create_oid()
         self._pwm_max = 0.0  # value of a duty cycle of 1, in what the command takes
         self._start_clock = 0  # of the start value, if that was sent as a queued command
-        self._last_clock = 0
+        self._clocks = deque([0], maxlen=1)  # of the last values
         self._set: Any = None
         mcu.register_config_callback(self._build_config)
 
@@ -126,6 +127,10 @@ class MCU_pwm:
         """Period of the PWM (s), and whether the timer hardware makes it."""
         self._cycle_time_s = cycle_time
         self._hardware_pwm = hardware_pwm
+
+    def setup_waiting(self, count: int) -> None:
+        """Number of values that may wait on the MCU for their time."""
+        self._clocks = deque([0] * count, maxlen=count)
 
     def setup_start_value(self, start_value: float, shutdown_value: float) -> None:
         """Duty cycle at start, and in shutdown."""
@@ -145,7 +150,8 @@ class MCU_pwm:
             raise pins.error(
                 f"Pin {self._pin} with max duration must have start value equal to shutdown value."
             )
-        mcu.request_move_queue_slot()
+        for _ in self._clocks:
+            mcu.request_move_queue_slot()
         cycle_ticks = _duration_ticks(mcu, self._pin, self._cycle_time_s)
         max_ticks = _duration_ticks(mcu, self._pin, self._max_duration_s)
         # The clock is chosen once at each start: it must not be in the configuration's CRC.
@@ -197,11 +203,11 @@ class MCU_pwm:
     def set_pwm(self, print_time: float, value: float) -> None:
         """The duty cycle from print_time on; times must not decrease."""
         clock = self._mcu.print_time_to_clock(print_time)
-        if not self._last_clock and (self._starts_by_queue() or self._mcu.kept_configuration()):
+        if not self._clocks[-1] and (self._starts_by_queue() or self._mcu.kept_configuration()):
             clock = max(clock, self._start_clock + 1)
         data = [self._oid, clock, self._raw(self._duty(value))]
-        self._set.send(data, minclock=self._last_clock, reqclock=clock)
-        self._last_clock = clock
+        self._set.send(data, minclock=self._clocks[0], reqclock=clock)
+        self._clocks.append(clock)
 
 
 class MCU_adc:

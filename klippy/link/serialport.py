@@ -177,7 +177,23 @@ def _open_unix_socket(reactor: Reactor, path: str) -> Port:
     return ThreadPort(reactor, path, connection.fileno(), connection.close, lambda: None)
 
 
-def _open_serial(reactor: Reactor, path: str, baud: int) -> Port:
+def _pulse_dtr(device: Any) -> None:
+    device.dtr = False
+    time.sleep(
+        0.1
+    )  # the usual 100 nF on an Arduino's reset line needs some ms; the reactor has nothing to do
+    device.dtr = True
+
+
+def _pulse_dtr_twice(device: Any) -> None:
+    """A Fysetc Cheetah boots by RTS from flash or into its bootloader; the first reset may still be the latter."""
+    device.rts = False
+    for _ in range(2):
+        _pulse_dtr(device)
+        time.sleep(0.1)
+
+
+def _open_serial(reactor: Reactor, path: str, baud: int, is_cheetah: bool = False) -> Port:
     import serial  # here: batch and simulated runs do without it
 
     try:
@@ -186,18 +202,14 @@ def _open_serial(reactor: Reactor, path: str, baud: int) -> Port:
         device.timeout = 0
         if not path.startswith("socket://"):
             device.exclusive = True
+        if is_cheetah:
+            device.rts = False  # before it is opened: pyserial sets it
         device.open()
     except (serial.SerialException, ValueError) as e:
         raise PortError(f"Unable to open serial port '{path}' at {baud} baud: {e}") from None
 
-    def toggle_dtr() -> None:
-        device.dtr = False
-        time.sleep(
-            0.1
-        )  # the usual 100 nF on an Arduino's reset line needs some ms; the reactor has nothing to do
-        device.dtr = True
-
-    return ThreadPort(reactor, path, device.fileno(), device.close, toggle_dtr)
+    reset = _pulse_dtr_twice if is_cheetah else _pulse_dtr
+    return ThreadPort(reactor, path, device.fileno(), device.close, lambda: reset(device))
 
 
 def _is_pseudo_terminal(mode: os.stat_result) -> bool:
@@ -205,18 +217,23 @@ def _is_pseudo_terminal(mode: os.stat_result) -> bool:
     return stat.S_ISCHR(mode.st_mode) and 136 <= os.major(mode.st_rdev) <= 143
 
 
-def open_port(reactor: Reactor, path: str, baud: int) -> Port:
+def open_cheetah_port(reactor: Reactor, path: str, baud: int) -> Port:
+    """Open a real port to a Fysetc Cheetah. Raises `PortError`."""
+    return open_port(reactor, path, baud, is_cheetah=True)
+
+
+def open_port(reactor: Reactor, path: str, baud: int, is_cheetah: bool = False) -> Port:
     """Open a real port: serial device, pty, unix socket, or a pyserial url. Raises `PortError`."""
     try:
         if "://" in path:
-            return _open_serial(reactor, path, baud)
+            return _open_serial(reactor, path, baud, is_cheetah)
         mode = os.stat(path)
         if stat.S_ISSOCK(mode.st_mode):
             return _open_unix_socket(reactor, path)
         if _is_pseudo_terminal(mode):
             return _open_pty(reactor, path)
         if stat.S_ISCHR(mode.st_mode):
-            return _open_serial(reactor, path, baud)
+            return _open_serial(reactor, path, baud, is_cheetah)
     except FileNotFoundError:
         raise PortError(f"Unable to open serial port '{path}': there is no such device.") from None
     except OSError as e:

@@ -48,6 +48,13 @@ ALSO_SPOKEN = {
     "query_analog_in": "query_analog_in oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u"
     " min_value=%hu max_value=%hu range_check_count=%c",
 }
+# what only Klipper's firmware for SAMD51 and for Linux knows, as its dictionaries have it
+COMMANDS_ELSEWHERE = (
+    "set_sercom_pin bus=%u sercom_pin_type=%u pin=%u",
+    "config_ds18b20 oid=%c serial=%*s max_error_count=%c",
+    "query_ds18b20 oid=%c clock=%u rest_ticks=%u min_value=%i max_value=%i",
+)
+RESPONSES_ELSEWHERE = ("ds18b20_result oid=%c next_clock=%u value=%i fault=%u",)
 
 PERCENT_FIELD = re.compile(r"%[-+ #0]*\d*(\.\d+)?[a-z]")
 BRACE_FIELD = re.compile(r"\{\w*\}")
@@ -170,8 +177,8 @@ class Dictionary:
 
     def __init__(self, path: Path) -> None:
         content = json.loads(path.read_text(encoding="utf-8"))
-        self.commands = {text.split()[0]: text for text in content["commands"]}
-        self.responses = {text.split()[0]: text for text in content["responses"]}
+        self.commands = {text.split()[0]: text for text in (*content["commands"], *COMMANDS_ELSEWHERE)}
+        self.responses = {text.split()[0]: text for text in (*content["responses"], *RESPONSES_ELSEWHERE)}
 
     def complaint(self, ask: Ask) -> str | None:
         """What is wrong with a request, None if it is met."""

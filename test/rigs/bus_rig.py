@@ -7,6 +7,7 @@ firmware would not take fails here.
 from __future__ import annotations
 
 import fcntl
+import json
 import subprocess
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 
 import msgproto
 from base_rig import BarePrinter, Session
+from check_formats import COMMANDS_ELSEWHERE, RESPONSES_ELSEWHERE
 
 ROOT = Path(__file__).resolve().parents[2]
 DICTIONARY = ROOT / "out" / "simulator" / "ferrite.dict"
@@ -29,6 +31,19 @@ def build_dictionary() -> bytes:
         fcntl.flock(lock, fcntl.LOCK_EX)
         subprocess.run(["make", "-s", "-f", "src/build.mk", "firmware-sim"], cwd=ROOT, check=True)
     return DICTIONARY.read_bytes()
+
+
+def all_boards_dictionary() -> bytes:
+    """The dictionary of the firmware, with what only Klipper's firmware for other boards knows."""
+    content = json.loads(build_dictionary())
+    number = max(*content["commands"].values(), *content["responses"].values())
+    for kind, texts in (("commands", COMMANDS_ELSEWHERE), ("responses", RESPONSES_ELSEWHERE)):
+        for text in texts:
+            number += 1
+            content[kind][text] = number
+    content["enumerations"]["bus"] = {"sercom0": [0, 8]}
+    content["enumerations"]["sercom_pin_type"] = {"tx": 0, "rx": 1, "clk": 2}
+    return json.dumps(content).encode()
 
 
 class RigPin:
@@ -52,6 +67,9 @@ class RigPin:
 
     def setup_cycle_time(self, cycle_time_s: float, hardware_pwm: bool = False) -> None:
         self.setup["cycle_time"], self.setup["hardware"] = cycle_time_s, hardware_pwm
+
+    def setup_waiting(self, count: int) -> None:
+        self.setup["waiting"] = count
 
     def setup_adc_sample(self, sample_time: float, sample_count: int, **limits: Any) -> None:
         self.setup["sample"] = limits
@@ -165,6 +183,9 @@ class Chip:
     def get_enumerations(self) -> dict[str, dict[str, int]]:
         return self.parser.get_enumerations()
 
+    def get_constant_float(self, name: str) -> float:
+        return float(self.constants[name])
+
     def get_constants(self) -> dict[str, Any]:
         return self.constants
 
@@ -227,7 +248,7 @@ def add_printer_objects(config: Any) -> None:
     """The board and the toolhead of a printer."""
     printer = config.get_printer()
     parser = msgproto.MessageParser()
-    parser.process_identify(build_dictionary(), decompress=False)
+    parser.process_identify(all_boards_dictionary(), decompress=False)
     chip = Chip(printer, parser)
     printer.lookup_object("pins").register_chip("mcu", chip)
     printer.add_object("mcu", chip)

@@ -21,7 +21,7 @@ from typing import Any
 
 import pytest
 
-from bus_rig import build_dictionary
+from bus_rig import all_boards_dictionary
 from printer import Printer
 from reactor import Reactor
 
@@ -50,7 +50,7 @@ class Loaded:
 
 def load(folder: Path, config: str) -> Loaded:
     """Start a printer on a config, without a board: batch mode with the dictionary of the simulator's firmware."""
-    (folder / "dict").write_bytes(build_dictionary())
+    (folder / "dict").write_bytes(all_boards_dictionary())
     (folder / "printer.cfg").write_text(config)
     (folder / "in.gcode").write_text("")
     (folder / "printer_data" / "plugins").mkdir(parents=True, exist_ok=True)

@@ -61,7 +61,23 @@ max_temp: 90
 aliases: SPARE=PH1
 [output_pin spare]
 pin: SPARE
+[pwm_tool laser]
+pin: PH2
+cycle_time: 0.001
+maximum_mcu_duration: 1
+[dotstar chain]
+data_pin: PH3
+clock_pin: PH4
+chain_count: 20
+[ad5206 currents]
+enable_pin: PH5
+channel_1: 0.5
+spi_software_sclk_pin: PH6
+spi_software_mosi_pin: PH7
+spi_software_miso_pin: PH8
 """
+# A laser changes its power with each move of 0.1 mm: more values than wait on the board, and denser than they are sent.
+ENGRAVING = "".join(f"G1 X{50 + i / 10:.1f}\nSET_PIN PIN=laser VALUE={i % 10 / 10}\n" for i in range(1, 300))
 GCODE = """
 G28
 SET_LED LED=strip RED=1 INDEX=3
@@ -77,6 +93,8 @@ QUERY_BUTTON BUTTON=door
 QUERY_FILAMENT_SENSOR SENSOR=runout
 QUERY_ADC NAME=heater_bed PULLUP=4700
 G1 X50 Y50 F6000
+SET_LED LED=chain GREEN=1
+SET_PIN PIN=laser VALUE=0.05
 G4 P2000
 """
 THERMOCOUPLE = """
@@ -96,7 +114,7 @@ def machine(tmp_path: Path, extras: str) -> Path:
 def test_a_printer_with_everything_on_its_pins_runs(simulate: Simulate, tmp_path: Path) -> None:
     temp = tmp_path / "temp"
     temp.write_text("42000")
-    run = simulate(GCODE, config=machine(tmp_path, EXTRAS.replace("{temp}", str(temp))))
+    run = simulate(GCODE + ENGRAVING, config=machine(tmp_path, EXTRAS.replace("{temp}", str(temp))))
     assert run.status == 0, run.stderr
     assert not run.summary["faults"], run.summary["faults"]
 

@@ -1,4 +1,4 @@
-"""Time-stamped values for one output pin, never denser than the MCU can take them (used by fan and output_pin)."""
+"""Time-stamped values for one output pin: never denser than the MCU can take them, or in a queue on the MCU."""
 
 from __future__ import annotations
 
@@ -87,3 +87,18 @@ class ScheduledPin:
             self._last_time = now + LEAD_S
             self._apply(self._last_time, self.last_value)
         return eventtime + self._last_time + refresh_s - LEAD_S - now
+
+
+class QueuedPin(ScheduledPin):
+    """Values as dense as they come, for a pin on which several may wait on the MCU. None is dropped."""
+
+    def request(self, print_time: float, value: float) -> None:
+        if value == self.last_value:
+            return
+        print_time = max(print_time, self._last_time)
+        step_s = self._max_duration_s * RESEND_SHARE
+        # the MCU switches off if the next value it knows of is too late
+        while step_s and self.last_value != self._resting_value and print_time - self._last_time > step_s:
+            self._last_time += step_s
+            self._apply(self._last_time, self.last_value)
+        self._send(print_time, value)

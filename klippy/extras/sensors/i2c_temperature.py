@@ -1,4 +1,4 @@
-"""Sensor types LM75, HTU21D (SI7013 SI7020 SI7021 SHT21), SHT3X, AHT10, BME280: the air in a chamber, by I2C.
+"""Sensor types LM75, HTU21D (SI7013 SI7020 SI7021 SHT21), SHT3X, AHT10 and its kin: the air in a chamber, by I2C.
 
 Each type is a `Device`: how it is set up, how one reading is taken and what its bytes mean, from the chip's data sheet.
 `I2cTemperature` is what they share: a reading every report time, limits, and the status of an object named
@@ -27,11 +27,12 @@ class SensorError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """degC; %; hPa. None: the chip does not measure that."""
+    """degC; %; hPa; ohm of a gas sensor. None: the chip does not measure that."""
 
     temp_c: float
     humidity_pct: float | None = None
     pressure_hpa: float | None = None
+    gas_ohm: float | None = None
 
 
 Pause = Callable[[float], None]  # argument: seconds
@@ -57,7 +58,7 @@ def crc8(data: Sequence[int], start: int) -> int:
     return crc
 
 
-def _fetch(i2c: bus.MCU_I2C, command: Sequence[int], count: int) -> bytes:
+def fetch(i2c: bus.MCU_I2C, command: Sequence[int], count: int) -> bytes:
     return bytes(i2c.i2c_read(list(command), count)["response"])
 
 
@@ -79,7 +80,7 @@ class Lm75:
         """Measures by itself."""
 
     def read(self, i2c: bus.MCU_I2C, pause: Pause) -> Reading:
-        data = _fetch(i2c, [0x00], 2)
+        data = fetch(i2c, [0x00], 2)
         return Reading((int.from_bytes(data, "big", signed=True) & ~0x1F) / 256.0)
 
 
@@ -104,17 +105,17 @@ class Htu21d:
     def set_up(self, i2c: bus.MCU_I2C, pause: Pause) -> None:
         i2c.i2c_write([0xFE])  # reset
         pause(0.015)
-        register = _fetch(i2c, [0xE7], 1)[0]
+        register = fetch(i2c, [0xE7], 1)[0]
         i2c.i2c_write([0xE6, register & ~0x81 & 0xFF | HTU21D_RESOLUTIONS[self.resolution][0]])
 
     def _measure(self, i2c: bus.MCU_I2C, pause: Pause, commands: tuple[int, int], wait_s: float) -> float:
         """Share of the full scale."""
         if self.hold:
-            data = _fetch(i2c, commands[:1], 3)
+            data = fetch(i2c, commands[:1], 3)
         else:
             i2c.i2c_write(commands[1:])
             pause(wait_s)
-            data = _fetch(i2c, [], 3)
+            data = fetch(i2c, [], 3)
         return (_checked(data, 0x00) & ~0x03) / 65536.0
 
     def read(self, i2c: bus.MCU_I2C, pause: Pause) -> Reading:
@@ -139,7 +140,7 @@ class Sht3x:
     def read(self, i2c: bus.MCU_I2C, pause: Pause) -> Reading:
         i2c.i2c_write([0x24, 0x00])
         pause(0.016)
-        data = _fetch(i2c, [], 6)
+        data = fetch(i2c, [], 6)
         return Reading(
             -45.0 + 175.0 * _checked(data[:3], 0xFF) / 65535.0, 100.0 * _checked(data[3:], 0xFF) / 65535.0
         )
@@ -147,103 +148,32 @@ class Sht3x:
 
 @dataclass(slots=True)
 class Aht10:
-    """AHT10, AHT20, AHT21: 20 bits each of humidity and temperature."""
+    """AHT1x, AHT2x, AHT3x: 20 bits each of humidity and temperature."""
 
+    # ways to load the calibration, tried until it is: AHT1x, AHT2x; an AHT3x has it
+    load_commands: tuple[int, ...] = (0xE1, 0xBE)
+    has_crc: bool = False
     kind: str = "aht10"
     fields: tuple[str, ...] = ("humidity",)
 
     def set_up(self, i2c: bus.MCU_I2C, pause: Pause) -> None:
-        for command in (0xE1, 0xBE):  # AHT10's, AHT20's way to load its calibration
+        for command in self.load_commands:
             pause(0.040)
-            if _fetch(i2c, [], 1)[0] & 0x08:
+            if fetch(i2c, [], 1)[0] & 0x08:
                 return
             i2c.i2c_write([command, 0x08, 0x00])
 
     def read(self, i2c: bus.MCU_I2C, pause: Pause) -> Reading:
         i2c.i2c_write([0xAC, 0x33, 0x00])
         pause(0.080)
-        data = _fetch(i2c, [], 6)
+        data = fetch(i2c, [], 7 if self.has_crc else 6)
         if data[0] & 0x80:
             raise SensorError("it is still busy")
-        bits = int.from_bytes(data[1:], "big")
+        if self.has_crc and crc8(data[:6], 0xFF) != data[6]:
+            raise SensorError("its checksum is wrong")
+        bits = int.from_bytes(data[1:6], "big")
         share = 1 << 20
         return Reading((bits & share - 1) / share * 200.0 - 50.0, (bits >> 20) / share * 100.0)
-
-
-BME280_IDS = {0x58: False, 0x60: True}  # whether that chip measures humidity
-BME280_TWOFOLD = 2  # oversampling, as the registers have it
-
-
-def _words(data: bytes, signed: bool) -> list[int]:
-    return [int.from_bytes(data[i : i + 2], "little", signed=signed) for i in range(0, len(data), 2)]
-
-
-@dataclass(slots=True)
-class Bme280:
-    """BME280, BMP280: single shots, twofold oversampling; compensated as the data sheet's appendix says."""
-
-    kind: str = "bme280"
-    fields: tuple[str, ...] = ("humidity", "pressure")
-    has_humidity: bool = False
-    temp: tuple[int, ...] = ()  # dig_T1 ..
-    pressure: tuple[int, ...] = ()  # dig_P1 ..
-    humidity: tuple[int, ...] = ()  # dig_H1 ..
-
-    def set_up(self, i2c: bus.MCU_I2C, pause: Pause) -> None:
-        i2c.i2c_write([0xE0, 0xB6])  # reset
-        pause(0.010)
-        chip = _fetch(i2c, [0xD0], 1)[0]
-        if chip not in BME280_IDS:
-            raise SensorError(f"its id is {chip:#04x}, that of a BME280 is 0x60, of a BMP280 0x58")
-        self.has_humidity = BME280_IDS[chip]
-        data = _fetch(i2c, [0x88], 26)
-        unsigned, signed = _words(data[:24], False), _words(data[:24], True)
-        self.temp = (unsigned[0], *signed[1:3])
-        self.pressure = (unsigned[3], *signed[4:12])
-        if not self.has_humidity:
-            return
-        more = _fetch(i2c, [0xE1], 7)
-        signed_12 = (
-            int.from_bytes(more[3:4], "big", signed=True) << 4 | more[4] & 0x0F,
-            int.from_bytes(more[5:6], "big", signed=True) << 4 | more[4] >> 4,
-        )
-        h6 = int.from_bytes(more[6:7], "big", signed=True)
-        self.humidity = (data[25], _words(more[:2], True)[0], more[2], *signed_12, h6)
-        i2c.i2c_write([0xF2, BME280_TWOFOLD])
-
-    def read(self, i2c: bus.MCU_I2C, pause: Pause) -> Reading:
-        i2c.i2c_write([0xF4, BME280_TWOFOLD << 5 | BME280_TWOFOLD << 2 | 1])
-        pause(0.025)  # 18.7 ms at most
-        data = _fetch(i2c, [0xF7], 8 if self.has_humidity else 6)
-        raw_pressure = int.from_bytes(data[:3], "big") >> 4
-        fine = self._fine(int.from_bytes(data[3:6], "big") >> 4)
-        humidity = self._humidity_pct(fine, int.from_bytes(data[6:8], "big")) if self.has_humidity else None
-        return Reading(fine / 5120.0, humidity, self._pressure_pa(fine, raw_pressure) / 100.0)
-
-    def _fine(self, raw: int) -> float:
-        """Temperature in 1/5120 degC."""
-        t1, t2, t3 = self.temp
-        linear = raw / 16384.0 - t1 / 1024.0
-        square = raw / 131072.0 - t1 / 8192.0
-        return linear * t2 + square * square * t3
-
-    def _pressure_pa(self, fine: float, raw: int) -> float:
-        p1, p2, p3, p4, p5, p6, p7, p8, p9 = self.pressure
-        t = fine / 2.0 - 64000.0
-        offset = (t * t * p6 / 32768.0 + t * p5 * 2.0) / 4.0 + p4 * 65536.0
-        scale = (1.0 + (p3 * t * t / 524288.0 + p2 * t) / 524288.0 / 32768.0) * p1
-        if scale == 0.0:
-            return 0.0
-        pressure = (1048576.0 - raw - offset / 4096.0) * 6250.0 / scale
-        return pressure + (p9 * pressure * pressure / 2147483648.0 + pressure * p8 / 32768.0 + p7) / 16.0
-
-    def _humidity_pct(self, fine: float, raw: int) -> float:
-        h1, h2, h3, h4, h5, h6 = self.humidity
-        t = fine - 76800.0
-        shape = 1.0 + h6 / 67108864.0 * t * (1.0 + h3 / 67108864.0 * t)
-        value = (raw - (h4 * 64.0 + h5 / 16384.0 * t)) * h2 / 65536.0 * shape
-        value *= 1.0 - h1 * value / 524288.0
-        return min(100.0, max(0.0, value))
 
 
 class I2cTemperature:
@@ -323,13 +253,14 @@ class I2cTemperature:
         for field, value, digits in (
             ("humidity", reading.humidity_pct, 1),
             ("pressure", reading.pressure_hpa, 2),
+            ("gas", reading.gas_ohm, 0),
         ):
             if field in self.device.fields:
                 status[field] = None if value is None else round(value, digits)
         return status
 
 
-def _build(config: ConfigWrapper, device: Device, address: int, report_time_s: float) -> I2cTemperature:
+def build(config: ConfigWrapper, device: Device, address: int, report_time_s: float) -> I2cTemperature:
     i2c = bus.MCU_I2C_from_config(config, address)
     sensor = I2cTemperature(config.get_printer(), config.get_name().split()[-1], device, i2c, report_time_s)
     sensor.register()
@@ -337,7 +268,7 @@ def _build(config: ConfigWrapper, device: Device, address: int, report_time_s: f
 
 
 def build_lm75(config: ConfigWrapper) -> I2cTemperature:
-    return _build(config, Lm75(), 0x48, config.getfloat("lm75_report_time", 0.8, minval=0.5))
+    return build(config, Lm75(), 0x48, config.getfloat("lm75_report_time", 0.8, minval=0.5))
 
 
 def build_htu21d(config: ConfigWrapper) -> I2cTemperature:
@@ -346,27 +277,26 @@ def build_htu21d(config: ConfigWrapper) -> I2cTemperature:
         config.getchoice("htu21d_resolution", names, default="TEMP11_HUM11"),
         config.getboolean("htu21d_hold_master", False),
     )
-    return _build(config, device, 0x40, config.getfloat("htu21d_report_time", 30.0, minval=1.0))
+    return build(config, device, 0x40, config.getfloat("htu21d_report_time", 30.0, minval=1.0))
 
 
 def build_sht3x(config: ConfigWrapper) -> I2cTemperature:
-    return _build(config, Sht3x(), 0x44, config.getfloat("sht3x_report_time", 1.0, minval=0.5))
+    return build(config, Sht3x(), 0x44, config.getfloat("sht3x_report_time", 1.0, minval=0.5))
+
+
+AHT_KINDS = {"AHT10": Aht10(), "AHT1X": Aht10(), "AHT2X": Aht10((0xBE,), True), "AHT3X": Aht10((), True)}
 
 
 def build_aht10(config: ConfigWrapper) -> I2cTemperature:
-    return _build(config, Aht10(), 0x38, config.getfloat("aht10_report_time", 30.0, minval=5.0))
-
-
-def build_bme280(config: ConfigWrapper) -> I2cTemperature:
-    return _build(config, Bme280(), 0x76, 0.8)
+    device = AHT_KINDS[config.get("sensor_type")]
+    return build(config, device, 0x38, config.getfloat("aht10_report_time", 30.0, minval=5.0))
 
 
 TYPES: dict[str, Callable[[Any], I2cTemperature]] = {
     "LM75": build_lm75,
     **dict.fromkeys(("HTU21D", "SI7013", "SI7020", "SI7021", "SHT21"), build_htu21d),
     "SHT3X": build_sht3x,
-    "AHT10": build_aht10,
-    "BME280": build_bme280,
+    **dict.fromkeys(AHT_KINDS, build_aht10),
 }
 
 

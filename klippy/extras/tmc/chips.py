@@ -1,6 +1,6 @@
 """In what Trinamic's stepper drivers differ, as tables: registers, fields, options and their defaults, stalls.
 
-Addresses and fields of all five chips were compared, bit by bit, with the vendor's headers (Analog Devices' TMC-API);
+Addresses and fields of all six chips were compared, bit by bit, with the vendor's headers (Analog Devices' TMC-API);
 the masks found there are the data of test/unit/bus/test_tmc_vendor.py, with their commits. Not in those headers, by the
 datasheet of the TMC2209 only: the widths of TCOOLTHRS, SGTHRS and SG_RESULT, and spread_en in IOIN. Not compared with a
 document: which registers can only be read or written, the clocks of TMC2130, TMC5160 and TMC2240 (12 MHz of the others
@@ -11,7 +11,7 @@ those of the configuration reference.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 from .registers import Field, table
 
@@ -88,6 +88,8 @@ class Stall:
 
     homing: Mapping[str, int]
     pins: Mapping[str, str]  # option → field that puts the stall on that pin ("": it always is)
+    quiet_threshold: str = ""  # a field: if it is not 0, StallGuard works in StealthChop ...
+    quiet: Mapping[str, int] = field(default_factory=dict)  # ... with these fields while homing
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,9 +103,10 @@ class Chip:
     fields: Mapping[str, Field]
     options: Mapping[str, int]
     fixed: Mapping[str, int]
-    stealth_field: tuple[str, int]  # the field that chooses StealthChop, and its value then
+    stealth_field: tuple[str, int] | None  # the field that chooses StealthChop, and its value then
     clock_hz: float
     stall: Stall | None = None
+    interpolated: int = 0  # the one number of microsteps that can be interpolated; 0: all
 
     @property
     def written(self) -> tuple[str, ...]:
@@ -164,7 +167,8 @@ TMC2130 = Chip(
           "    PWMCONF: pwm_ampl 0 8, pwm_grad 8 8, pwm_freq 16 2, pwm_autoscale 18, pwm_symmetric 19, freewheel 20 2\n"
           "    PWM_SCALE: pwm_scale 0 8"),
     {"iholddelay": 8, "tpowerdown": 0, "tbl": 1, "toff": 4, "hend": 7, "hstrt": 0, "pwm_autoscale": 1, "pwm_freq": 1,
-     "pwm_grad": 4, "pwm_ampl": 128, "sgt": 0, **WAVE_OPTIONS},
+     "pwm_grad": 4, "pwm_ampl": 128, "freewheel": 0, "vhighfs": 0, "vhighchm": 0, "sgt": 0, "sfilt": 0,
+     **COOL_OPTIONS, **WAVE_OPTIONS},
     {}, ("en_pwm_mode", 1), 13.2e6, SPI_STALL,
 )  # fmt: skip
 TMC5160 = Chip(
@@ -195,6 +199,31 @@ ext_res_det 13, ext_clk 14, adc_err 15, silicon_rv 16 3, version 24 8\n"
           f"    CHOPCONF: {SPI_CHOP}, tpfd 20 4, diss2vs 31\n    GLOBALSCALER: globalscaler 0 8\n"
           "    DRV_CONF: current_range 0 2, slope_control 4 2\n"
           "    SG4_THRS: sg4_thrs 0 8, sg4_filt_en 8, sg4_angle_offset 9\n    SG4_RESULT: sg4_result 0 10"),
-    {**SPI_OPTIONS, "pwm_ofs": 29, "irundelay": 4, "offset_sin90": 0, "sg4_angle_offset": 1},
-    {}, ("en_pwm_mode", 1), 12.5e6, SPI_STALL,
+    {**SPI_OPTIONS, "pwm_ofs": 29, "irundelay": 4, "offset_sin90": 0, "sg4_thrs": 0, "sg4_angle_offset": 1,
+     "slope_control": 0},
+    {}, ("en_pwm_mode", 1), 12.5e6,
+    replace(SPI_STALL, quiet_threshold="sg4_thrs",
+            quiet={"en_pwm_mode": 1, "tpwmthrs": 0, "tcoolthrs": TSTEP_MAX}),
+)  # fmt: skip
+# On its UART it counts datagrams and waits before an answer, as the others there.
+TMC2240_UART = replace(
+    TMC2240, registers={**TMC2240.registers, "IFCNT": 0x02, "NODECONF": 0x03},
+    fields={**TMC2240.fields, **table("IFCNT: ifcnt 0 8\nNODECONF: senddelay 8 4")}, fixed={"senddelay": 2},
+)  # fmt: skip
+# Registers numbered as in the vendor's header, those that can be read by RDSEL: RESPONSE0 to 2.
+TMC2660 = Chip(
+    "tmc2660",
+    {"MSCNT": 0, "SG_RESULT": 1, "DRV_STATUS": 2, "DRVCONF": 15, "DRVCTRL": 8, "SMARTEN": 13, "SGCSCONF": 14,
+     "CHOPCONF": 12},
+    ("DRVCONF", "DRVCTRL", "SMARTEN", "SGCSCONF", "CHOPCONF"), READ_ONLY,
+    table("MSCNT: mscnt 10 10\nSG_RESULT: sg_result 10 10\n"
+          "DRV_STATUS: sg 0, ot 1, otpw 2, s2ga 3, s2gb 4, ola 5, olb 6, stst 7, se 10 5, sg_result_high 15 5\n"
+          "DRVCTRL: mres 0 4, dedge 8, intpol 9\n"
+          "CHOPCONF: toff 0 4, hstrt 4 3, hend 7 4, hdec 11 2, rndtf 13, chm 14, tbl 15 2\n"
+          "SMARTEN: semin 0 4, seup 5 2, semax 8 4, sedn 13 2, seimin 15\n"
+          "SGCSCONF: cs 0 5, sgt 8 7, sfilt 16\n"
+          "DRVCONF: rdsel 4 2, vsense 6, sdoff 7, ts2g 8 2, diss2g 10, slpl 12 2, slph 14 2, tst 16"),
+    {"tbl": 2, "rndtf": 0, "hdec": 0, "chm": 0, "hend": 3, "hstrt": 3, "toff": 4, **COOL_OPTIONS, "sfilt": 0, "sgt": 0,
+     "slph": 0, "slpl": 0, "diss2g": 0, "ts2g": 3},
+    {}, None, 15e6, interpolated=16,
 )  # fmt: skip

@@ -2,7 +2,8 @@
 
 TMC2208 and 2209: compared with the datasheet's table of sense resistors (2209, rev. 1.03, chapter 8; vsense 0).
 TMC2240: ranges as an independent library (TMCStepper) has them, the largest as on the datasheet's first page. Not
-compared with a document: 0.32 V of the TMC2130, 0.325 V and the rule for GLOBALSCALER of the TMC5160.
+compared with a document: 0.32 V of the TMC2130, 0.31 and 0.165 V of the TMC2660, 0.325 V and the rule for GLOBALSCALER
+of the TMC5160.
 
 Pure. A scale of CS gives (CS + 1) / 32 of the full current; `fields(run, hold)` are the register fields for these
 currents (A, rms), `largest_a` is what the chip can be set to.
@@ -57,6 +58,19 @@ class TwoRanges:
             "irun": scale_of(run_a / full_a),
             "ihold": scale_of(min(hold_a, run_a) / full_a),
         }
+
+
+@dataclass(frozen=True, slots=True)
+class OneScale(TwoRanges):
+    """TMC2660: one scale, no holding current."""
+
+    full_scale_v: tuple[float, float] = (0.310, 0.165)
+    inner_ohm: float = 0.0
+
+    def fields(self, run_a: float, hold_a: float) -> dict[str, int]:
+        """Of the running motor."""
+        fields = TwoRanges.fields(self, run_a, hold_a)
+        return {"vsense": fields["vsense"], "cs": fields["irun"]}
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,8 +54,10 @@ class StepperDriver:
         self.stepper: Any = None
         largest = current.largest_a
         self.run_current = config.getfloat("run_current", above=0.0, maxval=largest)
-        self.hold_current = config.getfloat("hold_current", self.run_current, above=0.0, maxval=largest)
-        self._stealth_speed = config.getfloat("stealthchop_threshold", 0.0, minval=0.0)
+        self.hold_current = self._read_hold_current(config)
+        self._stealth_speed = 0.0
+        if chip.stealth_field is not None:
+            self._stealth_speed = config.getfloat("stealthchop_threshold", 0.0, minval=0.0)
         self._speeds: dict[str, float] = {}
         for option, field in (("coolstep_threshold", "tcoolthrs"), ("high_velocity_threshold", "thigh")):
             if field in chip.fields and (speed := config.getfloat(option, None, minval=0.0)) is not None:
@@ -63,7 +65,7 @@ class StepperDriver:
         self._read_driver_options(config)
         self._read_microsteps(config)
         self._phase_offset: int | None = None
-        self._homing_fields: dict[str, int] = {}
+        self._stall_field = ""
         self._saved: dict[str, int] = {}
         self._endstop: Any = None
         self._is_hot = False
@@ -71,6 +73,10 @@ class StepperDriver:
         self._check_timer = self._reactor.register_timer(self._check_faults)
         self._chip_name = f"{chip.name}_{self.name}"
         self._diag_pin = self._read_diag_pin(config)
+
+    def _read_hold_current(self, config: ConfigWrapper) -> float:
+        largest = self.current.largest_a
+        return float(config.getfloat("hold_current", self.run_current, above=0.0, maxval=largest))
 
     def _read_driver_options(self, config: ConfigWrapper) -> None:
         for name, value in self.chip.fixed.items():
@@ -96,7 +102,8 @@ class StepperDriver:
             self.values.set("mres", microstep_bits(self.microsteps))
         except ValueError as e:
             raise config.error(f"Option 'microsteps' in section '{self.stepper_name}': {e}") from None
-        self.values.set("intpol", int(config.getboolean("interpolate", True)))
+        can_interpolate = self.microsteps == (self.chip.interpolated or self.microsteps)
+        self.values.set("intpol", int(config.getboolean("interpolate", True) and can_interpolate))
 
     def _read_diag_pin(self, config: ConfigWrapper) -> str | None:
         """The pin that signals a stall, if there is one."""
@@ -106,7 +113,7 @@ class StepperDriver:
             pin: str | None = config.get(option, None)
             if pin is None:
                 continue
-            self._homing_fields = {**self.chip.stall.homing, **({field: 1} if field else {})}
+            self._stall_field = field
             self.printer.lookup_object("pins").register_chip(self._chip_name, self)
             return pin
         return None
@@ -150,6 +157,8 @@ class StepperDriver:
 
     def _set_thresholds(self) -> None:
         """StealthChop up to stealthchop_threshold (0: never), CoolStep from coolstep_threshold on."""
+        if self.chip.stealth_field is None:
+            return
         field, on = self.chip.stealth_field
         self.values.set(field, on if self._stealth_speed else 1 - on)
         self.values.set("tpwmthrs", self._threshold(self._stealth_speed))
@@ -170,9 +179,8 @@ class StepperDriver:
     def _write_all(self) -> None:
         for register in self.chip.written:
             self._write(register)
-        self.link.write(
-            self.chip.registers["GSTAT"], GSTAT_ALL
-        )  # writing ones clears what was before: above all `reset`
+        if "GSTAT" in self.chip.registers:  # writing ones clears what was before: above all `reset`
+            self.link.write(self.chip.registers["GSTAT"], GSTAT_ALL)
         self._learn_phase()
 
     # -- faults --
@@ -186,7 +194,7 @@ class StepperDriver:
         """Timer: stop the printer if the driver has lost its settings or switched off."""
         try:
             status = self._read("DRV_STATUS")
-            if self.chip.fields["reset"].extract(self._read("GSTAT")):
+            if "reset" in self.chip.fields and self.chip.fields["reset"].extract(self._read("GSTAT")):
                 raise self.printer.command_error(
                     f"The driver of '{self.stepper_name}' has lost its settings: it was without power for a moment"
                 )
@@ -241,8 +249,14 @@ class StepperDriver:
             self._learn_phase()
         if self._endstop is None or self._endstop not in hmove.get_mcu_endstops():
             return
-        self._saved = {name: self.values.get(name) for name in self._homing_fields}
-        self._change(self._homing_fields)
+        stall = self.chip.stall
+        assert stall is not None
+        is_quiet = stall.quiet_threshold and self.values.get(stall.quiet_threshold)
+        fields = dict(stall.quiet if is_quiet else stall.homing)
+        if self._stall_field:
+            fields[self._stall_field] = 1
+        self._saved = {name: self.values.get(name) for name in fields}
+        self._change(fields)
 
     def _handle_homing_end(self, hmove: Any) -> None:
         if self._saved and self._endstop in hmove.get_mcu_endstops():

@@ -1,4 +1,4 @@
-"""Registers of stepper drivers over SPI (TMC2130, TMC5160, TMC2240), alone or in a daisy chain.
+"""Registers of stepper drivers over SPI, alone or (TMC2130, TMC5160, TMC2240) in a daisy chain.
 
 A datagram has 40 bits: address (| 0x80 to write), then four bytes, highest first. The answer comes with the next
 datagram: status, then the value of the register asked for, or what was written. In a chain all drivers are spoken to
@@ -16,6 +16,7 @@ WRITE_FLAG = 0x80
 DATAGRAM_BYTES = 5
 REST = bytes(DATAGRAM_BYTES)  # for the others of a chain: read register 0
 TRIES = 5
+DRVCONF, RDSEL_SHIFT, RDSEL_MASK = 15, 4, 0x30  # of the TMC2660
 BUS_OPTIONS = ("spi_speed", "spi_bus", *(f"spi_software_{line}_pin" for line in ("sclk", "mosi", "miso")))
 
 
@@ -92,3 +93,30 @@ class RegisterLink:
             f"The driver of '{self.name}' does not answer on its SPI bus. Check cs_pin, the bus and its wiring, and "
             "that the driver has motor power."
         )
+
+
+class ShortLink:
+    """Registers of a TMC2660: datagrams of 20 bits in three bytes, with the register in their highest bits.
+
+    Its answer has 20 bits, the first ones to come: of the kind that RDSEL of DRVCONF named when the datagram began.
+    The driver confirms nothing.
+    """
+
+    def __init__(self, config: ConfigWrapper) -> None:
+        self.spi = bus.MCU_SPI_from_config(config, MODE, default_speed=SPEED_HZ)
+        self.mcu = self.spi.get_mcu()
+        self._drvconf = 0
+
+    def _datagram(self, register: int, value: int) -> bytes:
+        return ((register & 7) << 17 | value).to_bytes(3, "big")
+
+    def read(self, register: int) -> int:
+        """Answer number `register`."""
+        ask = self._datagram(DRVCONF, self._drvconf & ~RDSEL_MASK | register << RDSEL_SHIFT)
+        params = self.spi.spi_transfer_with_preface(ask, ask)
+        return int.from_bytes(params["response"], "big") >> 4
+
+    def write(self, register: int, value: int) -> None:
+        if register == DRVCONF:
+            self._drvconf = value
+        self.spi.spi_send(self._datagram(register, value))

@@ -1,11 +1,12 @@
-"""Registers of stepper drivers over their single-wire UART (TMC2208, TMC2209).
+"""Registers of stepper drivers over their single-wire UART (TMC2208, TMC2209, TMC2240).
 
 A datagram (datasheet of the TMC2209, rev. 1.09, chapter 4; bytes from the lowest bit on, each with start and stop bit):
 
     write:  0x05  address  register | 0x80  data (4 bytes, highest first)  CRC
     read:   0x05  address  register         CRC      answer: 0x05  0xff  register  data (4 bytes)  CRC
 
-A driver answers no write, but counts those it has understood (IFCNT). Up to four drivers share a wire.
+A driver answers no write, but counts those it has understood (IFCNT). Up to four drivers (TMC2240: eight) share a wire.
+A multiplexer may lead the wire to more of them: its select pins are set before a datagram.
 """
 
 from __future__ import annotations
@@ -14,6 +15,8 @@ from collections.abc import Sequence
 from typing import Any
 
 from configfile import ConfigWrapper
+
+from .. import bus
 
 SYNC, MASTER_ADDRESS, WRITE_FLAG = 0x05, 0xFF, 0x80
 IFCNT = 0x02
@@ -78,7 +81,11 @@ class Wire:
     def __init__(self, rx_params: dict[str, Any], tx_params: dict[str, Any]) -> None:
         self.mcu = rx_params["chip"]
         self.mutex = self.mcu.get_printer().get_reactor().mutex()
-        self.addresses: dict[int, str] = {}
+        self.addresses: dict[tuple[tuple[int, ...], int], str] = {}
+        self._cmd_queue = self.mcu.alloc_command_queue()
+        self._select_names: tuple[str, ...] | None = None
+        self._select_pins: list[bus.MCU_bus_digital_out] = []
+        self._selected: tuple[int, ...] = ()
         self._rx, self._tx, self._pullup = rx_params["pin"], tx_params["pin"], rx_params["pullup"]
         self._oid = self.mcu.create_oid()
         self._transfer: Any = None
@@ -95,8 +102,32 @@ class Wire:
             "tmcuart_send oid=%c write=%*s read=%c",
             "tmcuart_response oid=%c read=%*s",
             oid=oid,
-            cq=mcu.alloc_command_queue(),
+            cq=self._cmd_queue,
         )
+
+    def read_selection(self, config: ConfigWrapper) -> tuple[int, ...]:
+        """Levels of option select_pins for one driver. All drivers of the wire have the same pins there."""
+        pins = config.get_printer().lookup_object("pins")
+        params = [pins.parse_pin(text, can_invert=True) for text in config.getlist("select_pins", ())]
+        names = tuple(f"{p['chip_name']}:{p['pin']}" for p in params)
+        if self._select_names is None:
+            self._select_names = names
+            self._select_pins = [bus.MCU_bus_digital_out(self.mcu, name, self._cmd_queue) for name in names]
+            self._selected = (-1,) * len(names)  # not known: the board may have kept its levels
+        if names != self._select_names:
+            raise config.error(
+                f"Option 'select_pins' in section '{config.get_name()}': drivers with the same uart_pin need the same"
+                " pins in the same order, each with or without '!'. The first of them has"
+                f" {', '.join(self._select_names) or 'none'} ({config.where('select_pins')})."
+            )
+        return tuple(1 - p["invert"] for p in params)
+
+    def select(self, selection: tuple[int, ...]) -> None:
+        """Lead the wire to the drivers of these levels."""
+        for pin, level, before in zip(self._select_pins, selection, self._selected, strict=True):
+            if level != before:
+                pin.update_digital_out(level)
+        self._selected = selection
 
     def transfer(self, datagram: bytes, answer_bytes: int) -> bytes:
         """Send; returns the bits of the answer."""
@@ -128,10 +159,9 @@ class RegisterLink:
         self.name = config.get_name().split(None, 1)[-1]
         self.wire = lookup_wire(config)
         self.mcu = self.wire.mcu
-        self.address = (
-            config.getint("uart_address", 0, minval=0, maxval=addresses - 1) if addresses > 1 else 0
-        )
-        other = self.wire.addresses.setdefault(self.address, self.name)
+        self.address = config.getint("uart_address", 0, minval=0, maxval=addresses - 1)
+        self.selection = self.wire.read_selection(config)
+        other = self.wire.addresses.setdefault((self.selection, self.address), self.name)
         if other != self.name:
             raise config.error(
                 f"Section '{config.get_name()}': the driver of '{other}' has the same uart_pin and uart_address "
@@ -144,6 +174,7 @@ class RegisterLink:
     def read(self, register: int) -> int:
         """Value of a register; command_error if the driver does not answer."""
         with self.wire.mutex:
+            self.wire.select(self.selection)
             return self._read(register)
 
     def _read(self, register: int) -> int:
@@ -159,6 +190,7 @@ class RegisterLink:
     def write(self, register: int, value: int) -> None:
         """Set a register, and make sure that the driver has understood."""
         with self.wire.mutex:
+            self.wire.select(self.selection)
             for _ in range(TRIES):
                 before = self._read(IFCNT)
                 self.wire.transfer(write_datagram(self.address, register, value), 0)

@@ -39,6 +39,24 @@ def test_a_button_runs_its_gcode_and_reports_its_state(tmp_path: Path) -> None:
     run(tmp_path, BUTTON, body)
 
 
+def test_a_press_that_does_not_last_is_ignored(tmp_path: Path) -> None:
+    def body(s: BusSession) -> None:
+        press(s, b"\x01\x00")
+        s.sleep(1.0)
+        assert "pressed" not in "\n".join(s.lines)
+        press(s, b"\x01\x00\x01", ack_count=2)
+        s.sleep(0.3)
+        assert s.status("gcode_button go") == {"state": "RELEASED"}
+        s.sleep(0.3)
+        assert s.status("gcode_button go") == {"state": "PRESSED"}
+        press(s, b"\x00\x01", ack_count=5)
+        s.sleep(1.0)
+        assert "\n".join(s.lines).count("pressed") == 1 and "released" not in "\n".join(s.lines)
+
+    run(tmp_path, BUTTON + "debounce_delay: 0.5\n", body)
+    assert "debounce_delay" in start_error(tmp_path, BUTTON + "debounce_delay: -1\n")
+
+
 def test_repeated_states_count_once_and_are_acknowledged(tmp_path: Path) -> None:
     def body(s: BusSession) -> None:
         press(s, b"\x01")
@@ -168,6 +186,21 @@ def test_insert_while_not_printing_runs_its_script_but_not_twice_at_once(tmp_pat
         assert echoed(s) == ["insert", "done"] * 2
 
     run(tmp_path, SWITCH, body)
+
+
+def test_a_short_gap_of_a_debounced_switch_is_no_runout(tmp_path: Path) -> None:
+    def body(s: BusSession) -> None:
+        press(s, b"\x01")
+        s.sleep(0.5)
+        assert s.status("filament_switch_sensor f")["filament_detected"]
+        press(s, b"\x00\x01", ack_count=1)
+        s.sleep(0.5)
+        assert s.status("filament_switch_sensor f")["filament_detected"]
+        press(s, b"\x00", ack_count=3)
+        s.sleep(0.5)
+        assert not s.status("filament_switch_sensor f")["filament_detected"]
+
+    run(tmp_path, SWITCH + "debounce_delay: 0.3\n", body)
 
 
 def test_a_disabled_sensor_only_reports(tmp_path: Path) -> None:

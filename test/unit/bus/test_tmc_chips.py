@@ -9,10 +9,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from extras.tmc.chips import FLAGS, SIGNED, TMC2130, TMC2208, TMC2209, TMC2240, TMC5160, Chip
+from extras.tmc.chips import (
+    FLAGS,
+    SIGNED,
+    TMC2130,
+    TMC2208,
+    TMC2209,
+    TMC2240,
+    TMC2240_UART,
+    TMC2660,
+    TMC5160,
+    Chip,
+)
 from extras.tmc.current import CurrentModel, ReferenceResistor, TwoRanges, tmc5160_current
 
-CHIPS = (TMC2130, TMC2208, TMC2209, TMC2240, TMC5160)
+CHIPS = (TMC2130, TMC2208, TMC2209, TMC2240, TMC2240_UART, TMC2660, TMC5160)
 FULL_PEAK_A = {0: 11.75 / 12.0, 1: 2.0, 2: 3.0}  # TMC2240 with 12 kohm, by range
 
 
@@ -73,8 +84,13 @@ def test_fields_lie_side_by_side_in_registers_that_exist(chip: Chip) -> None:
 
 @pytest.mark.parametrize("chip", CHIPS, ids=lambda chip: chip.name)
 def test_options_are_fields_that_are_written(chip: Chip) -> None:
-    names = [*chip.options, *chip.fixed, chip.stealth_field[0], "mres", "intpol", "dedge", "irun", "ihold"]
-    names += [] if chip.stall is None else [*chip.stall.homing, *filter(None, chip.stall.pins.values())]
+    names = [*chip.options, *chip.fixed, "mres", "intpol", "dedge"]
+    names += ["vsense", "cs"] if chip.stealth_field is None else [chip.stealth_field[0], "irun", "ihold"]
+    names += (
+        []
+        if chip.stall is None
+        else [*chip.stall.homing, *chip.stall.quiet, *filter(None, chip.stall.pins.values())]
+    )
     for name in names:
         assert chip.fields[name].register in chip.written, name
     for name, value in chip.options.items():

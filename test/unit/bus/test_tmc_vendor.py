@@ -11,7 +11,7 @@ import math
 
 import pytest
 
-from extras.tmc.chips import TMC2130, TMC2208, TMC2209, TMC2240, TMC5160, Chip
+from extras.tmc.chips import TMC2130, TMC2208, TMC2209, TMC2240, TMC2660, TMC5160, Chip
 from extras.tmc.current import ReferenceResistor, TwoRanges
 
 IHOLD_IRUN = "10 IHOLD_IRUN ihold 1F irun 1F00 iholddelay F0000"
@@ -116,9 +116,20 @@ ext_res_det 2000 ext_clk 4000 adc_err 8000 silicon_rv 70000 version FF000000
 71 PWM_SCALE pwm_scale_sum 3FF pwm_scale_auto 1FF0000
 74 SG4_THRS sg4_thrs FF sg4_filt_en 100 sg4_angle_offset 200
 75 SG4_RESULT sg4_result 3FF"""
+# TMC2660: commit 6d8e942b306501c32966550e0e6147aeea9fa809 (MSCNT=RESPONSE0 with mscnt=MSTEP, SG_RESULT=RESPONSE1 with
+# sg_result=SG2, DRV_STATUS=RESPONSE2 with sg_result_high=SGU; its lowest byte by the datasheet rev. 1.05, chapter 6.10)
+VENDOR_2660 = """
+0 MSCNT mscnt FFC00
+1 SG_RESULT sg_result FFC00
+2 DRV_STATUS sg_result_high F8000 se 7C00 sg 1 ot 2 otpw 4 s2ga 8 s2gb 10 ola 20 olb 40 stst 80
+8 DRVCTRL mres F dedge 100 intpol 200
+C CHOPCONF toff F hstrt 70 hend 780 hdec 1800 rndtf 2000 chm 4000 tbl 18000
+D SMARTEN semin F seup 60 semax F00 sedn 6000 seimin 8000
+E SGCSCONF cs 1F sgt 7F00 sfilt 10000
+F DRVCONF rdsel 30 vsense 40 sdoff 80 ts2g 300 diss2g 400 slpl 3000 slph C000 tst 10000"""
 VENDOR = [
     (TMC2208, VENDOR_2208), (TMC2209, VENDOR_2209), (TMC2130, VENDOR_2130), (TMC5160, VENDOR_5160),
-    (TMC2240, VENDOR_2240),
+    (TMC2240, VENDOR_2240), (TMC2660, VENDOR_2660),
 ]  # fmt: skip
 # not in the header: by the datasheet (TCOOLTHRS 20 bits, SGTHRS 8, SG_RESULT 10)
 ELSEWHERE = {("tmc2209", "tcoolthrs"), ("tmc2209", "sgthrs"), ("tmc2209", "sg_result")}

@@ -119,12 +119,12 @@ def test_what_a_printer_relies_on_is_refused_all_at_once(tmp_path: Path) -> None
     (tmp_path / "probe.cfg").write_text("\n[probe_eddy_current eddy]\nsensor_type: ldc1612\n")
     text = start_error(
         tmp_path,
-        "[include probe.cfg]\n[tmc2660 stepper_x]\ncs_pin: PA1\n[pause_resume]\n[sx1509 duex]\n"
+        "[include probe.cfg]\n[palette2]\nserial: x\n[pause_resume]\n[sx1509 duex]\n"
         "[fan]\npin: sx1509_duex:PIN_0\n[display]\n[delta_calibrate]\n",
     )
     assert text.splitlines()[:5] == [
         "Klipper has [probe_eddy_current eddy], Ferrite does not yet (probe.cfg, line 2).",
-        "Klipper has [tmc2660 stepper_x], Ferrite does not yet (printer.cfg, line 2).",
+        "Klipper has [palette2], Ferrite does not yet (printer.cfg, line 2).",
         "Klipper has [sx1509 duex], Ferrite does not yet (printer.cfg, line 5).",
         "Klipper has [delta_calibrate], Ferrite does not yet (printer.cfg, line 9).",
         "Take these sections out of the config, and what refers to them.",
@@ -149,15 +149,15 @@ def test_sections_and_options_nobody_knows_are_refused_all_at_once(tmp_path: Pat
 def test_a_plugin_may_bring_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "__path__", list(extras.__path__))
     (tmp_path / "plugins").mkdir()
-    for name in ("lis3dh", "dotstar"):
+    for name in ("lis3dh", "palette2"):
         (tmp_path / "plugins" / f"{name}.py").write_text(
             "def load_config(config):\n    return config.get('x')\n"
         )
-    config = f"[lis3dh]\nx: 1\n[dotstar]\nx: 2\n[plugins]\npath: {tmp_path / 'plugins'}\n"
+    config = f"[lis3dh]\nx: 1\n[palette2]\nx: 2\n[plugins]\npath: {tmp_path / 'plugins'}\n"
     session = Session(tmp_path, config).run(lambda s: None)
     assert session.state[1] == "ready", session.state[0]
     assert session.printer.lookup_object("lis3dh") == "1"
-    assert session.printer.lookup_object("dotstar") == "2"
+    assert session.printer.lookup_object("palette2") == "2"
     assert not notices(session)
 
 

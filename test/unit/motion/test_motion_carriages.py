@@ -1,7 +1,8 @@
-"""Carriages: the table of motors, limits of pairs, and the text of a mix; drivers' registers and phases."""
+"""Carriages: the table of motors, limits of several on an axis, the text of a mix; drivers' registers and phases."""
 
 from __future__ import annotations
 
+import itertools
 from collections import Counter
 from types import SimpleNamespace
 from typing import Any
@@ -21,7 +22,7 @@ from kinematics.carriages import (
     MIRROR,
     PRIMARY,
     Carriage,
-    CarriagePair,
+    CarriageGroup,
     describe,
     solve_axes,
 )
@@ -34,6 +35,13 @@ def carriage(name: str, low: float = 0.0, high: float = 200.0, endstop: float = 
         get_homing_info=lambda: SimpleNamespace(position_endstop=endstop, positive_dir=endstop > low),
     )
     return Carriage(name, 0, rail, None, homed=True)
+
+
+def group_of(*carriages: Carriage, safe_mm: float = 0.0) -> CarriageGroup:
+    """On the x axis, every two of them this far apart."""
+    return CarriageGroup(
+        0, carriages, {frozenset(two): safe_mm for two in itertools.combinations(carriages, 2)}
+    )
 
 
 # ---- places from motors ----
@@ -68,7 +76,7 @@ def test_within_the_limits_both_carriages_are_safe(
     mode: str, first_at: float, second_at: float, safe_mm: float, target: float
 ) -> None:
     first, second = carriage("x"), carriage("u", 40, 240, 240)
-    pair = CarriagePair(0, (first, second), safe_mm)
+    pair = group_of(first, second, safe_mm=safe_mm)
     second.mode, second.scale = mode, {INACTIVE: 0.0, COPY: 1.0, MIRROR: -1.0}[mode]
     second.offset = second_at - second.scale * first_at
     low, high = pair.limits()
@@ -88,18 +96,48 @@ def test_an_axis_that_is_not_homed_has_no_range() -> None:
     first, second = carriage("x"), carriage("u", 40, 240, 240)
     first.homed = False
     second.mode, second.scale = INACTIVE, 0.0
-    low, high = CarriagePair(0, (first, second), 40.0).limits()
+    low, high = group_of(first, second, safe_mm=40.0).limits()
     assert low > high
 
 
 def test_the_outer_carriage_is_homed_first() -> None:
-    def order(first: Carriage, second: Carriage) -> list[str]:
-        return [c.name for c in CarriagePair(0, (first, second), 0.0).home_order()]
+    def order(*carriages: Carriage) -> list[str]:
+        return [c.name for c in group_of(*carriages).home_order()]
 
     assert order(carriage("x"), carriage("u", 40, 240, 240)) == ["x", "u"]
     assert order(carriage("x", endstop=0.0), carriage("u", -40, 160, -40)) == ["u", "x"]
     assert order(carriage("x", endstop=200.0), carriage("u", 40, 240, 240)) == ["u", "x"]
     assert order(carriage("x", endstop=200.0), carriage("u", 40, 190, 190)) == ["x", "u"]
+
+    # three: those that home to the right from the right on, the one that homes to the left by itself
+    right, middle = carriage("v", 80, 280, 280), carriage("u", 40, 240, 240)
+    assert order(carriage("x"), middle, right) == ["x", "v", "u"]
+    assert order(carriage("x"), right, middle) == ["x", "v", "u"]
+
+
+MODES = st.sampled_from([INACTIVE, COPY, MIRROR])
+
+
+@given(MODES, MODES, st.permutations(range(3)), st.floats(0, 60), st.floats(20, 100), st.floats(-50, 300))
+def test_within_the_limits_three_carriages_keep_their_distances(
+    mode1: str, mode2: str, roles: list[int], safe_mm: float, gap_mm: float, target: float
+) -> None:
+    places = [10.0, 10.0 + gap_mm, 10.0 + 2 * gap_mm]
+    rails = [carriage("x"), carriage("u", 5, 245, 245), carriage("v", 10, 280, 280)]
+    active, *others = (rails[i] for i in roles)
+    for follower, mode in zip(others, (mode1, mode2), strict=True):
+        follower.mode, follower.scale = mode, {INACTIVE: 0.0, COPY: 1.0, MIRROR: -1.0}[mode]
+        follower.offset = places[rails.index(follower)] - follower.scale * places[rails.index(active)]
+    low, high = group_of(active, *others, safe_mm=safe_mm).limits()
+    if not low <= target <= high:
+        return
+    at = [c.place(target) for c in rails]
+    for c, place in zip(rails, at, strict=True):
+        rail_low, rail_high = c.rail.get_range()
+        assert c.mode == INACTIVE or rail_low - 1e-9 <= place <= rail_high + 1e-9
+    for (c, a), (d, b) in itertools.combinations(zip(rails, at, strict=True), 2):
+        if safe_mm and c.scale != d.scale:
+            assert b - a >= safe_mm - 1e-9, (c.name, d.name)
 
 
 # ---- the text of a mix ----

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
+from kinematics.polar import PolarKinematics
 from motion_rig import FFI, LIB, MAX_ERROR_S, CStepper, batch
 
 CONFIGS = Path(__file__).resolve().parents[3] / "config"
@@ -183,6 +185,30 @@ def test_the_polar_bed_turns_on_across_half_a_turn() -> None:
         return unwrapped_angle(line.at(t), np.interp(t, fine, angles))
 
     check_steps(stepper, where, 0.0, 4 * math.pi)
+
+
+@pytest.mark.parametrize(
+    ("start", "end", "nearest_mm"),
+    [
+        ((50.0, 0.0), (50.0, 50.0), 50.0),
+        ((10.0, -50.0), (10.0, 50.0), 10.0),
+        ((60.0, 0.0), (30.0, 40.0), 48.0),
+    ],
+)
+def test_a_polar_bed_turns_no_faster_than_it_may(
+    start: tuple[float, float], end: tuple[float, float], nearest_mm: float
+) -> None:
+    limits: list[tuple[float, float]] = []
+    way = (end[0] - start[0], end[1] - start[1])
+    move = SimpleNamespace(
+        start_pos=(*start, 0.0, 0.0), axes_d=(*way, 0.0, 0.0), move_d=math.hypot(*way), accel=3000.0,
+        limit_speed=lambda speed, accel: limits.append((speed, accel)),
+    )  # fmt: skip
+    kinematics = object.__new__(PolarKinematics)
+    kinematics.bed_speed_max = 2.0
+    kinematics._check_centre(cast(Any, move))
+    # at the nearest place, where the way is across the ray, the whole speed turns the bed
+    assert limits == [(pytest.approx(2.0 * nearest_mm), 3000.0)]
 
 
 def test_solvers_refuse_what_they_do_not_know() -> None:

@@ -212,7 +212,7 @@ def test_every_option_of_the_simulated_machine_is_in_its_page() -> None:
 
 def test_every_section_the_program_has_is_documented() -> None:
     text = read_page(PAGE)
-    named = set(re.findall(r"\[([a-z_0-9]+)[\] ]|`\[?([a-z_]+)\]?`|sensor_type: (\w+)", text))
+    named = set(re.findall(r"\[(\w+)[\] ]|`\[?([a-z_]+)\]?`|sensor_type: (\w+)", text))
     named = {name for names in named for name in names}
     missing = [
         path.stem
