@@ -3,7 +3,8 @@
 
     scripts/identify.py RUN.run [--given NAME=VALUE] [--out FILE.cfg] [--plot FILE.png]
 
-The run has to begin with a cold nozzle, heat it up and should print at several flows (docs/guides/Nozzle_Identification.md).
+The run has to begin with a cold nozzle and to heat it up, and should print at several flows
+(docs/guides/Nozzle_Identification.md).
 
 Exit status: 0 written, 2 the file is no recorded run, or one that does not tell a plant.
 """

@@ -75,7 +75,8 @@ class Recording:
 def read(path: Path) -> Recording:
     """Raises RunError, RunFileError, UnknownType, OSError."""
     header: dict[str, Any] = {}
-    tables, schedules, pending = [], {"F": _Schedules(), "A": _Schedules()}, {}
+    tables, pending = [], dict[str, tuple[float, ...]]()
+    schedules = {"F": _Schedules(), "A": _Schedules()}
     for frame in stored.read(path):
         if frame.kind == "H":
             header = frame.json()
@@ -188,6 +189,7 @@ def _merged(header: dict[str, Any], blocks: Array, flow: _Schedules, fan: _Sched
     steps, count = np.ascontiguousarray(table[:, :4]), np.maximum(table[:, 6], 1.0)
     raw = np.where(table[:, 6] >= COUNT_MIN, table[:, 5], np.nan)
     noise_lsb, noise_sigma_lsb, unit = _noise(blocks)
-    sigma = np.sqrt((noise_lsb**2 + (1.0 + unit**2 / count) / 12.0) / count)
+    # A block's sum is rounded to its unit, blocks in a row alike.
+    sigma = np.sqrt((noise_lsb**2 + 1.0 / 12.0) / count + (unit / blocks["count"].max()) ** 2 / 12.0)
     end_s = table[:, 4] - time_s[0]
     return Recording(header["heater"], parameters, steps, end_s, raw, sigma, noise_lsb, noise_sigma_lsb)

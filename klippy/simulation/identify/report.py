@@ -32,7 +32,7 @@ def section(run: Recording, fit: Fit, source: str) -> str:
     if np.any(run.steps[:, 3] > 0.0):
         lines.append("fan: fan")
     for found in fit.found:
-        lines += _option(found)
+        lines.append(_option(found))
     found_names = {f.name for f in fit.found}
     lines.append("# From the sensing law, the drive law and the front end of the run, and given:")
     lines += [f"{name}: {value:.9g}" for name, value in fit.fixed.items() if name not in found_names]
@@ -40,14 +40,11 @@ def section(run: Recording, fit: Fit, source: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _option(found: Found) -> list[str]:
+def _option(found: Found) -> str:
     if math.isnan(found.sigma):
-        return [
-            f"# not told by this run, which would need {found.needs}:",
-            f"{found.name}: {found.value:.6g}",
-        ]
-    digits = max(2, 2 + math.ceil(math.log10(abs(found.value) / found.sigma))) if found.value else 6
-    return [f"# +- {found.sigma:.2g}, from {found.needs}:", f"{found.name}: {found.value:.{digits}g}"]
+        return f"{found.name}: {found.value:.6g}  # not told by this run: it would need {found.needs}"
+    digits = 2 + max(0, math.ceil(math.log10(abs(found.value) / found.sigma)))
+    return f"{found.name}: {found.value:.{digits}g}  # +- {found.sigma:.2g}, from {found.needs}"
 
 
 def draw(run: Recording, fit: Fit, path: Path) -> None:
@@ -59,7 +56,7 @@ def draw(run: Recording, fit: Fit, path: Path) -> None:
     rows = np.isfinite(run.temp_c)
     time_s = run.end_s[rows]
     top.plot(time_s, run.temp_c[rows], "C0.", ms=2, label="recorded")
-    top.plot(run.end_s, fit.skin_c, "C1-", lw=0.8, label="simulated")
+    top.plot(time_s, fit.temp_c[rows], "C1-", lw=0.8, label="simulated")
     bottom.plot(time_s, (run.temp_c - fit.temp_c)[rows], "C2.", ms=2)
     top.set(ylabel="nozzle, °C", title=summary(run, fit))
     bottom.set(ylabel="difference, °C", xlabel="time, s")

@@ -8,16 +8,15 @@ static double settled_raw(struct plant *p)
     return p->v.adc_zero + tank_steady_error(&p->tank, &p->v, p->skin_c) / p->v.units_per_lsb;
 }
 
-void plant_follow(const double *values, const struct follow_step *steps, int count, double *skin_c, double *raw)
+void plant_follow(const double *values, const struct follow_step *steps, int count, double *raw)
 {
     struct plant p;
     plant_init(&p, values, 1);
     for (int i = 0; i < count; i++) {
         plant_set_inputs(&p, steps[i].flow_mm3_s, steps[i].fan);
         plant_set_phase(&p, steps[i].phase_ticks);
-        const double start_c = p.skin_c, start_raw = settled_raw(&p);
+        const double start_raw = settled_raw(&p);
         plant_advance(&p, steps[i].lasts_s);
-        skin_c[i] = 0.5 * (start_c + p.skin_c);
         raw[i] = 0.5 * (start_raw + settled_raw(&p));
     }
 }

@@ -7,8 +7,8 @@ struct follow_step {
     double lasts_s, phase_ticks, flow_mm3_s, fan;
 };
 
-// A plant of `values` (plant_param_count of them, in table order) goes through the steps. For each step, skin_c: its
-// mean temperature; raw: the mean of the codes, settled, before quantisation and limits.
-void plant_follow(const double *values, const struct follow_step *steps, int count, double *skin_c, double *raw);
+// A plant of `values` (plant_param_count of them, in table order) goes through the steps. raw: of each
+// step the mean of the codes, settled, before quantisation and limits.
+void plant_follow(const double *values, const struct follow_step *steps, int count, double *raw);
 
 #endif
