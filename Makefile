@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-plan soak soak-motion fuzz mutants clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-identify bench-plan soak soak-motion fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -27,6 +27,7 @@ help:
 	@echo "make bench-steady       printing in real time beside a busy computer; memory of ten hours (QUICK=1)"
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
 	@echo "make bench-firmware     cost of samples, steps, commands on the images of both chips (QUICK=1)"
+	@echo "make bench-identify     hidden plants found again from their recorded prints (QUICK=1)"
 	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it"
 	@echo "make soak               a long print in closed loop: does it leak? (HOURS=10, hours of wall time, too)"
 	@echo "make soak-motion        random moves on every machine against the analytic path (SECONDS=600)"
@@ -96,6 +97,9 @@ soak-motion: setup-test chelper
 
 bench-steady: setup sim chelper
 	@$(PYTHON) scripts/bench/bench_steady.py $(if $(QUICK),--seconds 30 --hours 1)
+
+bench-identify: setup sim chelper
+	@$(PYTHON) scripts/bench/bench_identify.py --json $(OUT)/bench/identify.json $(if $(QUICK),--plants 4)
 
 bench-firmware: setup-test sim chelper
 	@$(PYTHON) scripts/bench/bench_firmware.py --json $(OUT)/bench/firmware.json $(if $(QUICK),--quick)

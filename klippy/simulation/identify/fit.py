@@ -3,9 +3,9 @@
     x ─► parameters ─► plant along the recorded drive ─► codes ─► (recorded - simulated)/sigma
 
 What a run can tell (docs/theory/Identification.md): C dT/dt = efficiency P(phase) - losses - melt has one scale that
-only a heat known in watts fixes: that of the filament, or a given parameter. A parameter of which the run tells less
-than half of what was assumed before is held at its start and named. Without a scale that is mass_factor first: the
-others are then ratios to it.
+only a heat known in watts fixes: that of the filament, or a given parameter. A parameter of which the run tells little
+more than was assumed before is held at its start and named. Without a scale that is mass_factor first: the others are
+then ratios to it.
 
 Beside noise the readings are wrong in ways that last, and the standard errors have to hold for those too: the law is a
 smooth surface off by its residual, some heat is known to nobody, and changes of the fan are recorded when they are
@@ -26,7 +26,8 @@ from thermal.models.heat_loss import loss_w
 from . import signal
 from .recording import Array, Recording
 
-DOUBT = 0.5  # of the prior's width: a standard error above it tells nothing
+# Of the prior's width: a standard error above it tells nothing. The priors of five that scale alike leave 0.45.
+DOUBT = 0.4
 WINDOW_S = 1.0  # residuals that agree for so long count once
 HEAT_SHARE, HEAT_S = 0.01, 1.0  # heat that nobody knows of: 1 sigma over the losses when hot, for so long
 RETURN_S = 8.0  # heat capacity over losses and melt: how long such heat is felt
@@ -35,7 +36,7 @@ SPIN_UP_S = 0.2  # of a fan
 STEP = 1e-3  # of a prior's width, for derivatives
 TOLERANCE = 1e-5  # of a mean square: its end is far nearer than one standard error
 ROUNDS_MAX, DAMPING_MAX = 60, 1e8
-BLURS = (300.0, 30.0, 3.0, 1.0)
+BLURS = (300.0, 30.0, 3.0)
 SCALE = "mass_factor"
 
 

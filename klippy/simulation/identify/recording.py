@@ -105,13 +105,13 @@ def _check(run: Recording) -> None:
         raise RunError(
             f"it lasts {run.end_s[-1]:.1f} s: too short, a heat-up and {LASTS_MIN_S:g} s are needed"
         )
-    if seen_c.max() - seen_c[0] < RISE_MIN_C:
-        raise RunError(
-            f"it has no heat-up: the nozzle went from {seen_c[0]:.0f} C to {seen_c.max():.0f} C at most"
-        )
     if seen_c[0] > COLD_MAX_C:
         raise RunError(
             f"it begins at {seen_c[0]:.0f} C: record from a nozzle at the temperature of the room on"
+        )
+    if seen_c.max() - seen_c[0] < RISE_MIN_C:
+        raise RunError(
+            f"it has no heat-up: the nozzle went from {seen_c[0]:.0f} C to {seen_c.max():.0f} C at most"
         )
 
 
