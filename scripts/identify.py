@@ -6,7 +6,7 @@
 The run has to begin with a cold nozzle and to heat it up, and should print at several flows
 (docs/guides/Nozzle_Identification.md).
 
-Exit status: 0 written, 2 the file is no recorded run, or one that does not tell a plant.
+Exit status: 0 written, 2 the file is no recorded run, or one that does not determine a plant.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from thermal.recording.stored import RunFileError
 def parse_arguments(argv: list[str] | None) -> argparse.Namespace:
     parser = argparse.ArgumentParser(
         description="Find the plant that would have given a recorded run.",
-        epilog="Exit status: 0 written, 2 the file is no recorded run, or one that does not tell a plant.",
+        epilog="Exit status: 0 written, 2 the file is no recorded run, or one that does not determine a plant.",
     )
     parser.add_argument("run", type=Path, metavar="RUN.run")
     parser.add_argument(

@@ -32,7 +32,7 @@ from simulation.identify import fit, recording, report
 CONFIG = ROOT / "config" / "sim-induction.cfg"
 LINES = 330  # of the sample: 25 s of printing
 REFUSED = 3  # the printer shut down: its law cannot be that plant's
-# Nothing in the record tells them; the plant's own.
+# Of all hidden plants.
 TRUE = {"fan_w_k": 5e-3, "heat_exponent": 1.5}
 
 
@@ -68,7 +68,7 @@ def hidden(seed: int) -> dict[str, float]:
 
 
 def sample(lines: int = LINES) -> str:
-    """The beginning of a sliced file, then cooling. It does not wait for bed or nozzle: two runs keep the same times."""
+    """The beginning of a sliced file, then cooling. Without waits for bed and nozzle two runs keep the same times."""
     text = sample_path("cubhelix").read_text().splitlines()
     kept = [line for line in text if not line.startswith(("M109 R", "M140", "M190", "G29"))]
     kept = ["G4 P6000" if line.startswith("M109") else line for line in kept]

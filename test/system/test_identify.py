@@ -1,4 +1,4 @@
-"""scripts/identify.py: hidden plants found again from their recorded runs, and runs that tell no plant."""
+"""scripts/identify.py: hidden plants found again from their recorded runs, and runs that determine none."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_hidden_plants_are_found_within_their_standard_errors(tmp_path: Path) ->
         inside += [abs(result.z(name)) <= 2.0 for name in result.values]
         for name, (true, found, sigma) in result.values.items():
             assert abs(found - true) < 5.0 * sigma, name
-            assert name == "noise_lsb" or sigma < 0.12 * abs(true), name  # else it would have told nothing
+            assert name == "noise_lsb" or sigma < 0.12 * abs(true), name  # else anything would be within it
     assert sum(inside) >= 0.75 * len(inside)
 
 
@@ -61,13 +61,13 @@ def test_without_extrusion_what_has_no_scale_is_named_and_the_rest_is_in_proport
         assert found[name].sigma < 0.05 * ratio
 
 
-def test_a_given_mass_is_the_scale_and_the_section_says_what_the_run_does_not_tell(
+def test_a_given_mass_is_the_scale_and_the_section_says_what_the_run_does_not_determine(
     recorded: Path, tmp_path: Path
 ) -> None:
     true = bench_identify.hidden(1)
     out, plot = tmp_path / "plant.cfg", tmp_path / "plant.png"
     done = identify(recorded, "--given", f"mass_factor={true['mass_factor']}", "--out", out, "--plot", plot)
-    assert done.returncode == 0 and "does not tell melt_ua_w_k, fan_w_k" in done.stderr
+    assert done.returncode == 0 and "does not determine melt_ua_w_k, fan_w_k" in done.stderr
     options = bench_identify.section_options(out.read_text())
     assert options["efficiency_factor"] == pytest.approx(true["efficiency_factor"], rel=0.03)
     assert options["start_c"] == options["ambient_c"]
@@ -94,7 +94,7 @@ def cut(path: Path, target: Path, first_s: float, last_s: float) -> Path:
         (-9.0, -1.0, "holds no blocks"),
     ],
 )
-def test_a_run_that_cannot_tell_a_plant_is_refused_in_a_line(
+def test_a_run_that_determines_no_plant_is_refused_in_a_line(
     recorded: Path, tmp_path: Path, first_s: float, last_s: float, said: str
 ) -> None:
     done = identify(cut(recorded, tmp_path / "part.run", first_s, last_s))

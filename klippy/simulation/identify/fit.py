@@ -2,14 +2,12 @@
 
     x ─► parameters ─► plant along the recorded drive ─► codes ─► (recorded - simulated)/sigma
 
-What a run can tell (docs/theory/Identification.md): C dT/dt = efficiency P(phase) - losses - melt has one scale that
-only a heat known in watts fixes: that of the filament, or a given parameter. A parameter of which the run tells little
-more than was assumed before is held at its start and named. Without a scale that is mass_factor first: the others are
-then ratios to it.
+What a run determines (docs/theory/Identification.md): C dT/dt = efficiency P(phase) - losses - melt has one scale. Only
+a heat known in watts fixes it: that of the filament, or a given parameter. A parameter whose standard error stays near
+its prior is held at its start and named. Without a scale mass_factor is held first: the others are then ratios to it.
 
-Beside noise the readings are wrong in ways that last, and the standard errors have to hold for those too: the law is a
-smooth surface off by its residual, some heat is known to nobody, and changes of the fan are recorded when they are
-planned. All three are found along with the parameters.
+Some errors last longer than a block: of the sensing law, of heat that the model does not know, of the time at which the
+fan changes. They are found along with the parameters, so that the standard errors include them.
 """
 
 from __future__ import annotations
@@ -26,10 +24,10 @@ from thermal.models.heat_loss import loss_w
 from . import signal
 from .recording import Array, Recording
 
-# Of the prior's width: a standard error above it tells nothing. The priors of five that scale alike leave 0.45.
+# Of the prior: not determined beyond it. The priors of the five heats that share a scale leave 0.45 without one.
 DOUBT = 0.4
-WINDOW_S = 1.0  # residuals that agree for so long count once
-HEAT_SHARE, HEAT_S = 0.01, 1.0  # heat that nobody knows of: 1 sigma over the losses when hot, for so long
+WINDOW_S = 1.0  # residuals within it count as one if they agree
+HEAT_SHARE, HEAT_S = 0.01, 1.0  # unknown heat: 1 sigma over the losses when hot, for so long
 RETURN_S = 8.0  # heat capacity over losses and melt: how long such heat is felt
 DELAY_S, DELAYS_MAX = 2.0, 6  # of a change of the fan behind its record: moves in the queue come first
 SPIN_UP_S = 0.2  # of a fan
@@ -47,7 +45,7 @@ class Free:
     name: str
     prior: float
     relative: bool
-    needs: str  # what tells it in a run
+    needs: str  # what determines it in a run
 
     def value(self, start: float, x: float) -> float:
         return start * math.exp(self.prior * x) if self.relative else start + self.prior * x
@@ -69,7 +67,7 @@ FREE = (
 
 @dataclass(frozen=True, slots=True)
 class Found:
-    """One parameter. `sigma`: its standard error in its unit; NaN: the run does not tell it, `value` is the start."""
+    """One parameter. `sigma`: its standard error in its unit; NaN: not determined, `value` is the start."""
 
     name: str
     value: float
@@ -120,7 +118,7 @@ class _Problem:
         return self._per_units(run.parameters.estimator.law.residual_units * surface)
 
     def add_heat_errors(self) -> None:
-        """Heat that nobody knows of, in pieces one after another; each warms the nozzle and is lost again."""
+        """Unknown heat, in pieces one after another; each warms the nozzle and is lost again."""
         run = self.run
         heat_w = HEAT_SHARE * loss_w(run.parameters.loss, float(np.nanmax(run.temp_c)))
         rise_k_s = heat_w / run.parameters.track.heat.at_25c_j_k
@@ -172,7 +170,7 @@ class _Problem:
     def minimised(self, x: Array, blur: float = 1.0) -> tuple[Array, Array, Array]:
         """Levenberg and Marquardt's way from x to the least squares: x, its residuals and J'J there.
 
-        With a blur readings weigh less: far from the end it leaves to their priors what only small residuals tell.
+        With a blur readings weigh less: their priors hold the weakly determined parameters until the others are near.
 
         The normal equations are well conditioned in units of the priors, and ten times faster than scipy's SVD.
         """

@@ -16,10 +16,10 @@ from thermal.recording import plain, stored
 Array = np.ndarray[Any, np.dtype[Any]]
 
 MERGED_S = 0.016  # blocks in a row at one phase are one step up to this length
-HELD_S = 0.1  # a longer gap in the blocks and nobody knows how the nozzle was driven
-ROWS_MIN = 100  # triples of blocks that tell the noise
+HELD_S = 0.1  # longest gap in the blocks: the drive in it is not known
+ROWS_MIN = 100  # triples of blocks that determine the noise
 TINY_S = 1e-9
-COUNT_MIN = 48  # a shorter block weighs nothing
+COUNT_MIN = 48  # samples; a shorter reading is not used
 RISE_MIN_C = 80.0  # of a heat-up
 COLD_MAX_C = 60.0  # at the start: all parts of the nozzle are then at the temperature of the room
 LASTS_MIN_S = 10.0  # the second mass answers in 10 s

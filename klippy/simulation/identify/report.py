@@ -20,14 +20,14 @@ def summary(run: Recording, fit: Fit) -> str:
     """One line for people."""
     unknown = [f.name for f in fit.found if math.isnan(f.sigma)]
     text = f"simulated against recorded: rms {rms_c(run, fit):.2f} C over {run.end_s[-1]:.0f} s"
-    return text + (f"; this run does not tell {', '.join(unknown)}" if unknown else "")
+    return text + (f"; this run does not determine {', '.join(unknown)}" if unknown else "")
 
 
 def section(run: Recording, fit: Fit, source: str) -> str:
     """`[simulator nozzle NAME]` with what each parameter rests on."""
     lines = [f"[simulator nozzle {run.heater}]", f"# From {source}; {summary(run, fit)}."]
     if any(f.name == SCALE and math.isnan(f.sigma) for f in fit.found):
-        lines.append(f"# All heat is in proportion to {SCALE}, which nothing in this run tells.")
+        lines.append(f"# All heat is in proportion to {SCALE}, which this run does not determine.")
     lines.append("preset: reference")
     if np.any(run.steps[:, 3] > 0.0):
         lines.append("fan: fan")
@@ -42,7 +42,7 @@ def section(run: Recording, fit: Fit, source: str) -> str:
 
 def _option(found: Found) -> str:
     if math.isnan(found.sigma):
-        return f"{found.name}: {found.value:.6g}  # not told by this run: it would need {found.needs}"
+        return f"{found.name}: {found.value:.6g}  # not determined by this run: it would need {found.needs}"
     digits = 2 + max(0, math.ceil(math.log10(abs(found.value) / found.sigma)))
     return f"{found.name}: {found.value:.{digits}g}  # +- {found.sigma:.2g}, from {found.needs}"
 

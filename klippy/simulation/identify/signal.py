@@ -93,7 +93,7 @@ def _signal(law: Law, drive: DriveLaw) -> dict[str, float]:
 
 
 def _nearest(tank: dict[str, float], law: Law, drive: DriveLaw) -> dict[str, float]:
-    """The tank that differs least from the law; found by Gauss and Newton, held where the law tells nothing."""
+    """The tank nearest to the law, by Gauss and Newton; held at the start where the law leaves it free."""
     phases = drive.phase_max_ticks * np.sqrt(DRIVES)
     steps = np.zeros((len(phases), 4))
     steps[:, 0], steps[:, 1] = 1e-9, phases
