@@ -189,7 +189,10 @@ def _merged(header: dict[str, Any], blocks: Array, flow: _Schedules, fan: _Sched
     steps, count = np.ascontiguousarray(table[:, :4]), np.maximum(table[:, 6], 1.0)
     raw = np.where(table[:, 6] >= COUNT_MIN, table[:, 5], np.nan)
     noise_lsb, noise_sigma_lsb, unit = _noise(blocks)
-    # A block's sum is rounded to its unit, blocks in a row alike.
-    sigma = np.sqrt((noise_lsb**2 + 1.0 / 12.0) / count + (unit / blocks["count"].max()) ** 2 / 12.0)
+    # A block's sum is rounded to its unit, blocks in a row alike. Codes with little noise are off by a sine of the
+    # signal: Gaussian noise leaves exp(-2 (pi noise)^2)/pi of the rounding to a code.
+    sine = math.exp(-2.0 * (math.pi * noise_lsb) ** 2) / math.pi
+    lasting = (unit / blocks["count"].max()) ** 2 / 12.0 + 0.5 * sine**2
+    sigma = np.sqrt((noise_lsb**2 + 1.0 / 12.0) / count + lasting)
     end_s = table[:, 4] - time_s[0]
     return Recording(header["heater"], parameters, steps, end_s, raw, sigma, noise_lsb, noise_sigma_lsb)
