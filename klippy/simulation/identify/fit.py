@@ -27,7 +27,7 @@ from .recording import Array, Recording
 # Of the prior: not determined beyond it. The priors of the five heats that share a scale leave 0.45 without one.
 DOUBT = 0.4
 WINDOW_S = 1.0  # residuals within it count as one if they agree
-HEAT_SHARE, HEAT_S = 0.015, 1.0  # unknown heat: 1 sigma over the losses when hot, for so long
+HEAT_SHARE, HEAT_S = 0.01, 1.0  # unknown heat: 1 sigma over the losses when hot, for so long
 RETURN_S = 8.0  # heat capacity over losses and melt: how long such heat is felt
 DELAY_S, DELAYS_MAX = 2.0, 6  # of a change of the fan behind its record: moves in the queue come first
 SPIN_UP_S = 0.2  # of a fan

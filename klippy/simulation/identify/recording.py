@@ -139,6 +139,27 @@ class _Schedules:
         index = np.searchsorted(np.array(self._times_s), time_s, side="right") - 1
         return np.array(self._values)[np.maximum(index, 0)]
 
+    def ramped(self, time_s: Array) -> Array:
+        """As `at`, with the ramps of accelerations, of which a schedule has the means.
+
+        A span above its neighbours is at constant speed. Beside one the flow is a ramp, between two a dip.
+        """
+        values = np.array(self._values)
+        begins = np.concatenate([[True], values[1:] != values[:-1]])
+        mean, begin_s = values[begins], np.array(self._times_s)[begins]
+        end_s = np.concatenate([begin_s[1:], [math.inf]])
+        before, after = np.concatenate([[0.0], mean[:-1]]), np.concatenate([mean[1:], [0.0]])
+        high = np.concatenate([[False], (mean > before) & (mean > after), [False]])
+        left, right = high[:-2] & (mean > 0.0), high[2:] & (mean > 0.0)
+        first = np.where(left, before, np.where(right, np.maximum(0.0, 2.0 * mean - after), mean))
+        last = np.where(right, after, np.where(left, np.maximum(0.0, 2.0 * mean - before), mean))
+        middle = np.where(left & right, np.maximum(0.0, 2.0 * mean - 0.5 * (before + after)), mean)
+        at = np.maximum(np.searchsorted(begin_s, time_s, side="right") - 1, 0)
+        with np.errstate(invalid="ignore"):
+            share = np.nan_to_num(2.0 * (time_s - begin_s[at]) / (end_s - begin_s)[at])
+        early, late = np.clip(share, 0.0, 1.0), np.clip(share - 1.0, 0.0, 1.0)
+        return np.asarray(first[at] + early * (middle - first)[at] + late * (last - middle)[at])
+
 
 def _noise(blocks: Array) -> tuple[float, float, float]:
     """Noise of one sample in LSB, its standard error, and the unit of a block's sum, in LSB.
@@ -166,7 +187,7 @@ def _merged(header: dict[str, Any], blocks: Array, flow: _Schedules, fan: _Sched
     parameters = plain.restored(header["parameters"])
     phase, time_s = blocks["phase"], blocks["time_s"]
     end_s = time_s + blocks["lasts_s"]
-    drive = np.column_stack([phase, flow.at(time_s), fan.at(time_s)])
+    drive = np.column_stack([phase, flow.ramped(0.5 * (time_s + end_s)), fan.at(time_s)])
     gap_s = np.maximum(0.0, time_s - np.concatenate([time_s[:1], end_s[:-1]]))
     usable = (
         (phase >= parameters.estimator.phase_low_ticks)
