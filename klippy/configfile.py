@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import configabsent
+import configaliases
 import configtext
 import util
 from configtext import ConfigData, ConfigError, Origin
@@ -343,6 +344,9 @@ class PrinterConfig:
         for note in data.notes:
             logging.warning(note)
             self.add_warning({"type": "runtime_warning", "message": note})
+        for warning in configaliases.replace_old(data.sections):
+            logging.warning(warning["message"])
+            self.add_warning(warning)
         self._data = data
         return ConfigWrapper(self.printer, data, self._access, "printer")
 
@@ -356,8 +360,8 @@ class PrinterConfig:
         if left_out:
             text = configabsent.notice(left_out.values())
             self.runtime_warning(text)
-            tell = self.printer.lookup_object("gcode").respond_info
-            self.printer.register_event_handler("klippy:ready", lambda: tell(text, log=False))
+            respond = self.printer.lookup_object("gcode").respond_info
+            self.printer.register_event_handler("klippy:ready", lambda: respond(text, log=False))
         return [module for name, module in configabsent.BROUGHT_ALONG.items() if name in left_out]
 
     def check_unused_options(self, config: ConfigWrapper) -> None:

@@ -43,7 +43,7 @@ struct analog_in {
     uint32_t sample_ticks, rest_ticks;
     uint16_t min_value, max_value, sum;
     uint8_t sample_count, samples_taken;
-    uint8_t range_check_count, strays;     /* values out of range in a row */
+    uint8_t range_check_count, out_of_range;     /* values out of range in a row */
     uint8_t report_bytes, filled;
     uint8_t report_ready;
     uint8_t values[REPORT_BYTES_MAX], report[REPORT_BYTES_MAX];
@@ -63,12 +63,12 @@ static void
 check_range(struct analog_in *a)
 {
     if (a->sum >= a->min_value && a->sum <= a->max_value) {
-        a->strays = 0;
+        a->out_of_range = 0;
         return;
     }
-    if (a->strays < UINT8_MAX)
-        a->strays++;
-    if (a->strays >= a->range_check_count)
+    if (a->out_of_range < UINT8_MAX)
+        a->out_of_range++;
+    if (a->out_of_range >= a->range_check_count)
         shutdown(SHUTDOWN_ADC_RANGE);
 }
 
@@ -147,7 +147,7 @@ command_query_analog_in(const struct command_args *args)
     a->min_value = (uint16_t)args->val[ARG_RANGE];
     a->max_value = (uint16_t)args->val[ARG_RANGE + 1];
     a->range_check_count = (uint8_t)args->val[ARG_RANGE + 2];
-    a->sum = a->samples_taken = a->strays = a->filled = a->report_ready = 0;
+    a->sum = a->samples_taken = a->out_of_range = a->filled = a->report_ready = 0;
     if (a->sample_count) {
         if (report_bytes < 2 || report_bytes > REPORT_BYTES_MAX || report_bytes % 2)
             shutdown(SHUTDOWN_ADC_REPORT_SIZE);

@@ -1,6 +1,6 @@
 /* Objects, the move queue, and the commands every firmware has.
  *
- * Memory is handed out once and never given back: config commands (before finalize_config) take objects from the port's
+ * Memory is handed out once and never freed: config commands (before finalize_config) take objects from the port's
  * arena, finalize_config turns what is left into the move queue.  There is no other dynamic memory.
  */
 #ifndef BASECMD_H

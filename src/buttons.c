@@ -1,4 +1,4 @@
-/* Buttons, encoders, switches: up to eight pins looked at together, changes told to the host without loss.
+/* Buttons, encoders, switches: up to eight pins looked at together, changes reported to the host without loss.
  *
  *     every rest_ticks: read all pins ─► the same twice in a row, and new? ─► append to `reports` ─► send
  *
@@ -22,7 +22,7 @@ enum { BUTTONS_MAX = 8, REPORTS_MAX = 8 };
 struct buttons {
     struct timer timer;
     uint32_t rest_ticks;
-    uint8_t last_look, told;           /* newest reading; newest state in a report */
+    uint8_t last_look, reported;           /* newest reading; newest state in a report */
     uint8_t invert;
     uint8_t ack_count;                 /* running number of reports[0] */
     uint8_t reports[REPORTS_MAX], report_count;
@@ -45,7 +45,7 @@ DECL_INIT(buttons_init);
 static void
 note_state(struct buttons *b, uint8_t state)
 {
-    b->told = state;
+    b->reported = state;
     if (b->report_count < REPORTS_MAX)
         b->report_count++;
     b->reports[b->report_count - 1] = state;
@@ -61,7 +61,7 @@ buttons_event(struct timer *t)
     for (uint8_t i = 0; i < b->button_count; i++)
         if (b->added >> i & 1)
             look ^= (uint8_t)(gpio_in_read(b->pins[i]) << i);
-    if (look == b->last_look && look != b->told)
+    if (look == b->last_look && look != b->reported)
         note_state(b, look);
     b->last_look = look;
     if (b->report_count) {
@@ -117,7 +117,7 @@ command_buttons_query(const struct command_args *args)
     b->retransmit_count = (uint8_t)args->val[3];
     b->invert = (uint8_t)args->val[4];
     b->ack_count = b->report_count = b->send_due = 0;
-    b->last_look = b->told = 0;
+    b->last_look = b->reported = 0;
     if (b->rest_ticks) {
         if (!b->retransmit_count)
             shutdown(SHUTDOWN_BUTTONS_RETRANSMIT);

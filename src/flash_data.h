@@ -1,7 +1,7 @@
 /* Tables that stay in flash memory on chips where that is another address space than RAM (AVR); elsewhere plain const data.
  *
  * FLASH_DATA goes to the definition.  Such data are read with flash_byte() and flash_copy() only: a pointer to them looks
- * like any other, and means something else.  (GCC's __flash qualifier would tell them apart; version 5.4 loses it in loops.)
+ * like any other, and means something else.  (GCC's __flash qualifier would keep them apart; version 5.4 loses it in loops.)
  * A port with such a memory defines PORT_FLASH_DATA in its port_types.h, and there the three.
  */
 #ifndef FLASH_DATA_H

@@ -1,4 +1,4 @@
-/* The induction heater's own limits: they hold with the host dead, are told once before use, and are off until told.
+/* The induction heater's own limits: they hold with the host dead, are configured once before use, and are off until then.
  * Pure: no board; blocks and clocks come in as arguments, "trip now" comes out.
  *
  * Table: rows of ascending phase.  A row holds from its phase up to the next row's (stepwise, so no division); below the

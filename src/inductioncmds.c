@@ -1,10 +1,9 @@
 /* The induction heater: bridge, synchronous ADC and guard behind messages.
  *
- *   queue_induction_plan, _phase ─► pending phases ─► timer at their clock ─► bridge_pwm      (phase.h)
+ *   queue_induction_plan ─► pending phases ─► timer at their clock ─► bridge_pwm             (phase.h)
  *                                                  │ sample index of each step
  *   induction_block  ◄─ task ◄─ ring of blocks ◄─ ADC interrupt ◄─ half buffers        (oversample.h)
- *                                                  ├► guard ─► bridge off, shutdown    (guard.h)
- *   induction_stray  ◄─ task ◄─────────────────────┴► attention                         (attention.h)
+ *                                                  └► guard ─► bridge off, shutdown    (guard.h)
  *
  * Who calls what:
  *   task    command handlers; induction_task (sends reports)
@@ -23,7 +22,6 @@
  */
 #include <string.h>
 
-#include "attention.h"
 #include "basecmd.h"
 #include "board/bridge_pwm.h"
 #include "board/irq.h"
@@ -31,6 +29,7 @@
 #include "board/timer.h"
 #include "command.h"
 #include "guard.h"
+#include "induction_timing.h"
 #include "oversample.h"
 #include "phase.h"
 #include "sched.h"
@@ -46,14 +45,17 @@ enum {
     BLOCKS_WAITING_MAX = 32, /* power of two; 51 ms of blocks of 192 samples for a host link that stalls */
     RECORD_SIZE_MAX = 16,
     DATA_SIZE_MAX = 48,      /* what fits one message: 7 plain records, 3 of the longest */
-    RECORDS_DEFAULT = 2,
     RECORDS_MAX = 7,
     LONE_RECORD_US = 20000,  /* a record that would wait longer for others goes without them */
     LATE_MARGIN_US = 20,     /* a late phase command is applied so much after its arrival */
-    DEFAULT_Y = 5,           /* Oskolkov 2021: 12 -> 17 bit */
-    DEFAULT_SETTLE = 20,     /* samples; tank settles with 27 us, 18 periods to 0.1 degrees of phase */
 };
 
+DECL_CONSTANT("INDUCTION_FREQUENCY", INDUCTION_FREQUENCY);
+DECL_CONSTANT("INDUCTION_OVERSAMPLE", INDUCTION_OVERSAMPLE);
+DECL_CONSTANT("INDUCTION_BLOCK_SAMPLES", INDUCTION_BLOCK_SAMPLES);
+DECL_CONSTANT("INDUCTION_SETTLE_SAMPLES", INDUCTION_SETTLE_SAMPLES);
+DECL_CONSTANT("INDUCTION_RECORDS", INDUCTION_RECORDS);
+DECL_CONSTANT("INDUCTION_LEAD_US", INDUCTION_LEAD_US);
 DECL_CONSTANT("INDUCTION_LIMIT_ROWS", GUARD_ROWS_MAX);
 DECL_CONSTANT("INDUCTION_Y_MIN", OVERSAMPLE_Y_MIN);
 DECL_CONSTANT("INDUCTION_Y_MAX", OVERSAMPLE_Y_MAX);
@@ -66,7 +68,6 @@ DECL_ENUMERATION("induction_trip", "timeout", GUARD_TRIP_TIMEOUT);
 
 DECL_RESPONSE(response_induction_state, "induction_state oid=%c clock=%u phase=%hu trip=%c value=%u");
 DECL_RESPONSE(response_induction_block, "induction_block oid=%c sequence=%hu clock=%u data=%*s");
-DECL_RESPONSE(response_induction_stray, "induction_stray oid=%c");
 
 struct induction {
     struct timer timer;
@@ -76,12 +77,10 @@ struct induction {
     uint32_t next_index;    /* first sample not yet accounted for */
     uint32_t hold_samples;  /* how long a lone record waits */
     uint8_t oid, sampling, reporting, resync;
-    uint8_t records, records_usual; /* sent together */
-    uint8_t strayed;        /* the host is to be told */
-    struct phase_track track;
+    uint8_t records;        /* sent together */
+    struct phase_schedule schedule;
     struct oversample oversample;
     struct guard guard;
-    struct attention attention;
     /* finished blocks, irq to task: numbers run, places are modulo the length */
     struct oversample_block waiting[BLOCKS_WAITING_MAX];
     struct oversample_block surplus;  /* one that finds no place */
@@ -91,7 +90,7 @@ struct induction {
     uint8_t block_head, block_tail;
 };
 
-static struct induction *unit;  /* the one induction heater of this MCU; samples_ready is told no object */
+static struct induction *unit;  /* the one induction heater of this MCU; samples_ready gets no object */
 static struct task_wake report_wake;
 
 void
@@ -110,7 +109,7 @@ static void
 apply_phase(struct induction *u, uint16_t phase, uint32_t clock)
 {
     bridge_pwm_set_phase(u->bridge, phase);
-    phase_applied(&u->track, sync_adc_position(u->adc), phase);
+    phase_applied(&u->schedule, sync_adc_position(u->adc), phase);
     guard_fed(&u->guard, clock, phase);
 }
 
@@ -119,7 +118,7 @@ static void
 switch_off(struct induction *u)
 {
     bridge_pwm_off(u->bridge);
-    phase_applied(&u->track, sync_adc_position(u->adc), 0);
+    phase_applied(&u->schedule, sync_adc_position(u->adc), 0);
     u->guard.powered = 0;
 }
 
@@ -139,7 +138,7 @@ trip(struct induction *u, enum guard_trip reason)
 static uint8_t
 next_event(const struct induction *u, uint32_t *clock)
 {
-    const struct phase_node *pending = u->track.first;
+    const struct phase_node *pending = u->schedule.first;
     if (!pending && !u->guard.powered)
         return 0;
     *clock = pending ? pending->due : guard_deadline(&u->guard);
@@ -153,7 +152,7 @@ phase_timer(struct timer *t)
 {
     struct induction *u = container_of(t, struct induction, timer);
     uint32_t now = timer_read_time();
-    for (struct phase_node *node; (node = phase_pop_due(&u->track, now));) {
+    for (struct phase_node *node; (node = phase_pop_due(&u->schedule, now));) {
         apply_phase(u, node->phase, now);
         move_free(node);
     }
@@ -198,10 +197,6 @@ take_block(struct induction *u, const struct oversample_block *b)
         oversample_drop(&u->oversample, b);
     else
         u->block_head++;
-    if (b->count == u->oversample.block_len && attention_block(&u->attention, b->phase, b->sum)) {
-        u->strayed = 1;
-        u->records = u->records_usual;
-    }
 }
 
 static void
@@ -210,7 +205,7 @@ take_samples(struct induction *u, const uint16_t *samples, uint16_t count)
     struct oversample_block *b = next_block(u);
     while (count) {
         uint16_t run, taken;
-        uint16_t phase = phase_run(&u->track, u->next_index, count, &run);
+        uint16_t phase = phase_run(&u->schedule, u->next_index, count, &run);
         if (oversample_step(&u->oversample, phase, b)) {
             take_block(u, b);
             b = next_block(u);
@@ -231,8 +226,6 @@ static uint8_t
 records_to_send(const struct induction *u)
 {
     uint8_t waiting = blocks_waiting(u);
-    if (u->strayed)
-        return waiting;
     if (waiting >= u->records)
         return u->records;
     if (!waiting || u->oversample.block_len > u->hold_samples)
@@ -262,7 +255,7 @@ samples_ready(const uint16_t *samples, uint16_t count)
     }
     uint32_t ahead = position - u->next_index;
     if (ahead < count)
-        return;  /* part of a gap already told */
+        return;  /* part of a gap already reported */
     if (ahead > 2u * HALF_LEN) {
         struct oversample_block *b = next_block(u);
         uint32_t lost = newest_end(position) - u->next_index;
@@ -289,7 +282,7 @@ samples_ready(const uint16_t *samples, uint16_t count)
  *     WIDE  u16 highest sample (the u8 is then 255)
  *
  * 6 bytes for a whole block under an unchanged phase, 16 at most.  The message's clock is that of its first record's first
- * sample; the next record's lies count periods on, and discarded + lost more, because every sample is told of.  Only
+ * sample; the next record's lies count periods on, and discarded + lost more, because every sample is accounted for.  Only
  * where those two saturate that would not hold: such a record begins a message.
  */
 enum { RECORD_PHASE = 0x1000, RECORD_CUT = 0x2000, RECORD_GAP = 0x4000, RECORD_WIDE = 0x8000, WIDE_SPAN = 255 };
@@ -366,13 +359,8 @@ induction_task(void)
     struct induction *u = unit;
     if (!sched_check_wake(&report_wake) || !u)
         return;
-    uint8_t strayed = u->strayed;
     while (send_report(u))
         ;
-    if (strayed) {
-        u->strayed = 0;
-        respond(&response_induction_stray, u->oid);
-    }
 }
 DECL_TASK(induction_task);
 
@@ -393,11 +381,13 @@ command_config_induction(const struct command_args *args)
     u->adc = sync_adc_setup(args->val[2], u->bridge, HALF_LEN, samples_ready);
     u->period_ticks = period_ticks;
     u->hold_samples = timer_from_us(LONE_RECORD_US) / period_ticks;
-    u->records = u->records_usual = RECORDS_DEFAULT;
+    u->records = INDUCTION_RECORDS;
     u->timer.func = phase_timer;
-    phase_init(&u->track, (uint16_t)phase_max);
+    phase_init(&u->schedule, (uint16_t)phase_max);
     guard_init(&u->guard, SYNC_ADC_MAX, max_duration);
-    oversample_init(&u->oversample, (struct oversample_config){.y = DEFAULT_Y, .settle_samples = DEFAULT_SETTLE});
+    oversample_init(&u->oversample, (struct oversample_config){.y = INDUCTION_OVERSAMPLE,
+                                                                .settle_samples = INDUCTION_SETTLE_SAMPLES,
+                                                                .block_len = INDUCTION_BLOCK_SAMPLES});
     move_request_size(sizeof(struct phase_node));
     unit = u;
 }
@@ -419,7 +409,7 @@ command_config_induction_sense(const struct command_args *args)
 DECL_COMMAND(command_config_induction_sense,
              "config_induction_sense oid=%c oversample=%c settle_samples=%hu ema_shift=%c");
 
-/* Shorter blocks than 4^oversample samples, and how many records go together at first; after config_induction_sense. */
+/* Shorter blocks than 4^oversample samples, and how many records go together; after config_induction_sense. */
 void
 command_config_induction_block(const struct command_args *args)
 {
@@ -429,7 +419,7 @@ command_config_induction_block(const struct command_args *args)
     uint8_t records = (uint8_t)args->val[2];
     if (u->sampling || !records || records > RECORDS_MAX || !oversample_init(&u->oversample, config))
         shutdown(SHUTDOWN_INDUCTION_CONFIG);
-    u->records = u->records_usual = records;
+    u->records = records;
 }
 DECL_COMMAND(command_config_induction_block, "config_induction_block oid=%c samples=%hu records=%c");
 
@@ -448,24 +438,6 @@ command_config_induction_limit(const struct command_args *args)
 }
 DECL_COMMAND(command_config_induction_limit,
              "config_induction_limit oid=%c phase=%hu low=%hu high=%hu trip_blocks=%c");
-
-/* Other batches from now on: long ones while nothing happens save the host's time, short ones the controller's.  With a
- * limit blocks at `phase` are expected to have the sum `expected`, as whole blocks: when they stray from it by more (attention.h)
- * all that waits is sent at once, then induction_stray, and batches are as configured again. */
-void
-command_induction_calm(const struct command_args *args)
-{
-    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
-    uint8_t records = (uint8_t)args->val[1];
-    if (!records || records > RECORDS_MAX)
-        shutdown(SHUTDOWN_INDUCTION_CONFIG);
-    irqstatus_t flag = irq_save();
-    u->records = records;
-    attention_expect(&u->attention, (uint16_t)args->val[2], args->val[3], args->val[4]);
-    irq_restore(flag);
-    sched_wake_task(&report_wake);
-}
-DECL_COMMAND(command_induction_calm, "induction_calm oid=%c records=%c phase=%hu expected=%u limit=%u");
 
 /* Sampling starts before the first heat and never stops: the guard judges also when nobody wants reports. */
 static void
@@ -494,11 +466,11 @@ queue_step(struct induction *u, uint32_t at, uint32_t phase)
     node->phase = (uint16_t)phase;
     irqstatus_t flag = irq_save();
     uint32_t clock, earliest = timer_read_time() + timer_from_us(LATE_MARGIN_US);
-    if (!phase_push(&u->track, node, earliest)) {
+    if (!phase_push(&u->schedule, node, earliest)) {
         move_free(node);
         shutdown(SHUTDOWN_INDUCTION_ORDER);
     }
-    if (u->track.first == node && next_event(u, &clock)) {
+    if (u->schedule.first == node && next_event(u, &clock)) {
         sched_del_timer(&u->timer);
         u->timer.waketime = timer_is_before(clock, earliest) ? earliest : clock;
         sched_add_timer(&u->timer);
@@ -506,17 +478,9 @@ queue_step(struct induction *u, uint32_t at, uint32_t phase)
     irq_restore(flag);
 }
 
-void
-command_queue_induction_phase(const struct command_args *args)
-{
-    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
-    queue_step(u, args->val[1], args->val[2]);
-}
-DECL_COMMAND(command_queue_induction_phase, "queue_induction_phase oid=%c clock=%u phase=%hu");
-
 /* What the host means to do from `clock` on, in place of all that was pending from there on: a host that comes late has
  * said before what to do meanwhile.  steps: u16 bridge periods after the step before (the first: after `clock`) · u16
- * phase, little endian.  The watchdog counts from the last step applied, as with single commands. */
+ * phase, little endian.  The watchdog counts from the last step applied. */
 enum { PLAN_STEP_SIZE = 4 };
 
 void
@@ -528,7 +492,7 @@ command_queue_induction_plan(const struct command_args *args)
     if (args->data_len % PLAN_STEP_SIZE)
         shutdown(SHUTDOWN_INDUCTION_PHASE);
     irqstatus_t flag = irq_save();
-    struct phase_node *stale = phase_cut(&u->track, clock);
+    struct phase_node *stale = phase_cut(&u->schedule, clock);
     irq_restore(flag);
     while (stale) {
         struct phase_node *node = stale;
@@ -550,8 +514,6 @@ command_induction_report(const struct command_args *args)
     irqstatus_t flag = irq_save();
     uint8_t enable = args->val[1] != 0;
     if (enable != u->reporting) {
-        attention_expect(&u->attention, 0, 0, 0);
-        u->records = u->records_usual;
         u->block_tail = u->block_head;
         u->sequence = 0;
         u->resync = 1;
@@ -577,7 +539,7 @@ command_induction_query(const struct command_args *args)
     irqstatus_t flag = irq_save();
     uint8_t tripped = u->guard.trip;
     uint32_t sum = tripped ? u->guard.trip_value : u->newest_sum;
-    uint16_t count = tripped ? u->guard.trip_count : u->newest_count, phase = u->track.commanded;
+    uint16_t count = tripped ? u->guard.trip_count : u->newest_count, phase = u->schedule.commanded;
     irq_restore(flag);
     respond(&response_induction_state, u->oid, timer_read_time(), phase, tripped, scaled_mean(u, sum, count));
 }
@@ -591,8 +553,8 @@ induction_shutdown(void)
     if (!u)
         return;
     switch_off(u);
-    phase_forget(&u->track);
-    u->reporting = u->strayed = 0;
+    phase_forget(&u->schedule);
+    u->reporting = 0;
     u->block_tail = u->block_head;
     u->resync = 1;
 }

@@ -7,7 +7,7 @@
  *
  * Between two reports the mean power is full power times the share of on_ticks in clock: no PWM, nothing estimated.
  *
- * Off without the host: no set_onoff for max_duration while enabled shuts down.  So does an input that has stopped telling
+ * Off without the host: no set_onoff for max_duration while enabled shuts down.  So does an input that has stopped reporting
  * values.  A value outside low..high turns the pin off at once (the input's own range check shuts down after a few).
  */
 #include "analog_in.h"
@@ -40,9 +40,9 @@ write_pin(struct onoff *o, uint8_t on)
     gpio_out_write(o->pin, on ^ o->invert);
 }
 
-/* Book the time since the last value; now is the new last. */
+/* Account for the time since the last value; now is the new last. */
 static void
-book(struct onoff *o, uint32_t now)
+account(struct onoff *o, uint32_t now)
 {
     if (o->on)
         o->on_ticks += now - o->clock;
@@ -54,7 +54,7 @@ static void
 onoff_value(struct analog_listener *l, uint16_t value)
 {
     struct onoff *o = container_of(l, struct onoff, listener);
-    book(o, timer_read_time());
+    account(o, timer_read_time());
     uint8_t cold = o->rising ? value < o->set_point : value > o->set_point;
     write_pin(o, o->enabled && cold && value >= o->low && value <= o->high);
     o->value = value;
@@ -100,7 +100,7 @@ command_set_onoff(const struct command_args *args)
     o->low = (uint16_t)args->val[4];
     o->high = (uint16_t)args->val[5];
     if (!o->enabled && o->on) {
-        book(o, now);
+        account(o, now);
         write_pin(o, 0);
     }
     if (o->enabled) {

@@ -6,7 +6,7 @@
  *     samples          |settling|  block: block_len      | next, cut |settling| block ...
  *                       discarded                          ^ a phase step ends a block early
  *
- * A block ends at block_len samples (4^y unless told otherwise), at a phase step or at a gap in the samples, so one block
+ * A block ends at block_len samples (4^y unless configured otherwise), at a phase step or at a gap in the samples, so one block
  * has one phase and no hole.  A block that was cut carries its count; cut below block_len/16 samples it is not worth a message and its samples count as
  * discarded.  The EMA (filters.h) runs over whole blocks of one phase: it restarts at a phase step and at a gap, because
  * the value's meaning changes with the phase; a cut block is reported unfiltered and does not enter it (its scale

@@ -10,13 +10,13 @@ is_before(uint32_t a, uint32_t b)
 }
 
 void
-phase_init(struct phase_track *t, uint16_t phase_max)
+phase_init(struct phase_schedule *t, uint16_t phase_max)
 {
-    *t = (struct phase_track){.phase_max = phase_max};
+    *t = (struct phase_schedule){.phase_max = phase_max};
 }
 
 uint8_t
-phase_push(struct phase_track *t, struct phase_node *node, uint32_t earliest)
+phase_push(struct phase_schedule *t, struct phase_node *node, uint32_t earliest)
 {
     if (t->last && is_before(node->clock, t->last->clock))
         return 0;
@@ -33,7 +33,7 @@ phase_push(struct phase_track *t, struct phase_node *node, uint32_t earliest)
 }
 
 struct phase_node *
-phase_cut(struct phase_track *t, uint32_t clock)
+phase_cut(struct phase_schedule *t, uint32_t clock)
 {
     struct phase_node *kept = NULL, *node = t->first;
     while (node && is_before(node->clock, clock)) {
@@ -49,7 +49,7 @@ phase_cut(struct phase_track *t, uint32_t clock)
 }
 
 struct phase_node *
-phase_pop_due(struct phase_track *t, uint32_t clock)
+phase_pop_due(struct phase_schedule *t, uint32_t clock)
 {
     struct phase_node *node = t->first;
     if (!node || is_before(clock, node->due))
@@ -61,19 +61,19 @@ phase_pop_due(struct phase_track *t, uint32_t clock)
 }
 
 void
-phase_forget(struct phase_track *t)
+phase_forget(struct phase_schedule *t)
 {
     t->first = t->last = NULL;
 }
 
 static struct phase_step *
-ring_at(struct phase_track *t, uint8_t place)
+ring_at(struct phase_schedule *t, uint8_t place)
 {
     return &t->ring[place & (PHASE_RING_LEN - 1)];
 }
 
 void
-phase_applied(struct phase_track *t, uint32_t index, uint16_t phase)
+phase_applied(struct phase_schedule *t, uint32_t index, uint16_t phase)
 {
     t->commanded = phase;
     struct phase_step *newest = ring_at(t, (uint8_t)(t->head - 1));
@@ -90,7 +90,7 @@ phase_applied(struct phase_track *t, uint32_t index, uint16_t phase)
 }
 
 uint16_t
-phase_run(struct phase_track *t, uint32_t index, uint16_t count, uint16_t *run)
+phase_run(struct phase_schedule *t, uint32_t index, uint16_t count, uint16_t *run)
 {
     while (t->head != t->tail && !is_before(index, ring_at(t, t->tail)->index)) {
         t->at_sample = ring_at(t, t->tail)->phase;

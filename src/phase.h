@@ -35,7 +35,7 @@ struct phase_step {
     uint16_t phase;
 };
 
-struct phase_track {
+struct phase_schedule {
     uint16_t phase_max;
     /* pending */
     struct phase_node *first, *last;
@@ -46,19 +46,19 @@ struct phase_track {
     struct phase_step ring[PHASE_RING_LEN];
 };
 
-void phase_init(struct phase_track *t, uint16_t phase_max);
+void phase_init(struct phase_schedule *t, uint16_t phase_max);
 /* Queue a node with clock and phase filled in.  0 if its clock is before the newest pending one's (the node is not
  * taken), 1 if queued.  Above phase_max becomes phase_max; a clock before `earliest` is due then. */
-uint8_t phase_push(struct phase_track *t, struct phase_node *node, uint32_t earliest);
+uint8_t phase_push(struct phase_schedule *t, struct phase_node *node, uint32_t earliest);
 /* Take back all pending nodes whose clock is `clock` or later: the first of them, chained by next, or NULL. */
-struct phase_node *phase_cut(struct phase_track *t, uint32_t clock);
+struct phase_node *phase_cut(struct phase_schedule *t, uint32_t clock);
 /* The oldest pending node if it is due at `clock`, else NULL. */
-struct phase_node *phase_pop_due(struct phase_track *t, uint32_t clock);
+struct phase_node *phase_pop_due(struct phase_schedule *t, uint32_t clock);
 /* Nothing is pending any more: the caller takes back all nodes at once. */
-void phase_forget(struct phase_track *t);
+void phase_forget(struct phase_schedule *t);
 /* `phase` was given to the bridge and holds from sample `index` on. */
-void phase_applied(struct phase_track *t, uint32_t index, uint16_t phase);
+void phase_applied(struct phase_schedule *t, uint32_t index, uint16_t phase);
 /* What holds at sample `index`, and for how many of the next `count` (>= 1) samples. */
-uint16_t phase_run(struct phase_track *t, uint32_t index, uint16_t count, uint16_t *run);
+uint16_t phase_run(struct phase_schedule *t, uint32_t index, uint16_t count, uint16_t *run);
 
 #endif

@@ -4,7 +4,7 @@
  *
  * A device is configured in two steps: config_spi (or config_spi_without_cs) makes it, spi_set_bus or spi_set_sw_bus
  * gives it its transport.  config_spi_shutdown adds a message that is sent to the device when the firmware shuts down
- * (stepper drivers are told to let go, for instance).
+ * (stepper drivers are released so, for instance).
  */
 #include "spicmds.h"
 

@@ -76,7 +76,7 @@ send_next(struct tmcuart *u)
     if (u->shared_pin)
         listen(u);
     if (!u->read_len) {
-        /* the pause that tells the driver that the message is over */
+        /* the pause that ends the message for the driver */
         u->state = PAUSING;
         u->timer.waketime += IDLE_BITS * u->bit_time;
         return SF_RESCHEDULE;
@@ -115,7 +115,7 @@ receive_next(struct tmcuart *u)
     return SF_RESCHEDULE;
 }
 
-/* Timer; one bit or look a call.  9000 to 40000 baud; late by half a bit: that message is spoilt, its checksum tells. */
+/* Timer; one bit or look a call.  9000 to 40000 baud; late by half a bit: that message is spoilt, its checksum shows it. */
 static uint8_t
 tmcuart_event(struct timer *t)
 {

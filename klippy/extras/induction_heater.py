@@ -1,4 +1,4 @@
-"""[induction_heater NAME]: an induction-heated nozzle whose own coil current tells its temperature.
+"""[induction_heater NAME]: an induction-heated nozzle whose temperature is computed from its coil current.
 
 The joint of the thermal chain (thermal/control/loop.py, which decides) with the printer (which acts): blocks from the
 induction unit go in, phase commands come out and are sent ahead by clock. Outward it is a heater like any
@@ -53,7 +53,7 @@ class SweepView:
     def __init__(self, run: Sweep, p: loop.LoopParameters, now_s: float) -> None:
         self.run = run
         self._chain = Chain()  # the loop's own must not remember what the calibration does
-        self._chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.track)
+        self._chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.filter)
         self.command = PhaseCommand(now_s, 0, 0.0)
         self.power_w = 0.0
         self.reference_c: float | None = None  # newest reading
@@ -109,7 +109,7 @@ class InductionHeater:
         self._smoothed_c = 0.0
         self._smoothed_s = -math.inf
         self.record: induction_record.InductionRecord | None = None
-        unit.setup_callback(self._on_blocks, self._on_stray)
+        unit.setup_callback(self._on_blocks)
 
     def register(self) -> None:
         printer = self.printer
@@ -173,9 +173,6 @@ class InductionHeater:
     def _now_s(self) -> float:
         return self.unit.print_time_now(self._reactor.monotonic())
 
-    def _on_stray(self) -> None:
-        self.loop.on_stray(self._now_s())
-
     def _on_blocks(self, blocks: Blocks) -> None:
         if not self._running:
             return
@@ -192,11 +189,11 @@ class InductionHeater:
         if (
             self._running and eventtime - self._quiet_s < QUIET_S
         ):  # while blocks come there is nothing to watch
-            self._reactor.update_timer(self._timer, eventtime + self.loop.watch_s(now_s))
+            self._reactor.update_timer(self._timer, eventtime + self.parameters.timing.refresh_s)
 
     def _sweep(self, view: SweepView, blocks: Blocks, now_s: float) -> None:
         """The run decides; what it does is shown."""
-        self.loop.tell(blocks, now_s, measured=False)
+        self.loop.publish(blocks, now_s, measured=False)
         self._send(view.run.on_blocks(blocks, now_s), now_s)
         news = view.take(blocks)
         if news is not None:
@@ -217,7 +214,7 @@ class InductionHeater:
     def _on_timer(self, eventtime: float) -> float:
         """Watch, and a command if the newest one ages; control itself runs on the arrival of blocks."""
         now_s = self.unit.print_time_now(eventtime)
-        period_s = self.loop.watch_s(now_s)
+        period_s = self.parameters.timing.refresh_s
         if self._view is not None:
             self._send(self._view.run.on_timer(now_s), now_s)
             return eventtime + min(period_s, 0.020)
@@ -234,21 +231,14 @@ class InductionHeater:
             self.unit.queue_plan(commands)
             if self._view is not None:
                 self._view.note(commands)
-        self._tell_calm(now_s)
+        # a calibration or a dump gets each message at once
+        watched = self._view is not None or bool(self.loop.listeners)
+        self.unit.set_batched(not watched and self.loop.is_steady())
         if self.loop.fault and self._running:
             self._running = False
             text = f"Induction heater '{self.section_name}': {self.loop.fault}"
             logging.error("%s", text)
             self.printer.invoke_shutdown(text)
-
-    def _tell_calm(self, now_s: float) -> None:
-        watched = self._view is not None or bool(self.loop.listeners)  # a sweep, a dump
-        self.unit.set_calm(None if watched else self.loop.calm(now_s))
-
-    def listen(self, listener: loop.BlockListener) -> None:
-        """Give `listener` every block, as soon as may be. It leaves by itself: loop.listeners."""
-        self.loop.listeners.append(listener)
-        self._tell_calm(self._now_s())
 
     def _on_listener_error(self, problem: Exception) -> None:
         text = (
@@ -470,7 +460,9 @@ class InductionHeater:
             "warning": self.warning() or None,
             "control": self.parameters.control.law.name,
             "flow": round(self.loop.flow.at(now_s), 3),
-            "disturbance_w": _rounded(getattr(state.law, "disturbance_w", None)),  # the model law's only
+            "disturbance_w": _rounded(
+                getattr(state.law, "disturbance_w", None)
+            ),  # of the predictive law only
             "guard": "armed" if self._running else "off",
             "law": laws.coefficients_of(self.parameters.estimator.law)[0],
             "law_residual": self.parameters.estimator.law.residual_units,
@@ -478,8 +470,9 @@ class InductionHeater:
             "calibrating": self._running and self.in_calibration,
             "latency": round(state.latency_s, 4),
             "noise_lsb": _rounded(self.loop.chain.noise_lsb()),
-            "drift": _rounded(state.plausible.drift_c),
-            "capacity_ratio": _rounded(state.plausible.capacity_ratio),
+            "drive_offset": round(self.loop.chain.state.drive.full_c, 2),
+            "drift": _rounded(state.heat_balance.drift_c),
+            "capacity_ratio": _rounded(state.heat_balance.capacity_ratio),
             "supply": round(self.parameters.estimator.supply, 4),
             **self.unit.get_status(),
         }

@@ -1,7 +1,7 @@
 """The records that travel between the stages of the thermal chain.
 
 Every quantity carries its unit in its name. `time_s` is always print time: seconds on the clock the whole
-printer shares. Raw values are ADC codes (LSB); "error units" are those of Oskolkov 2021, about 0.8 units per
+printer shares. Raw values are ADC codes (LSB); signal units are those of Oskolkov 2021's "error", about 0.8 per
 degree at low power. Named tuples: hundreds are made every second, in a third of a frozen dataclass's time.
 """
 
@@ -39,8 +39,8 @@ class Features(NamedTuple):
     """What the estimator needs of one block."""
 
     time_s: float  # centre of the block
-    error_units: float
-    noise_units: float  # standard deviation of error_units from sample noise
+    signal_units: float
+    noise_units: float  # standard deviation of signal_units from sample noise
     phase_ticks: int
     power_fraction: float  # p = (phase/45000)^2, the "power %" of Oskolkov 2021 as a fraction
     count: int  # type: ignore[assignment]
@@ -87,15 +87,6 @@ class FlowSegment(NamedTuple):
     end_s: float
     flow_mm3_s: float
     path_mm: float
-
-
-class TempSegment(NamedTuple):
-    """A piece of the temperature plan."""
-
-    start_s: float
-    end_s: float
-    target_c: float
-    feedforward_w: float
 
 
 class Sample(NamedTuple):

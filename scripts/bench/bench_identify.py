@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """How well identify finds plants that nobody showed it.
 
-    scripts/bench/bench_identify.py [--plants 20] [--first 1] [--out out/bench/identify] [--json FILE]
+    scripts/bench/bench_identify.py [--plants 20] [--first 1] [--out out/bench/identify] [--quick] [--json FILE]
 
 Each hidden plant is drawn at random, prints the beginning of a sliced file on the simulated machine with the sensing
 law of another plant, and is recorded. The table compares what was found with what was drawn. Then the section that was
@@ -11,29 +11,29 @@ true skin.
 
 from __future__ import annotations
 
-from bench_paths import ROOT  # isort: skip
+import harness  # isort: skip
 
 import argparse
-import json
 import math
 import random
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 import configtext
+from harness import ROOT, SAMPLE_CONFIG
 from sample_gcode import sample_path
 from simulation.identify import fit, recording, report
 
-CONFIG = ROOT / "config" / "sim-induction.cfg"
 LINES = 330  # of the sample: 25 s of printing
 REFUSED = 3  # the printer shut down: its law cannot be that plant's
 # Of all hidden plants.
 TRUE = {"fan_w_k": 5e-3, "heat_exponent": 1.5}
+NAMES = (*(f.name for f in fit.FREE), "noise_lsb")
 
 
 @dataclass(slots=True)
@@ -81,7 +81,12 @@ def printed(folder: Path, gcode: str, settings: Mapping[str, float], seed: int, 
     for old in folder.glob("*.run"):
         old.unlink()
     (folder / "part.gcode").write_text(gcode)
-    command = [sys.executable, str(ROOT / "scripts" / "simulate.py"), str(CONFIG), str(folder / "part.gcode")]
+    command = [
+        sys.executable,
+        str(ROOT / "scripts" / "simulate.py"),
+        str(SAMPLE_CONFIG),
+        str(folder / "part.gcode"),
+    ]
     command += ["--seed", str(seed), "--log", str(folder / "host.log"), "--trace", str(folder / "trace.csv")]
     overrides = [*more, "induction_heater nozzle.record_file=record.run"]
     overrides += [f"simulator nozzle nozzle.{name}={value!r}" for name, value in settings.items()]
@@ -89,7 +94,7 @@ def printed(folder: Path, gcode: str, settings: Mapping[str, float], seed: int, 
         command += ["--set", text]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode not in (0, REFUSED):
-        raise SystemExit(done.stderr)
+        raise harness.BenchError(done.stderr)
     return done.returncode == 0
 
 
@@ -135,53 +140,45 @@ def examined(folder: Path, seed: int, gcode: str, again: bool = True) -> Result 
     return result
 
 
-def table(results: Sequence[Result]) -> str:
-    names = [f.name for f in fit.FREE] + ["noise_lsb"]
-    lines = ["plant  rms C  again C  " + "  ".join(f"{name[:11]:>11}" for name in names)]
+def rows(results: list[Result]) -> list[list[str]]:
+    """A plant each, and the median standard error in percent."""
+    lines = []
     for result in results:
-        cells = [f"{result.z(name):+11.2f}" if name in result.values else f"{'-':>11}" for name in names]
-        lines.append(f"{result.seed:5}  {result.rms_c:5.2f}  {result.again_c:7.2f}  " + "  ".join(cells))
-    errors = [
-        np.median([r.values[n][2] / abs(r.values[n][1]) for r in results if n in r.values] or [math.nan])
-        for n in names
-    ]
-    lines.append(f"{'error, %':>21}  " + "  ".join(f"{100.0 * e:11.2g}" for e in errors))
-    return "\n".join(lines)
+        cells = [f"{result.z(name):+.2f}" if name in result.values else "-" for name in NAMES]
+        lines.append([str(result.seed), f"{result.rms_c:.2f}", f"{result.again_c:.2f}", *cells])
+    shares = [[r.values[n][2] / abs(r.values[n][1]) for r in results if n in r.values] for n in NAMES]
+    medians = [f"{100.0 * float(np.median(s)):.2g} %" if s else "-" for s in shares]
+    return [*lines, ["error", "", "", *medians]]
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--plants", type=int, default=20)
-    parser.add_argument("--first", type=int, default=1, help="seed of the first plant")
-    parser.add_argument("--out", type=Path, default=ROOT / "out" / "bench" / "identify")
-    parser.add_argument("--json", type=Path, metavar="FILE")
-    options = parser.parse_args(argv)
+def bench(options: argparse.Namespace, report: harness.Report) -> None:
     gcode, results, refused, seed = sample(), list[Result](), 0, options.first
-    while len(results) < options.plants:
+    while len(results) < (4 if options.quick else options.plants):
         result = examined(options.out / str(seed), seed, gcode)
         seed += 1
         if result is None:
             refused += 1
-            continue
-        results.append(result)
-        print(table(results[-1:]).splitlines()[1], flush=True)
+        else:
+            results.append(result)
     found = [abs(r.z(name)) for r in results for name in r.values]
     inside = sum(z <= 2.0 for z in found)
-    print("\nfound less true, in standard errors:\n" + table(results))
-    print(f"within two standard errors: {inside} of {len(found)} ({100.0 * inside / len(found):.1f} %)")
-    print(f"plants whose printer refused the law and were left out: {refused}")
-    if options.json is not None:
-        options.json.write_text(
-            json.dumps(
-                [
-                    {"seed": r.seed, "rms_c": r.rms_c, "again_c": r.again_c, "values": r.values}
-                    for r in results
-                ]
-            )
-        )
-    is_good = inside >= 0.9 * len(found) and all(r.rms_c < 1.0 for r in results)
-    return 0 if is_good else 1
+    heads = ("plant", "rms C", "again C", *(name.partition("_")[0] for name in NAMES))
+    report.table("found less true, in standard errors", heads, rows(results))
+    print(
+        f"within two standard errors: {inside} of {len(found)}; plants whose printer refused the law: {refused}"
+    )
+    report.at_least("share within two standard errors", inside / len(found), 0.9)
+    report.at_most("simulated against recorded, C rms,", max(r.rms_c for r in results), 1.0)
+    report.figures.update(plants=results, inside=inside, found=len(found), refused=refused)
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = harness.options(__doc__, "four plants")
+    parser.add_argument("--plants", type=int, default=20)
+    parser.add_argument("--first", type=int, default=1, help="seed of the first plant")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "bench" / "identify")
+    return parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(harness.main(bench, parser()))

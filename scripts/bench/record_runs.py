@@ -12,7 +12,7 @@ import argparse
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,17 +20,17 @@ OUT = ROOT / "test" / "data" / "runs"
 PLANT = "simulator nozzle nozzle."
 HEATER = "induction_heater nozzle."
 
-HEAT = "M104 S{target}\nG4 P1900\nM104 S0\nG4 P200\n"
-FLOW = "M109 S{target}\nM83\nG1 E{feed} F{feed}00\nG4 P300\n"  # for 0.6 s
-FAN = "M106 S255\nM104 S{target}\nG4 P2200\n"
+HEAT = "M104 S{target}\nG4 P1900\nM400\nM104 S0\nG4 P200\nM400\n"
+FLOW = "M109 S{target}\nM83\nG1 E{feed} F{feed}00\nG4 P300\nM400\n"  # for 0.6 s
+FAN = "M106 S255\nM104 S{target}\nG4 P2200\nM400\n"
 
-Case = tuple[str, str, dict[str, object]]  # name, G-code, options
+Case = tuple[str, str, Mapping[str, object]]  # name, G-code, options
 
 
 def cases() -> Iterator[Case]:
     """Every recorded run."""
     for preset in ("reference", "strong"):
-        for law in ("model", "pid", "watermark", "practical"):
+        for law in ("model", "pid", "watermark", "two_period"):
             yield (
                 f"{preset}-{law}",
                 HEAT.format(target=220),

@@ -35,7 +35,6 @@ SAFETY: dict[str, tuple[Part, ...]] = {
     "guard": (Part("src/guard.c", ("test/c/test_induction_guard.py",)),),
     "oversample": (Part("src/oversample.c", ("test/c/test_induction_oversample.py",)),),
     "phase": (Part("src/phase.c", ("test/c/test_induction_phase.py",)),),
-    "attention": (Part("src/attention.c", ("test/c/test_induction_attention.py",)),),
     "wire": (Part("src/wire.c", ("test/c/test_wire.py",)),),
     "timed_output": (Part("src/timed_output.c", ("test/c/test_mcu_outputs.py",)),),
     "supervision": (

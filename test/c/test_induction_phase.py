@@ -12,8 +12,8 @@ ffi, lib = load_induction()
 RING = 64
 
 
-def track(phase_max: int = 45000):
-    t = ffi.new("struct phase_track *")
+def schedule(phase_max: int = 45000):
+    t = ffi.new("struct phase_schedule *")
     lib.phase_init(t, phase_max)
     return t
 
@@ -50,7 +50,7 @@ def phases_at(t, first: int, count: int, piece: int = 32) -> list[int]:
 
 @pytest.mark.parametrize("base", [1000, 2**32 - 50])
 def test_phases_come_due_in_order_across_the_clocks_wrap(base):
-    t = track()
+    t = schedule()
     nodes = [push(t, base + 40 * i, 100 + i) for i in range(4)]
     assert all(accepted for accepted, _ in nodes)
     assert lib.phase_pop_due(t, (base - 1) & 0xFFFFFFFF) == ffi.NULL
@@ -65,7 +65,7 @@ def test_phases_come_due_in_order_across_the_clocks_wrap(base):
 @pytest.mark.parametrize("base", [1000, 2**32 - 50])
 @pytest.mark.parametrize(("cut_at", "kept"), [(0, 0), (39, 1), (40, 1), (41, 2), (500, 4)])
 def test_a_cut_takes_back_what_is_not_before_its_clock(base, cut_at, kept):
-    t = track()
+    t = schedule()
     nodes = [push(t, base + 40 * i, 100 + i)[1] for i in range(4)]
     node, taken = lib.phase_cut(t, (base + cut_at) & 0xFFFFFFFF), []
     assert pending(t) == [100 + i for i in range(kept)]
@@ -79,7 +79,7 @@ def test_a_cut_takes_back_what_is_not_before_its_clock(base, cut_at, kept):
 
 
 def test_phases_queued_between_pops_stay_in_line():
-    t = track()
+    t = schedule()
     kept = [push(t, 1000, 1)[1], push(t, 1001, 2)[1]]
     assert lib.phase_pop_due(t, 1000) == kept[0]
     kept.append(push(t, 1002, 3)[1])
@@ -90,7 +90,7 @@ def test_phases_queued_between_pops_stay_in_line():
 
 
 def test_what_is_forgotten_is_never_due_and_new_phases_are_taken():
-    t = track()
+    t = schedule()
     kept = [push(t, 1000 + i, 1 + i)[1] for i in range(3)]
     lib.phase_forget(t)
     assert lib.phase_pop_due(t, 2000) == ffi.NULL
@@ -100,7 +100,7 @@ def test_what_is_forgotten_is_never_due_and_new_phases_are_taken():
 
 
 def test_order_of_clocks_is_demanded_and_a_refused_node_is_not_kept():
-    t = track()
+    t = schedule()
     first, second = push(t, 1000, 1), push(t, 999, 2)
     assert first[0] and not second[0]
     assert t.first == t.last == first[1]
@@ -108,7 +108,7 @@ def test_order_of_clocks_is_demanded_and_a_refused_node_is_not_kept():
 
 
 def test_late_phases_are_due_at_once_and_stay_in_order():
-    t = track()
+    t = schedule()
     kept = [push(t, 100, 1, earliest=5000), push(t, 100, 2, earliest=5001), push(t, 5100, 3, earliest=5002)]
     assert all(accepted for accepted, _ in kept)
     assert lib.phase_pop_due(t, 4999) == ffi.NULL
@@ -119,7 +119,7 @@ def test_late_phases_are_due_at_once_and_stay_in_order():
 
 @pytest.mark.parametrize(("asked", "given_"), [(0, 0), (20000, 20000), (20001, 20000), (45000, 20000)])
 def test_phase_is_held_to_the_configured_maximum(asked, given_):
-    t = track(phase_max=20000)
+    t = schedule(phase_max=20000)
     _, node = push(t, 1, asked)
     assert node.phase == given_
 
@@ -131,7 +131,7 @@ def test_phase_is_held_to_the_configured_maximum(asked, given_):
 )
 def test_every_sample_gets_the_phase_that_held(start, steps):
     """Steps arrive as time passes, read half a buffer behind, as the ADC interrupt does."""
-    t = track()
+    t = schedule()
     total = 64 + sum(gap for gap, _ in steps) + 32
     expected = [0] * (total + 32)
     arrivals, at = [], 0
@@ -149,7 +149,7 @@ def test_every_sample_gets_the_phase_that_held(start, steps):
 
 
 def test_two_steps_before_one_sample_leave_the_later():
-    t = track()
+    t = schedule()
     lib.phase_applied(t, 10, 5)
     lib.phase_applied(t, 10, 7)
     assert phases_at(t, 0, 32) == [0] * 10 + [7] * 22
@@ -157,7 +157,7 @@ def test_two_steps_before_one_sample_leave_the_later():
 
 def test_more_steps_than_the_ring_keeps_the_newest_right():
     """A step every sample for two rings: what the double buffer can still hold (64 samples) is exact."""
-    t = track()
+    t = schedule()
     for index in range(2 * RING):
         lib.phase_applied(t, index, index)
     assert phases_at(t, RING, RING) == list(range(RING, 2 * RING))
@@ -166,7 +166,7 @@ def test_more_steps_than_the_ring_keeps_the_newest_right():
 
 @pytest.mark.parametrize("steps", [RING, RING + 1, RING + 5])
 def test_a_ring_of_steps_ahead_is_exact_and_one_more_counts_to_the_oldest_that_fell_out(steps):
-    t = track()
+    t = schedule()
     for n in range(steps):
         lib.phase_applied(t, 100 + n, 1000 + n)
     fallen = steps - RING
@@ -176,7 +176,7 @@ def test_a_ring_of_steps_ahead_is_exact_and_one_more_counts_to_the_oldest_that_f
 
 
 def test_a_step_ahead_of_the_samples_waits_for_its_sample():
-    t = track()
+    t = schedule()
     lib.phase_applied(t, 100, 5)
     assert phases_at(t, 0, 96) == [0] * 96
     assert phases_at(t, 96, 32) == [0] * 4 + [5] * 28

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from block_codec import unpack
+from block_codec import one_step, unpack
 from mcu_harness import FREQ, Mcu
 from pure_harness import Plant
 
@@ -66,11 +66,11 @@ class Unit:
 
     def phase(self, phase: int, delay_s: float = 0.001) -> int:
         clock = self.mcu.now + round(delay_s * FREQ)
-        self.mcu.send("queue_induction_phase", oid=0, clock=clock & 0xFFFFFFFF, phase=phase)
+        self.mcu.send("queue_induction_plan", oid=0, clock=clock & 0xFFFFFFFF, steps=one_step(phase))
         return clock
 
     def hold(self, phase: int, seconds: float) -> None:
-        """Keep telling the same phase, as a live host does."""
+        """Keep sending the same phase, as a live host does."""
         end = self.mcu.now + round(seconds * FREQ)
         while self.mcu.now < end:
             self.phase(phase)
@@ -78,14 +78,6 @@ class Unit:
 
     def report(self, enable: int = 1) -> None:
         self.mcu.send("induction_report", oid=0, enable=enable)
-
-    def calm(self, records: int, phase: int = 0, mean: float = 0.0, limit: float = 0.0) -> None:
-        """Batches of so many; `mean` and `limit` in codes."""
-        scaled = {"expected": round(mean * self.block_len), "limit": round(limit * self.block_len)}
-        self.mcu.send("induction_calm", oid=0, records=records, phase=phase, **scaled)
-
-    def strays(self) -> int:
-        return len(self.mcu.replies("induction_stray"))
 
     def state(self):
         return self.mcu.ask("induction_query", oid=0)
@@ -103,7 +95,7 @@ class Unit:
 
 
 def test_blocks_follow_one_another_without_a_hole():
-    unit = Unit()
+    unit = Unit(block=(1024, 2))
     unit.report()
     unit.mcu.run(0.2)
     records = unit.records()
@@ -117,7 +109,7 @@ def test_blocks_follow_one_another_without_a_hole():
 
 
 def test_records_go_out_in_pairs_unless_that_would_take_too_long():
-    pairs = Unit()
+    pairs = Unit(block=(1024, 2))
     pairs.report()
     pairs.mcu.run(0.1)
     assert [r.message for r in pairs.records()][:6] == [0, 0, 1, 1, 2, 2]
@@ -143,23 +135,6 @@ def test_short_blocks_go_out_three_together():
         assert after.clock == before.clock + 192 * PERIOD
 
 
-def test_batches_change_while_reports_run():
-    unit = Unit(y=4, block=(192, 3))
-    unit.report()
-    unit.mcu.run(0.02)
-    unit.calm(7)
-    unit.mcu.run(0.04)
-    unit.calm(3)  # what waits goes at once
-    unit.mcu.run(0.02)
-    records = unit.records()
-    sizes = [len(list(group)) for _, group in itertools.groupby(records, lambda r: r.message)]
-    assert sizes[:3] == [3, 3, 3] and sizes[-3:] == [3, 3, 3]
-    assert sizes.count(7) == 3  # 0.04 s are 25 blocks
-    assert [r.number for r in records] == list(range(len(records)))
-    for before, after in itertools.pairwise(records):
-        assert after.clock == before.clock + 192 * PERIOD
-
-
 def test_long_batches_of_long_records_are_divided_and_whole():
     unit = Unit(y=4, block=(192, 7), max_duration=FREQ)
     unit.mcu.sample_code = lambda clock: 20 if clock // PERIOD % 2 else 4000
@@ -176,101 +151,6 @@ def test_long_batches_of_long_records_are_divided_and_whole():
     for before, after in itertools.pairwise(records):
         between = (after.clock - before.clock) // PERIOD - before.count
         assert between == after.discarded + after.lost
-
-
-CALM = {"y": 4, "block": (192, 3), "max_duration": FREQ}
-
-
-def calm_unit(phase: int = 9000, limit: float = 0.5) -> Unit:
-    """Held at `phase` since 20 ms, every code 1000, expected to stay so."""
-    unit = Unit(**CALM)
-    unit.report()
-    unit.phase(phase)
-    unit.mcu.run(0.02)
-    unit.calm(7, phase, 1000.0, limit)
-    unit.mcu.run(0.04)
-    return unit
-
-
-@pytest.mark.parametrize("later", [0, 1, 2])  # blocks: whatever their number is, none stays behind
-def test_blocks_that_stray_are_reported_at_once_with_all_that_waits_and_batches_are_short_again(later):
-    unit = calm_unit()
-    unit.mcu.run(later * 192 * PERIOD / FREQ)
-    assert not unit.strays()
-    before, moved = len(unit.records()), unit.mcu.now
-    unit.mcu.sample_code = lambda clock: 1005  # ten times the limit: the first block whole of it is enough
-    unit.mcu.run(0.05)
-    (stray,) = unit.mcu.replies("induction_stray")
-    assert stray.clock - moved <= (2 * 192 + 32) * PERIOD
-    fresh = unit.records()[before:]
-    told = [r for r in fresh if r.sent == stray.clock]
-    assert told and told[-1].clock + 192 * PERIOD > stray.clock - 32 * PERIOD  # up to the newest block
-    later_on = (r for r in fresh if r.sent > stray.clock)
-    assert {len(list(group)) for _, group in itertools.groupby(later_on, lambda r: r.message)} == {3}
-    assert [r.number for r in unit.records()] == list(range(len(unit.records())))
-
-
-def test_what_is_small_but_stays_is_noticed_and_what_comes_alone_is_not():
-    unit = calm_unit(limit=0.5)
-    start = unit.mcu.now
-    # one block of three times the limit, then as expected
-    unit.mcu.sample_code = lambda clock: (
-        (1001 + clock // PERIOD % 2) if clock < start + 192 * PERIOD else 1000
-    )
-    unit.mcu.run(0.1)
-    assert not unit.strays()
-    start = unit.mcu.now
-    unit.mcu.sample_code = lambda clock: (
-        1001
-    )  # twice the limit: 1 - (7/8)^n passes a half with the sixth block
-    unit.mcu.run(0.05)
-    (stray,) = unit.mcu.replies("induction_stray")
-    assert 5 * 192 * PERIOD < stray.clock - start <= (7 * 192 + 32) * PERIOD
-
-
-def test_only_blocks_of_the_phase_that_was_meant_are_judged():
-    unit = calm_unit()
-    # the next step is announced: until it comes the old expectation holds, after it the new one
-    unit.calm(7, 9100, 1040.0, 0.5)
-    step = unit.phase(9100, 0.03)
-    unit.mcu.sample_code = lambda clock: 1040 if clock >= step else 1000
-    unit.mcu.run(0.06)
-    assert not unit.strays()
-    # another phase than any that was told of: nobody knows what it reads
-    step = unit.phase(12000, 0.001)
-    unit.mcu.sample_code = lambda clock: 1200 if clock >= step else 1040
-    unit.mcu.run(0.06)
-    assert not unit.strays()
-    step = unit.phase(9100, 0.001)  # and back
-    unit.mcu.run(0.02)
-    assert unit.strays() == 1
-
-
-def test_what_is_expected_before_the_step_holds_until_the_step():
-    unit = calm_unit()
-    unit.calm(7, 9100, 1040.0, 0.5)
-    unit.phase(9100, 0.05)
-    unit.mcu.sample_code = lambda clock: 1040  # as if the step had come already
-    unit.mcu.run(0.01)
-    assert unit.strays() == 1
-
-
-def test_straying_is_reported_once_until_something_is_expected_again():
-    unit = calm_unit()
-    unit.mcu.sample_code = lambda clock: 1010
-    unit.mcu.run(0.1)
-    assert unit.strays() == 1
-    unit.calm(7, 9000, 1000.0, 0.5)
-    unit.mcu.run(0.1)
-    assert unit.strays() == 2
-    unit.calm(7)  # in bulk, nothing expected
-    unit.mcu.run(0.1)
-    assert unit.strays() == 2
-    unit.mcu.sample_code = lambda clock: 1000
-    unit.mcu.run(0.01)
-    unit.calm(7, 9000, 1000.0, 0.5)  # what was before is forgotten
-    unit.mcu.run(0.1)
-    assert unit.strays() == 2
 
 
 def test_the_same_phase_again_feeds_the_watchdog_and_costs_no_block():
@@ -291,7 +171,7 @@ def test_the_same_phase_again_feeds_the_watchdog_and_costs_no_block():
 @pytest.mark.parametrize("records", [0, 8])
 def test_a_batch_out_of_range_is_refused(records):
     unit = Unit(y=4)
-    unit.calm(records)
+    unit.mcu.send("config_induction_block", oid=0, samples=192, records=records)
     unit.mcu.run(0.01)
     assert unit.mcu.shutdown_reason() == "Invalid induction configuration"
 
@@ -350,9 +230,9 @@ def test_queued_phases_are_applied_in_order():
     unit = Unit()
     clocks = [unit.phase(1000 * (i + 1), 0.001 * (i + 1)) for i in range(20)]
     unit.mcu.run(0.03)
-    told = [(at, phase) for at, phase in unit.mcu.bridge_sets if phase]
-    assert [phase for _, phase in told] == [1000 * (i + 1) for i in range(20)]
-    assert all(0 < at - clock <= PERIOD for (at, _), clock in zip(told, clocks, strict=True))
+    sent = [(at, phase) for at, phase in unit.mcu.bridge_sets if phase]
+    assert [phase for _, phase in sent] == [1000 * (i + 1) for i in range(20)]
+    assert all(0 < at - clock <= PERIOD for (at, _), clock in zip(sent, clocks, strict=True))
 
 
 def plan(unit: Unit, delay_s: float, *steps: tuple[int, int]) -> int:
@@ -370,8 +250,8 @@ def test_a_plan_takes_the_place_of_what_was_pending_from_its_clock_on():
     plan(unit, 0.002, (0, 1000), (240, 2000), (240, 3000), (240, 4000))  # 2, 4, 6, 8 ms
     plan(unit, 0.005, (0, 5000), (480, 0))  # 5, 9 ms
     unit.mcu.run(0.015)
-    told = [(round((at - start) / 72e3), phase) for at, phase in unit.mcu.bridge_sets if at > start]
-    assert told == [(2, 1000), (4, 2000), (5, 5000), (9, 0)]
+    sent = [(round((at - start) / 72e3), phase) for at, phase in unit.mcu.bridge_sets if at > start]
+    assert sent == [(2, 1000), (4, 2000), (5, 5000), (9, 0)]
 
 
 def test_a_plan_that_comes_late_goes_on_where_it_should_be_now():
@@ -454,10 +334,10 @@ def test_shutdown_switches_off_at_once_and_forgets_what_was_queued():
     now = unit.mcu.now
     unit.mcu.send("emergency_stop")
     assert unit.mcu.bridge_sets[-1] == (now, 0)
-    told = len(unit.records())
+    sent = len(unit.records())
     unit.mcu.run(0.1)
     assert unit.mcu.bridge_sets[-1][1] == 0
-    assert len(unit.records()) == told, "no reports to a host that is not listening"
+    assert len(unit.records()) == sent, "no reports to a host that is not listening"
     assert unit.state()["phase"] == 0
 
 
@@ -527,7 +407,7 @@ def test_without_limits_a_dead_sensor_does_not_trip():
 @pytest.mark.parametrize(
     ("name", "values", "reason"),
     [
-        ("queue_induction_phase", {"clock": 10**6, "phase": 45001}, "Induction phase out of range"),
+        ("queue_induction_plan", {"clock": 10**6, "steps": one_step(45001)}, "Induction phase out of range"),
         ("config_induction_sense", {"oversample": 8, "settle_samples": 0, "ema_shift": 0}, None),
         ("config_induction_limit", {"phase": 1, "low": 9, "high": 3, "trip_blocks": 1}, None),
     ],
@@ -539,10 +419,10 @@ def test_values_out_of_range_shut_down_with_a_reason(name, values, reason):
     assert unit.mcu.shutdown_reason() == (reason or "Invalid induction configuration")
 
 
-def test_phases_out_of_order_are_refused():
-    unit = Unit()
-    unit.phase(1000, 0.02)
-    unit.phase(2000, 0.01)
+def test_a_step_more_than_half_the_clock_after_the_one_before_is_refused():
+    unit = Unit(period_ticks=40000)
+    steps = one_step(1000) + struct.pack("<HH", 65535, 2000)
+    unit.mcu.send("queue_induction_plan", oid=0, clock=unit.mcu.now + FREQ // 100, steps=steps)
     unit.mcu.run(0.03)
     assert unit.mcu.shutdown_reason() == "Induction phase commands out of order"
     assert unit.mcu.bridge_sets[-1][1] == 0
@@ -554,12 +434,12 @@ def test_a_stalled_reader_is_reported_what_it_missed():
     unit.report()
     unit.mcu.run(0.05)
     unit.report(0)
-    told = len(unit.records())
+    sent = len(unit.records())
     unit.mcu.run(0.05)
-    assert len(unit.records()) == told
+    assert len(unit.records()) == sent
     unit.report()
     unit.mcu.run(0.05)
-    assert unit.records()[told].number == 0
+    assert unit.records()[sent].number == 0
 
 
 def test_the_plants_temperature_comes_through_the_whole_chain():

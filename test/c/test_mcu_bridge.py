@@ -6,6 +6,7 @@ import time
 
 import pytest
 
+from block_codec import one_step
 from mcu_harness import FREQ, Mcu
 
 PERIOD = 600
@@ -45,11 +46,11 @@ def test_a_phase_comes_into_force_at_the_next_period_edge(mcu: Mcu) -> None:
     origin = mcu.sample_reads[0][0]
     asked = [mcu.now + 10_001, mcu.now + 40_000]
     for clock, phase in zip(asked, (9000, 12000), strict=True):
-        mcu.send("queue_induction_phase", oid=0, clock=clock, phase=phase)
+        mcu.send("queue_induction_plan", oid=0, clock=clock, steps=one_step(phase))
     mcu.run(0.002)
-    told = [(clock, phase) for clock, phase in mcu.bridge_sets if phase]
-    assert [phase for _, phase in told] == [9000, 12000]
-    for (clock, _), request in zip(told, asked, strict=True):
+    sent = [(clock, phase) for clock, phase in mcu.bridge_sets if phase]
+    assert [phase for _, phase in sent] == [9000, 12000]
+    for (clock, _), request in zip(sent, asked, strict=True):
         assert (clock - origin) % PERIOD == 0 and request < clock <= request + PERIOD
 
 
@@ -59,7 +60,7 @@ def test_samples_before_an_edge_are_read_before_the_world_hears_of_the_new_phase
     mcu.bridge_sets = LoggedList(log, "phase")
     mcu.sample_reads = LoggedList(log, "read")
     for i in range(20):
-        mcu.send("queue_induction_phase", oid=0, clock=mcu.now + 5000 + i * 7777, phase=9000 + i)
+        mcu.send("queue_induction_plan", oid=0, clock=mcu.now + 5000 + i * 7777, steps=one_step(9000 + i))
     mcu.run(0.01)
     in_force_from = 0
     for kind, clock, _ in log:
@@ -75,7 +76,7 @@ def test_samples_before_an_edge_are_read_before_the_world_hears_of_the_new_phase
 
 
 class LoggedList(list):  # type: ignore[type-arg]
-    """A list that also tells a common log what is appended to it."""
+    """A list that also puts into a common log what is appended to it."""
 
     def __init__(self, log: list[tuple[str, int, int]], kind: str) -> None:
         super().__init__()
@@ -86,7 +87,7 @@ class LoggedList(list):  # type: ignore[type-arg]
 
 
 def test_shutdown_switches_the_bridge_off_at_once(mcu: Mcu) -> None:
-    mcu.send("queue_induction_phase", oid=0, clock=mcu.now + 1000, phase=9000)
+    mcu.send("queue_induction_plan", oid=0, clock=mcu.now + 1000, steps=one_step(9000))
     mcu.run(0.0101)
     assert mcu.bridge_sets[-1][1] == 9000
     mcu.send("emergency_stop")
@@ -113,7 +114,7 @@ def test_same_calls_give_the_same_bytes() -> None:
         mcu.configure(1, ("config_induction", HEATER))
         mcu.send("induction_report", oid=0, enable=1)
         for i in range(10):
-            mcu.send("queue_induction_phase", oid=0, clock=mcu.now + 9999, phase=9000 + 100 * i)
+            mcu.send("queue_induction_plan", oid=0, clock=mcu.now + 9999, steps=one_step(9000 + 100 * i))
             mcu.run(0.0031)
         return mcu.sent
 
@@ -125,7 +126,7 @@ def test_stepping_in_small_advances_changes_nothing() -> None:
         mcu = Mcu()
         mcu.configure(1, ("config_induction", HEATER))
         mcu.send("induction_report", oid=0, enable=1)
-        mcu.send("queue_induction_phase", oid=0, clock=mcu.now + 9999, phase=9000)
+        mcu.send("queue_induction_plan", oid=0, clock=mcu.now + 9999, steps=one_step(9000))
         end = mcu.now + 720_000
         for i in range(slices):
             mcu.run_to(end - (slices - 1 - i) * (720_000 // slices))

@@ -7,6 +7,7 @@ from itertools import pairwise, permutations
 
 import pytest
 
+from block_codec import one_step
 from mcu_harness import FREQ, SIM_DIR, Mcu, library_path, make_block
 
 PA0, PA1, PA2 = 0, 1, 2
@@ -356,7 +357,7 @@ def test_booting_again_leaves_no_trace_of_what_was_before() -> None:
     mcu.send("reset_step_clock", oid=1, clock=mcu.now + 1000)
     mcu.send("queue_step", oid=1, interval=1000, count=100, add=3)
     mcu.send("induction_report", oid=3, enable=1)
-    mcu.send("queue_induction_phase", oid=3, clock=mcu.now + 100, phase=9000)
+    mcu.send("queue_induction_plan", oid=3, clock=mcu.now + 100, steps=one_step(9000))
     mcu.raw(b"\x20\x10half a block")
     mcu.run(0.0013)
     mcu.send("emergency_stop")

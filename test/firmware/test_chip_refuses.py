@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from block_codec import one_step
 from chip_rig import FREQ, Firmware
 from measure import PERIOD, clock_offset
 
@@ -43,7 +44,7 @@ def try_to_heat(chip: Firmware) -> str:
         chip.send(name, **values)
     for _ in range(5):
         clock = (chip.now - clock_offset(chip) + FREQ // 200) & 0xFFFFFFFF
-        chip.post("queue_induction_phase", oid=0, clock=clock, phase=20000)
+        chip.post("queue_induction_plan", oid=0, clock=clock, steps=one_step(20000))
         chip.run(0.03)
     return chip.shutdown_reason() or ""
 
@@ -89,7 +90,7 @@ def test_a_mutated_peripheral_is_named_and_the_bridge_stays_off(
 
 @pytest.mark.parametrize("gate", ["DMA", "CRC", "GPIOA", "TIM2", "USART2"])
 def test_a_chip_that_cannot_speak_does_nothing(gate: str) -> None:
-    """Without these clocks nothing could be told: it stops before any pin is an output, and asks no dead block."""
+    """Without these clocks no report could be sent: it stops before any pin is an output, and asks no dead block."""
     chip = Firmware(settle_s=0.0, mutations=())
     chip.chip.mutate("clock_stuck", CLOCKS[gate])
     chip.run(1.0)
@@ -102,12 +103,14 @@ def test_a_chip_that_cannot_speak_does_nothing(gate: str) -> None:
 def test_a_clock_that_goes_while_heating_is_found_at_the_next_switching_on(gate: str) -> None:
     chip = Firmware()
     assert try_to_heat(chip) == ""
-    chip.post("queue_induction_phase", oid=0, clock=(chip.now - clock_offset(chip)) & 0xFFFFFFFF, phase=0)
+    chip.post(
+        "queue_induction_plan", oid=0, clock=(chip.now - clock_offset(chip)) & 0xFFFFFFFF, steps=one_step(0)
+    )
     chip.run(0.01)
     chip.bridge_sets.clear()
     chip.chip.mutate("clock_stuck", CLOCKS[gate])
     clock = (chip.now - clock_offset(chip) + FREQ // 200) & 0xFFFFFFFF
-    chip.post("queue_induction_phase", oid=0, clock=clock, phase=20000)
+    chip.post("queue_induction_plan", oid=0, clock=clock, steps=one_step(20000))
     chip.run(0.03)
     assert "clock" in (chip.shutdown_reason() or "")
     assert not energised(chip)
@@ -181,7 +184,7 @@ def keep_asking(chip: Firmware, seconds: float) -> None:
     end = chip.now + round(seconds * FREQ)
     while chip.now < end and chip.chip.counters()["resets"] == 0:
         clock = (chip.now - clock_offset(chip) + FREQ // 200) & 0xFFFFFFFF
-        chip.post("queue_induction_phase", oid=0, clock=clock, phase=20000)
+        chip.post("queue_induction_plan", oid=0, clock=clock, steps=one_step(20000))
         chip.run(0.03)
 
 

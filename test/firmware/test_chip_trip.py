@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from block_codec import one_step
 from chip_rig import FREQ, Firmware
 from measure import PERIOD, clock_offset, code_at
 
@@ -52,7 +53,7 @@ def tripped(settle_samples: int) -> Firmware:
     chip.sample_code = code_at
     chip.send("induction_report", oid=0, enable=1)
     at = chip.now - clock_offset(chip) + FREQ // 100
-    chip.post("queue_induction_phase", oid=0, clock=at & 0xFFFFFFFF, phase=20000)
+    chip.post("queue_induction_plan", oid=0, clock=at & 0xFFFFFFFF, steps=one_step(20000))
     chip.run(0.1)
     later = at + FREQ // 5
     steps = b"".join(word.to_bytes(2, "little") for n in range(PLAN_STEPS) for word in (2 * BLOCK, 20000 + n))

@@ -139,9 +139,9 @@ def test_heat_capacity_and_losses_come_out_in_watts_of_the_drive_law(
 
 def test_a_wrong_gain_cannot_be_seen_and_makes_the_law_wrong_by_it() -> None:
     run = ReferenceRun(gain=0.94).run()  # Table 6, surface 10 %, taken for one at half height
-    told, untold = (law_of(fit_sweep.analyse(run.recording, DriveLaw(), gain)) for gain in (0.94, 1.0))
-    assert np.abs(true_errors(told)).max() < REQUIRED_C
-    assert true_errors(untold).min() == pytest.approx(-0.06 * 325.0, rel=0.1)
+    right, wrong = (law_of(fit_sweep.analyse(run.recording, DriveLaw(), gain)) for gain in (0.94, 1.0))
+    assert np.abs(true_errors(right)).max() < REQUIRED_C
+    assert true_errors(wrong).min() == pytest.approx(-0.06 * 325.0, rel=0.1)
 
 
 def test_drift_is_noticed_with_its_size_and_one_point_brings_it_back(
@@ -153,22 +153,22 @@ def test_drift_is_noticed_with_its_size_and_one_point_brings_it_back(
     assert np.abs(away).min() > 10.0
     parameters = default_parameters(law=law, loss_uncertainty=0.03)
     balance = replace(
-        parameters.plausible,
-        heat=replace(parameters.plausible.heat, at_25c_j_k=result.capacity_j_k),
+        parameters.heat_balance,
+        heat=replace(parameters.heat_balance.heat, at_25c_j_k=result.capacity_j_k),
         loss=heat_balance_monitor.scaled(result.loss_factor, result.ambient_c, result.second_factor),
     )
-    rig = Rig(Plant(4, **OFF_BY_TEN), replace(parameters, plausible=balance), 4)
+    rig = Rig(Plant(4, **OFF_BY_TEN), replace(parameters, heat_balance=balance), 4)
     rig.run(0.6)
     rig.set_target(250.0)
     rig.run(60.0)
     assert rig.loop.state.warning == ""
-    assert rig.loop.state.plausible.drift_c == pytest.approx(0.0, abs=3.0)
+    assert rig.loop.state.heat_balance.drift_c == pytest.approx(0.0, abs=3.0)
     for name, value in DRIFT.items():
         rig.plant.set_param(name, value)
     rig.run(70.0)
     news, skin_c = rig.loop.state.estimate, rig.plant.read().skin_c
     assert "drifted" in rig.loop.state.warning
-    assert rig.loop.state.plausible.drift_c == pytest.approx(news.temp_c - skin_c, abs=4.0)
+    assert rig.loop.state.heat_balance.drift_c == pytest.approx(news.temp_c - skin_c, abs=4.0)
     again = law.rezeroed(skin_c, law.error(news.temp_c, news.phase_ticks), news.phase_ticks)
     assert np.abs(true_errors(again, **drifted)).max() < REQUIRED_C
 
@@ -211,7 +211,7 @@ def test_a_silent_reference_ends_the_run() -> None:
     run.run(until_s=6.0)
     run.run(until_s=20.0, connected=False)
     run.rig.run(0.2)
-    assert "not been heard" in run.sweep.fault
+    assert "sent no reading" in run.sweep.fault
     assert run.rig.phase == 0
 
 

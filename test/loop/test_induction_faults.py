@@ -1,4 +1,4 @@
-"""What is wrong with a sensing coil is told by name; the supply's voltage is put right when it is measured."""
+"""What is wrong with a sensing coil is reported by name; the supply's voltage is put right when it is measured."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from extras.induction import supply as induction_supply
-from induction_rig import Plant, Rig, default_parameters
+from induction_rig import BATCH_WAIT_S, Plant, Rig, default_parameters
 from thermal.sensing import features, laws
 
 # The reference tank's components, as a calibration of the C plant finds them.
@@ -57,7 +57,7 @@ def test_a_nozzle_of_another_mass_is_named(factor: float) -> None:
     rig = Rig(Plant(3, mass_factor=factor), default_parameters(law=TANK), 5)
     hold(rig, 4.0)
     assert "wrong nozzle" in rig.loop.state.warning
-    assert rig.loop.state.plausible.capacity_ratio == pytest.approx(factor, rel=0.1)
+    assert rig.loop.state.heat_balance.capacity_ratio == pytest.approx(factor, rel=0.1)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,8 @@ def test_a_nozzle_of_another_material_is_named_before_it_is_heated(changes: dict
 
 
 @pytest.mark.parametrize("volt", [20.0, 26.0])
-def test_a_measured_supply_keeps_the_reading_true(volt: float) -> None:
+def test_a_supply_measured_or_not_leaves_the_reading_true(volt: float) -> None:
+    """Not measured it is found by the looks at the sensing phase, where it does not matter."""
     errors = {}
     for supply_v, sent_v in ((24.0, 24.0), (volt, 24.0), (volt, volt)):
         rig = Rig(Plant(3, supply_v=supply_v), default_parameters(law=TANK), 5)
@@ -83,13 +84,13 @@ def test_a_measured_supply_keeps_the_reading_true(volt: float) -> None:
         induction_supply.set_supply(heater, sent_v)
         hold(rig, 3.0)
         rig.plant.set_inputs(20.0, 0.0)  # melt to heat: 4 % power, where the field matters
-        rig.run(1.5)
+        rig.run(4.0)
         trace = rig.trace.arrays()
         late = trace["t_s"] > 4.0
         errors[supply_v, sent_v] = float(np.mean((trace["estimate_c"] - trace["skin_c"])[late]))
     usual = errors[24.0, 24.0]  # what the rounded coefficients above leave
     assert errors[volt, volt] == pytest.approx(usual, abs=0.1)
-    assert abs(errors[volt, 24.0] - usual) > 0.3
+    assert errors[volt, 24.0] == pytest.approx(usual, abs=0.2)
 
 
 def test_the_supply_sensor_ignores_a_lead_that_came_off() -> None:
@@ -108,8 +109,8 @@ def test_a_fault_takes_the_bridge_off_by_one_command_of_the_loop_not_by_the_watc
     changed_s = rig.now_s
     while not rig.loop.fault:
         rig.run(0.001)
-    # six blocks of 1.6 ms, then the message of seven that is being gathered in a calm, six of them at once
-    assert rig.now_s - changed_s < 0.0096 + 6 * 7 * 0.0016 + 0.03
+    # six blocks of 1.6 ms, then the batch of messages that is being gathered
+    assert rig.now_s - changed_s < 0.0096 + BATCH_WAIT_S + 0.03
     fault_s, sent = rig.now_s, len(rig.sent_s)
     assert rig.phase > 0 and rig.loop.state.target_c == 0.0
     while rig.phase:

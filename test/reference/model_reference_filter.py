@@ -1,7 +1,7 @@
-"""The model law's plant and filter written out in Python, as an independent reference for those in C (chelper/).
+"""Plant and filter of predictive control written out in Python, as an independent reference for those in C.
 
-Straight from the equations in the docstrings of model_plant and model_filter; figures that tune the filter are repeated
-here, so that one changed by mistake shows. Parameters are klippy's own.
+Straight from the equations in the docstrings of heater_model and predictive_filter. Figures that tune the filter are
+repeated here, so that one changed by mistake shows. Parameters are klippy's own.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ GAIN_MIN, GAIN_MAX = 0.1, 10.0
 TOGETHER_MAX = 7  # samples of one innovation
 SURPRISE = 14.0  # innovation squared over its variance beyond which the disturbance is taken to have changed
 SURPRISED_W = 3.0  # by about this much at once
-# Innovations that lean one way: their sum, each in its own sigma and fading so fast a message, is 1.5 by chance.
+# Innovations that lean one way: their sum, each in its own sigma and decaying so fast a message, is 1.5 by chance.
 LEAN_KEEP, LEAN_MAX = 0.75, 4.0  # nearly three times that: the disturbance moves ...
 LEAN_SHARE = 0.5  # ... by about this much of disturbance_start_w a message
 JUMP_C, JUMP_SIGMA = 3.0, 6.0  # farther off than this within a message no heat goes: the thermometer jumped
@@ -162,7 +162,7 @@ UNKNOWN = Nodes(math.nan, math.nan, math.nan, math.nan, math.nan, 0.0)
 
 
 class ModelState(NamedTuple):
-    """Memory of the model law. A tuple: one is made at every step."""
+    """Memory of predictive control. A tuple: one is made at every step."""
 
     time_s: float = math.nan  # what the nodes belong to; NaN: nothing known yet
     nodes: Nodes = UNKNOWN
@@ -170,15 +170,15 @@ class ModelState(NamedTuple):
     gain: float = 1.0
     covariance: Matrix = ()
     innovation_c: float = 0.0  # newest: measured minus expected
-    heard_s: float = -math.inf  # newest measurement
+    measured_s: float = -math.inf  # newest measurement
     output: float = 0.0  # newest output decided
     driven: float = 0.0  # output in force at the newest measurement
     offset_c: float = 0.0  # taken off the readings ...
     offset_output: float = 0.0  # ... since the output stepped to this
-    lean: float = 0.0  # fading sum of innovations, each over its sigma
+    lean: float = 0.0  # decaying sum of innovations, each over its sigma
     slant_c: float = 0.0  # what full drive by itself adds to the reading
     usual: float = 0.0  # share of full drive at which the reading is taken for the truth
-    sent: tuple[Planned, ...] = ()  # own outputs, where the caller does not tell what is pending
+    sent: tuple[Planned, ...] = ()  # own outputs, where the caller gives none that are pending
 
     @property
     def known(self) -> bool:
@@ -251,7 +251,7 @@ def begin(p: ModelParameters, temp_c: float, time_s: float, before: ModelState |
 
 
 def taken_over(p: ModelParameters, state: ModelState, disturbance_w: float) -> ModelState:
-    """A state just begun, told the disturbance: what was doubt about it, gain and second mass is mostly in it."""
+    """A state just begun, with a given disturbance, which holds the doubt about gain and second mass, too."""
     places = layout(p)
     doubts = {
         places.temp: TAKEN_C,
@@ -337,7 +337,7 @@ class _Run(NamedTuple):
     time_s: float
     weight: float  # sum of 1/variance
     innovation_c: float  # weighted mean
-    heard_s: float
+    measured_s: float
     output: float  # mean over the time walked
     rebased_c: float  # 1 sigma of what a step of the drive may have moved the reading, 0: there was none
     driven: float
@@ -382,7 +382,7 @@ def _walk(
     p: ModelParameters, state: ModelState, samples: Sequence[Sample], flow: Schedule, fan: Schedule
 ) -> _Run:
     """Through the outputs of these samples; within one of them the expected temperature is a straight line."""
-    nodes, now_s, heard_s = state.nodes, state.time_s, state.heard_s
+    nodes, now_s, measured_s = state.nodes, state.time_s, state.measured_s
     weight = pulled = passed = 0.0
     rebased_c, driven = 0.0, state.driven
     offset_c, offset_output = state.offset_c, state.offset_output
@@ -411,7 +411,7 @@ def _walk(
             weight += share
             levered += share * lever
             pulled += share * off_c
-            heard_s, driven = sample.time_s, sample.output
+            measured_s, driven = sample.time_s, sample.output
         passed += sample.output * span_s
         now_s += span_s
     elapsed_s = now_s - state.time_s
@@ -423,7 +423,7 @@ def _walk(
         now_s,
         weight,
         mean_c,
-        heard_s,
+        measured_s,
         output,
         rebased_c,
         driven,
@@ -493,7 +493,7 @@ def observe(
     """The state after these samples, in order of time."""
     if not samples:
         return state
-    if not state.known or samples[-1].end_s - state.heard_s > p.gap_s:
+    if not state.known or samples[-1].end_s - state.measured_s > p.gap_s:
         measured = [s for s in samples if s.temp_c == s.temp_c]
         if not measured:
             return state
@@ -541,7 +541,7 @@ def _observe_piece(
         gain,
         tuple(map(tuple, rows)),
         by_c,
-        run.heard_s,
+        run.measured_s,
         state.output,
         run.driven,
         run.offset_c,

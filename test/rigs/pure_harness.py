@@ -32,7 +32,7 @@ SANITIZERS = {
     "address": ("-fsanitize=address,undefined", "-fno-sanitize-recover=all"),
 }
 
-INDUCTION_SOURCES = ("filters.c", "oversample.c", "phase.c", "guard.c", "attention.c")
+INDUCTION_SOURCES = ("filters.c", "oversample.c", "phase.c", "guard.c")
 PLANT_SOURCES = tuple(
     str(PLANT / name) for name in ("plant.c", "plant_tank.c", "plant_noise.c", "thermal_load.c")
 )

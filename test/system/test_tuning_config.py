@@ -40,7 +40,7 @@ def assert_reported_where(text: str, more: str, section: str, option: str) -> No
         ("heater_bed", "max_delta", "0", "control: watermark\n"),
         ("heater_bed", "max_delta", "200", "control: watermark\n"),  # it would not begin to heat
         ("induction_heater nozzle", "max_delta", "200", "control: watermark\n"),
-        ("heater_bed", "practical_turn", "0", "control: practical\n"),
+        ("heater_bed", "two_period_turn", "0", "control: two_period\n"),
         ("heater_bed", "max_power", "0", ""),
         ("heater_bed", "model_hat", "3", ""),
         ("heater_profile heater_bed x", "pid_Kp", "-3", "control: pid\npid_Ki: 1\npid_Kd: 1\n"),

@@ -23,8 +23,8 @@ TWO_PERIOD_BUSY_C = 5.0  # its cycle does not come nearer
 MAX_DELTA_MAX_C = 50.0  # with more a watermark heater counts as arrived before it has begun
 
 # What a model controller of an ordinary heater wants: a small deviation is run down within seconds.
-MODEL_FADE_LAGS = 2.0  # of all the lags
-MODEL_MIN_FADE_S = 1.0
+MODEL_TAU_LAGS = 2.0  # of all the lags
+MODEL_TAU_MIN_S = 1.0
 MODEL_SIGMA_C = 0.1
 MODEL_GAP_S = 10.0
 MODEL_GAIN_START = 0.05  # the calibration knows the drive about so well
@@ -34,7 +34,7 @@ MODEL_DELAY_S = 0.6  # reading to PWM: heaters.PWM_DELAY_S and one report
 OPTIONS: dict[str, tuple[str, ...]] = {
     "pid": ("pid_kp", "pid_ki", "pid_kd"),
     "watermark": ("max_delta",),
-    "practical": ("practical_turn", "practical_cutoff"),
+    "two_period": ("two_period_turn", "two_period_cutoff"),
     "mcu_onoff": (),
     "model": (
         "heater_power_w",
@@ -162,16 +162,16 @@ def _read_watermark(config: ConfigWrapper, max_power: float, smooth_s: float) ->
 
 
 def read_two_period(config: ConfigWrapper, output_high: float) -> two_period.TwoPeriodParameters:
-    """The options of `control: practical`; `output_high` is full drive in the heater's unit (duty or watts)."""
+    """The options of `control: two_period`; `output_high` is full drive in the heater's unit (duty or watts)."""
     return two_period.TwoPeriodParameters(
         output_high,
-        config.getfloat("practical_turn", 0.3, above=0.0, maxval=5.0),
-        config.getfloat("practical_cutoff", 15.0, above=0.0, maxval=50.0),
+        config.getfloat("two_period_turn", 0.3, above=0.0, maxval=5.0),
+        config.getfloat("two_period_cutoff", 15.0, above=0.0, maxval=50.0),
     )
 
 
 def _read_two_period(config: ConfigWrapper, max_power: float, smooth_s: float) -> tuple[Any, Any]:
-    return two_period.PRACTICAL, read_two_period(config, max_power)
+    return two_period.TWO_PERIOD, read_two_period(config, max_power)
 
 
 def model_parameters(values: dict[str, float], max_power: float) -> ModelParameters:
@@ -193,7 +193,7 @@ def model_parameters(values: dict[str, float], max_power: float) -> ModelParamet
         melt_ua_w_k=values["model_melt_w_per_k"],
         hold_s=0.3,
         horizon_s=max(1.0, 1.5 * lags_s),
-        fade_s=max(MODEL_MIN_FADE_S, MODEL_FADE_LAGS * lags_s),
+        tau_s=max(MODEL_TAU_MIN_S, MODEL_TAU_LAGS * lags_s),
         delay_s=MODEL_DELAY_S,
         sigma_c=MODEL_SIGMA_C,
         disturbance_w=MODEL_DISTURBANCE_SHARE * power_w,
@@ -242,7 +242,7 @@ Reader = Callable[[Any, float, float], tuple[Any, Any]]
 LAWS: dict[str, tuple[Reader, type[HeaterLaw]]] = {
     "pid": (_read_pid, PidLaw),
     "watermark": (_read_watermark, WatermarkLaw),
-    "practical": (_read_two_period, TwoPeriodLaw),
+    "two_period": (_read_two_period, TwoPeriodLaw),
     "model": (_read_model, PredictiveLaw),
     "mcu_onoff": (_read_mcu_onoff, WatermarkLaw),
 }

@@ -30,7 +30,7 @@ INDUCTION_OPTIONS = (
         "pid_derivative_time",
         "max_delta",
     ),
-    *heater_laws.OPTIONS["practical"],
+    *heater_laws.OPTIONS["two_period"],
     *("heat_capacity_j_per_k", "loss_factor", "second_mass_factor", "ambient_temp"),
     *("melt_exchange", "melt_heat", "melt_inlet_temp"),
 )
@@ -147,9 +147,9 @@ def options_of(heater: Any) -> Tuning:
     if not is_induction(heater):
         return Tuning(heater.law.options)
     parameters = heater.parameters
-    chosen, loss, base = parameters.control, parameters.plausible.loss, heat_balance_monitor.TwoNodeLoss()
+    chosen, loss, base = parameters.control, parameters.heat_balance.loss, heat_balance_monitor.TwoNodeLoss()
     values = {
-        "heat_capacity_j_per_k": parameters.plausible.heat.at_25c_j_k,
+        "heat_capacity_j_per_k": parameters.heat_balance.heat.at_25c_j_k,
         "loss_factor": loss.link_w_k / base.link_w_k,
         "second_mass_factor": loss.second_j_k / base.second_j_k,
         "ambient_temp": loss.ambient_c,
@@ -165,8 +165,8 @@ def options_of(heater: Any) -> Tuning:
     if isinstance(chosen.parameters, pid.WatermarkParameters):
         values["max_delta"] = chosen.parameters.max_delta_c
     if isinstance(chosen.parameters, two_period.TwoPeriodParameters):
-        values["practical_turn"] = chosen.parameters.turn_c
-        values["practical_cutoff"] = chosen.parameters.cutoff_c
+        values["two_period_turn"] = chosen.parameters.turn_c
+        values["two_period_cutoff"] = chosen.parameters.cutoff_c
     texts = {name: NUMBER.format(value) for name, value in values.items()}
     return Tuning(control=chosen.law.name, **texts)
 
@@ -215,8 +215,8 @@ def use(printer: Printer, heater: Any, tuning: dict[str, str]) -> None:
             heater.parameters,
             control=meant.control,
             loss=meant.loss,
-            track=meant.track,
-            plausible=meant.plausible,
+            filter=meant.filter,
+            heat_balance=meant.heat_balance,
             melt=meant.melt,
         )
     )

@@ -48,7 +48,7 @@ class InductionCalibrate:
             ("INDUCTION_CALIBRATE", self.cmd_calibrate, "Calibrate the nozzle thermometer"),
             ("INDUCTION_STATUS", self.cmd_status, "State of the nozzle thermometer"),
             ("INDUCTION_ZERO", self.cmd_zero, "Correct the thermometer at one known temperature"),
-            ("INDUCTION_REFERENCE", self.cmd_reference, "Tell a manual reference reading"),
+            ("INDUCTION_REFERENCE", self.cmd_reference, "Enter a manual reference reading"),
         )
         heater_tuning.register_commands(self.printer, self.heater, commands)
 
@@ -165,9 +165,9 @@ class InductionCalibrate:
                 supervise=replace(old.supervise, calibrated=True),
                 loss=loss,
                 approach=settings.approach_for(law, old.actuator.law),
-                track=temperature_filter.FilterParameters(loss, heat),
-                plausible=replace(
-                    old.plausible, heat=heat, loss=two_nodes, loss_uncertainty=LOSS_UNCERTAINTY
+                filter=temperature_filter.FilterParameters(loss, heat),
+                heat_balance=replace(
+                    old.heat_balance, heat=heat, loss=two_nodes, loss_uncertainty=LOSS_UNCERTAINTY
                 ),
             )
         )
@@ -197,7 +197,7 @@ class InductionCalibrate:
         parameters, state = self.heater.parameters, self.heater.loop.state
         news = state.estimate
         if not news.valid or self.heater.now_s() - news.time_s > 2.0:
-            raise gcmd.error("INDUCTION_ZERO: there is no believable reading to correct")
+            raise gcmd.error("INDUCTION_ZERO: there is no valid reading to correct")
         shift_c = temp_c - news.temp_c
         if abs(shift_c) > ZERO_LIMIT_C:
             raise gcmd.error(

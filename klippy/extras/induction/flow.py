@@ -1,7 +1,7 @@
 """What is going to take heat from an induction nozzle: the planned extrusion and the part fan, for its control law.
 
 Moves stand in the extruder's motion queue a fraction of a second before they happen; asking the queue costs nothing
-while nothing is printed and does not slow the planning of moves down, as being told of every move would.
+while nothing is printed and does not slow the planning of moves down, as a callback for each move would.
 """
 
 from __future__ import annotations

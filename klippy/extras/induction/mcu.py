@@ -1,9 +1,7 @@
 """The induction unit's border: SI and print time on this side, ticks and clocks on the wire. Decides nothing.
 
     queue_plan([PhaseCommand])     ──> queue_induction_plan clock= steps=    replaces what was pending from then on
-    set_calm(Calm)                 ──> induction_calm records= phase= expected= limit=
-    on_blocks(Blocks)              <── induction_block sequence= clock= data=     a lot of them at a time
-    on_stray()                     <── induction_stray                            not as expected: no more calm
+    on_blocks(Blocks)              <── induction_block sequence= clock= data=     each at once, or in batches
 
 The MCU turns the bridge off by itself when it hears no phase command for `max_duration`, and trips on its own
 table of raw limits, which is sent here once at configuration.
@@ -18,7 +16,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from thermal.control.steady import LOT_S, Calm
 from thermal.records import PHASE_MAX_TICKS, PhaseCommand
 from thermal.sensing import convert
 from thermal.sensing.blocks import Blocks
@@ -27,14 +24,14 @@ from thermal.sensing.guard_limits import LimitRow
 PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
 # Steps that may wait on the MCU at one time: a plan, and what stays of the one before.
 MOVE_QUEUE_SLOTS = 24
-# While nothing happens many messages of blocks wake the host once: waking costs it more than the messages.
-LOT_SLACK_S = 0.015  # should one of them be lost
+# In steady state messages of blocks wake the host in batches: waking costs it more than the messages. Less than the
+# 25 ms between two steps that AHEAD_S of thermal/control/nozzle_model.py reckons with.
+BATCH_S = 0.020
+BATCH_SLACK_S = 0.005  # should a message be lost
 BLOCK_FORMAT = "induction_block oid=%c sequence=%hu clock=%u data=%*s"
-LIMIT_MAX = 1 << 24  # of a block's sum, as in src/attention.h
 PLAN_STEP = struct.Struct("<HH")
 
 OnBlocks = Callable[[Blocks], None]
-OnStray = Callable[[], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +46,7 @@ class UnitSettings:
     max_duration_s: float  # the bridge's own watchdog
     trip_blocks: int  # consecutive blocks beyond a limit before the guard trips
     block_samples: int  # samples of a whole block, at most 4^oversample
-    records: int  # blocks to a message ...
-    calm_records: int  # ... and while nothing happens
+    records: int  # blocks to a message
 
 
 class InductionUnit:
@@ -63,20 +59,15 @@ class InductionUnit:
         self._limits = list(limits)
         self._oid = mcu.create_oid()
         self._on_blocks: OnBlocks = lambda blocks: None
-        self._on_stray: OnStray = lambda: None
         self._queue_plan: Any = None
         self._period_s, self._second_ticks = math.inf, 1
-        self._report: Any = None
-        self._tell_calm: Any = None
-        self._calm: Calm | None = None
+        self._batched = False
         self._stream: convert.Stream | None = None
         mcu.register_config_callback(self._build_config)
-        mcu.register_response(self._handle_stray, "induction_stray", self._oid)
 
-    def setup_callback(self, on_blocks: OnBlocks, on_stray: OnStray) -> None:
-        """`on_blocks(blocks)` in the reactor's thread, for every lot of messages with news; on_stray() before one that
-        begins with blocks not as expected."""
-        self._on_blocks, self._on_stray = on_blocks, on_stray
+    def setup_callback(self, on_blocks: OnBlocks) -> None:
+        """`on_blocks(blocks)` in the reactor's thread, for every batch of messages with news."""
+        self._on_blocks = on_blocks
 
     def _build_config(self) -> None:
         mcu, settings, oid = self.mcu, self.settings, self._oid
@@ -110,11 +101,7 @@ class InductionUnit:
         self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
         self._period_s = period_ticks / clock_hz
         self._second_ticks = round(clock_hz)
-        self._tell_calm = mcu.lookup_command(
-            "induction_calm oid=%c records=%c phase=%hu expected=%u limit=%u", cq=queue
-        )
         mcu.register_batch(self._take_batch, BLOCK_FORMAT)
-        self._report = mcu.lookup_command("induction_report oid=%c enable=%c", cq=queue)
 
     # Samples up
 
@@ -132,10 +119,14 @@ class InductionUnit:
         if blocks.count:
             self._on_blocks(blocks)
 
-    def _handle_stray(self, params: dict[str, Any]) -> None:
-        """The calm is over, also if the MCU was just told to go on with it; what waits here need wait no longer."""
-        self.set_calm(None)
-        self._on_stray()
+    def set_batched(self, batched: bool) -> None:
+        """Messages of blocks may wait for one another, or each is to come at once."""
+        if batched == self._batched:
+            return
+        self._batched = batched
+        message_s = self.settings.records * self.settings.block_samples / self.settings.frequency_hz
+        count = max(1, int(BATCH_S / message_s)) if batched else 0
+        self.mcu.register_batch(self._take_batch, BLOCK_FORMAT, count * message_s + BATCH_SLACK_S, count)
 
     # Phases down
 
@@ -150,30 +141,6 @@ class InductionUnit:
             steps += PLAN_STEP.pack(min(0xFFFF, at - periods), command.phase_ticks)
             periods = at
         self._queue_plan.send([self._oid, clock, steps], minclock=0, reqclock=clock)
-
-    def set_calm(self, calm: Calm | None) -> None:
-        """Blocks may come in bulk and are expected to be so; None: each shall come as soon as may be."""
-        if calm == self._calm:
-            return
-        settings, was_calm, self._calm = self.settings, self._calm is not None, calm
-        if calm is None:
-            self._tell_calm.send([self._oid, settings.records, 0, 0, 0])
-            self.mcu.register_batch(self._take_batch, BLOCK_FORMAT)
-            return
-        samples = settings.block_samples
-        expected, limit = round(calm.expected_raw * samples), math.ceil(calm.limit_raw * samples)
-        limit = 0 if expected < 0 or limit > LIMIT_MAX else limit
-        self._tell_calm.send([self._oid, settings.calm_records, calm.phase_ticks, max(0, expected), limit])
-        if not was_calm:
-            message_s = settings.calm_records * samples / settings.frequency_hz
-            most = max(1, round(LOT_S / message_s))
-            self.mcu.register_batch(self._take_batch, BLOCK_FORMAT, most * message_s + LOT_SLACK_S, most)
-
-    def set_report(self, enable: bool) -> None:
-        """Start or stop sampling and reports."""
-        self._report.send([self._oid, int(enable)])
-        if self._stream is not None:
-            self._stream.restart()
 
     def print_time_now(self, eventtime: float) -> float:
         """Estimated present print time of this MCU."""

@@ -24,6 +24,7 @@ from thermal.sensing import (
 from ..heater import laws as heater_laws
 from .mcu import UnitSettings
 
+LOOK_SAMPLES, LONG_LOOK_SAMPLES = 16, 64
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
 GUARD_LOW_C = -60.0  # below any workshop by more than the law's error
 ADC_MAX_12_BIT = 4095
@@ -39,8 +40,6 @@ DEFAULT_LEAD_S = 0.015
 # So far a nozzle warms on once a law that swings has cut the power; supervision leaves as much again.
 LATE_C = 5.0
 DEFAULT_BLOCK_SAMPLES = 192  # 1.6 ms at 120 kHz
-RECORDS_MAX = 7  # of 6 bytes fit one message
-CALM_MESSAGE_S = 0.0115  # while nothing happens: a message each 11.2 ms
 DEFAULT_RECORDS = 3  # a message each 4.8 ms: 7.5 kB/s of a 25 kB/s line
 DEFAULT_CONTROL_S = 0.008  # a phase step costs 20 samples of settling: 2 % of the signal
 
@@ -80,7 +79,6 @@ def read_unit(config: ConfigWrapper) -> UnitSettings:
         maxval=longest,
     )
     records = config.getint("records_per_message", DEFAULT_RECORDS, minval=1, maxval=3)
-    calm_records = min(RECORDS_MAX, int(CALM_MESSAGE_S * frequency_hz / block_samples))
     return UnitSettings(
         config.getint("bridge", 0, minval=0, maxval=255),
         frequency_hz,
@@ -91,7 +89,6 @@ def read_unit(config: ConfigWrapper) -> UnitSettings:
         config.getint("guard_trip_blocks", 12, minval=1, maxval=255),
         block_samples,
         records,
-        max(records, calm_records),
     )
 
 
@@ -106,7 +103,16 @@ def _timing(config: ConfigWrapper, unit: UnitSettings) -> loop.Timing:
     )
 
 
-def _drive(config: ConfigWrapper, timing: loop.Timing, frequency_hz: float) -> actuator.ActuatorParameters:
+def look_times_s(unit: UnitSettings) -> tuple[float, float]:
+    """(Short, long) look at the sensing phase: settling, and a block cut as short as the MCU sends; 0: too long."""
+    smallest = unit.block_samples // 16 + 4
+    if smallest > LONG_LOOK_SAMPLES:
+        return 0.0, 0.0
+    short, long = (unit.settle_samples + max(smallest, n) for n in (LOOK_SAMPLES, LONG_LOOK_SAMPLES))
+    return short / unit.frequency_hz, long / unit.frequency_hz
+
+
+def _drive(config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings) -> actuator.ActuatorParameters:
     vdc_v = config.getfloat("vdc", 24.0, above=0.0)
     law = DriveLaw(
         config.getfloat("power_full_w", 81.3, above=0.0),
@@ -114,13 +120,16 @@ def _drive(config: ConfigWrapper, timing: loop.Timing, frequency_hz: float) -> a
         vdc_v,
         config.getfloat("vdc_reference", 24.0, above=0.0),
     )
-    pulse_s = timing.block_s + timing.settle_s + SETTLE_MARGIN_SAMPLES / frequency_hz
+    pulse_s = timing.block_s + timing.settle_s + SETTLE_MARGIN_SAMPLES / unit.frequency_hz
+    look_s, long_look_s = look_times_s(unit)
     return actuator.ActuatorParameters(
         law,
         pulse_s,
         config.getfloat("sense_interval", 0.100, minval=2.0 * pulse_s, maxval=1.0),
         config.getfloat("idle_interval", 0.500, minval=2.0 * pulse_s, maxval=1.0),
         pulses_max=max(2, math.ceil(timing.control_s / pulse_s) + 1),
+        look_s=look_s,
+        long_look_s=long_look_s,
     )
 
 
@@ -145,7 +154,7 @@ def _control(
 ) -> loop.Control:
     """The control law by name; the options of all are read, switching is no reason to delete a tuning."""
     choice = config.getchoice(
-        "control", {name: name for name in ("model", "pid", "watermark", "practical")}, "model"
+        "control", {name: name for name in ("model", "pid", "watermark", "two_period")}, "model"
     )
     power_max_w = config.getfloat("max_power_w", drive.power_max_w, above=0.0, maxval=drive.power_max_w)
     pid = _pid(config, power_max_w)
@@ -163,19 +172,19 @@ def _control(
     if choice == "watermark":
         cycle_c, beyond_c = watermark.max_delta_c, watermark.max_delta_c + LATE_C
         return loop.Control(pid_control.WATERMARK, watermark, power_max_w, cycle_c=cycle_c, beyond_c=beyond_c)
-    if choice == "practical":
+    if choice == "two_period":
         cycle_c = heater_laws.TWO_PERIOD_BUSY_C
         beyond_c = table.cutoff_c + LATE_C
-        return loop.Control(two_period.PRACTICAL, table, power_max_w, cycle_c=cycle_c, beyond_c=beyond_c)
+        return loop.Control(two_period.TWO_PERIOD, table, power_max_w, cycle_c=cycle_c, beyond_c=beyond_c)
     return loop.Control(predictive.MODEL, held, power_max_w, models=True)
 
 
 def remodelled(parameters: loop.LoopParameters) -> loop.LoopParameters:
-    """The same with the model law told what the heat balance knows now: a calibration measures both at once."""
+    """The same, the predictive law with the losses of the heat balance: a calibration measures both at once."""
     chosen = parameters.control
     if not chosen.models:
         return parameters
-    balance = parameters.plausible
+    balance = parameters.heat_balance
     held = nozzle_model.nozzle_model(
         balance.heat, balance.loss, chosen.power_max_w, parameters.timing, parameters.melt
     )
@@ -223,7 +232,7 @@ def _melt(config: ConfigWrapper) -> melt_exchange.MeltExchange:
     )
 
 
-def _plausible(
+def _heat_balance(
     config: ConfigWrapper, heat: heat_loss.HeatCapacity, loss: heat_loss.LossLaw
 ) -> heat_balance_monitor.HeatBalanceParameters:
     return heat_balance_monitor.HeatBalanceParameters(
@@ -239,7 +248,7 @@ def _plausible(
 
 
 def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParameters:
-    """Everything the chain of one nozzle is told."""
+    """All parameters of the chain of one nozzle."""
     law, calibrated = read_law(config)
     front = features.FeatureParameters(
         config.getfloat("adc_zero", 256.0),
@@ -251,10 +260,10 @@ def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParam
     temp_low_c = config.getfloat("min_temp", -10.0, minval=-20.0)
     temp_high_c = config.getfloat("max_temp", above=max(temp_low_c, 0.0), maxval=700.0)
     timing = _timing(config, unit)
-    drive = _drive(config, timing, unit.frequency_hz)
+    drive = _drive(config, timing, unit)
     loss = _loss(config)
     heat = heat_loss.HeatCapacity(config.getfloat("heat_capacity_j_per_k", 0.414, above=0.0))
-    balance = _plausible(config, heat, loss)
+    balance = _heat_balance(config, heat, loss)
     melt = _melt(config)
     return loop.LoopParameters(
         front,

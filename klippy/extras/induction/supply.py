@@ -1,7 +1,7 @@
 """The bridge's supply voltage, measured, for an [induction_heater]: options vdc_pin, vdc_scale.
 
 Heat goes with V^1.5 and the steel's saturation with V, so a sagging supply costs power and moves the thermometer.
-Without a sensor the option `vdc` is believed.
+Without a sensor the option `vdc` is used.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ MIN_V = 5.0  # below, the wire is off or the supply is: keep what was known
 
 
 class SupplySensor:
-    """An ADC pin behind a divider; tells the heater when the voltage moves."""
+    """An ADC pin behind a divider; the heater gets each change of the voltage."""
 
     def __init__(self, adc: Any, volt_full_scale: float) -> None:
         self.volt_full_scale = volt_full_scale

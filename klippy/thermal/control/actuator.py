@@ -23,6 +23,12 @@ from thermal.models.drive_law import DriveLaw
 from thermal.records import PhaseCommand, Planned
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 
+LOOK_SHARE = 0.05  # of full power: a weaker drive is read without looks
+# From look to look the nozzle rises by this much, within these times. A look of 0.3 ms each 18 ms costs 1.7 % of power.
+LOOK_C, LOOK_MIN_S, LOOK_MAX_S = 6.0, 0.018, 0.100
+LOOK_RARE_S = 0.050  # so far apart they may be long
+LOOK_DOUBT_C = 20.0  # more doubt about full drive than this: a look at each command
+
 
 @dataclass(frozen=True, slots=True)
 class ActuatorParameters:
@@ -31,13 +37,17 @@ class ActuatorParameters:
     law: DriveLaw
     pulse_s: float  # settling plus one whole block
     sense_interval_s: float = 0.1  # longest time without a pulse while a target is set
-    idle_interval_s: float = 0.5  # the same with the heater off, if heard: 1.5 W * 8.9 ms / 0.5 s = 27 mW
+    idle_interval_s: float = (
+        0.5  # the same with the heater off, if its blocks arrive: 1.5 W * 8.9 ms / 0.5 s = 27 mW
+    )
     phase_low_ticks: int = SENSING_PHASE_TICKS
     pulses_max: int = 2  # in one piece: as many as fill the time until the next command
+    look_s: float = 0.0  # a look at the sensing phase within a strong drive; 0: none ...
+    long_look_s: float = 0.0  # ... and one that is taken rarely
 
     @property
     def power_low_w(self) -> float:
-        """Heat at the least useful phase."""
+        """Heat at the smallest useful phase."""
         return self.law.power_w(self.phase_low_ticks)
 
 
@@ -49,11 +59,12 @@ class ActuatorState:
     request_w: float = 0.0  # request in force since last_s
     owed_j: float = 0.0  # asked minus delivered
     last_excited_s: float = -math.inf  # end of the last pulse or continuous drive
-    driving: bool = False  # continuous drive (phase above the least one) since last_s
+    driving: bool = False  # continuous drive (phase above the smallest) since last_s
+    look_s: float = -math.inf  # start of the newest look at the sensing phase
 
 
 def _account(parameters: ActuatorParameters, state: ActuatorState, time_s: float) -> None:
-    """Book the request of the interval that ends now. Continuous drive delivers what is asked."""
+    """Add the request of the interval that ends now. Continuous drive delivers what is requested."""
     if state.driving:
         state.last_excited_s = time_s
         state.owed_j = 0.0
@@ -105,9 +116,9 @@ def actuate(
 def ahead(
     parameters: ActuatorParameters, first: PhaseCommand, horizon: Sequence[Planned]
 ) -> list[PhaseCommand]:
-    """Commands after `first` that follow a law's horizon; told for the case that nothing newer arrives.
+    """Commands after `first` that follow a law's horizon, for the case that nothing newer arrives.
 
-    Below the least useful phase the bridge is off or at that phase, whichever is nearer: pulses are booked only
+    Below the smallest useful phase the bridge is off or at that phase, whichever is nearer: pulses are booked only
     when they are sure to come.
     """
     law, low_w = parameters.law, parameters.power_low_w
@@ -121,3 +132,28 @@ def ahead(
         before = PhaseCommand(planned.time_s, phase, law.power_w(phase))
         commands.append(before)
     return commands
+
+
+def with_look(
+    parameters: ActuatorParameters,
+    state: ActuatorState,
+    commands: list[PhaseCommand],
+    rate_k_s: float,
+    doubt_c: float,
+) -> list[PhaseCommand]:
+    """A strong drive begins with a look at the sensing phase, if one is due: where the reading is true. It shows by how
+    much that of the strong drive is off (thermal/sensing/drive_offset.h).
+
+    `rate_k_s`: heating rate of the commands; `doubt_c`: 1 sigma of what full drive adds to the reading.
+    """
+    first = commands[0]
+    strong = (first.phase_ticks / parameters.law.phase_max_ticks) ** 2 >= LOOK_SHARE
+    if not strong or not parameters.look_s:
+        return commands
+    apart_s = min(LOOK_MAX_S, max(LOOK_MIN_S, LOOK_C / max(1e-3, rate_k_s)))
+    if 0.0 < first.time_s - state.look_s < (0.0 if doubt_c > LOOK_DOUBT_C else apart_s):
+        return commands
+    state.look_s = first.time_s
+    after_s = first.time_s + (parameters.long_look_s if apart_s >= LOOK_RARE_S else parameters.look_s)
+    look = PhaseCommand(first.time_s, parameters.phase_low_ticks, parameters.power_low_w)
+    return [look, first._replace(time_s=after_s), *(c for c in commands[1:] if c.time_s > after_s)]

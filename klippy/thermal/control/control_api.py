@@ -12,7 +12,7 @@ is known (induction), duty 0..1 elsewhere.
                `applied`: mean output in force since the step before (NaN: what was returned before)
 
 A law uses what it understands and leaves the rest: a PID looks at `reference_c` and `measured_c` only, the
-model law also at sigma, times, reference ahead, flow and fan.
+predictive law also at sigma, times, reference ahead, flow and fan.
 """
 
 from __future__ import annotations
@@ -134,7 +134,6 @@ class ControlInput(NamedTuple):
         math.nan
     )  # from when this output will be in force; NaN: time_s + the parameters' own delay
     reference: Reference | None = None  # the wanted temperature ahead; None: reference_c from now on
-    hold_s: float = math.nan  # for how long; NaN: the parameters' own
     samples: Sequence[Sample] = ()  # what measured_c is the newest of, where there are several to a step
     pending: tuple[Planned, ...] | None = (
         None  # decided before, in force until apply_s; None: as this law returned it

@@ -1,4 +1,4 @@
-"""The model law's parameters for an induction nozzle, from what the rest of the chain knows of it.
+"""Parameters of the predictive law for an induction nozzle, from what the rest of the chain knows of it.
 
 Heat capacity and the paths of heat come from the calibration (or are those of the reference nozzle), melt and fan
 from their options; nothing here is tuned twice.
@@ -13,19 +13,19 @@ from thermal.sensing.heat_balance_monitor import TwoNodeLoss
 
 from .timeline import Timing
 
-FADE_S = 0.045  # five control intervals: noise of the estimate is not chased
+TAU_S = 0.045  # five control intervals: noise of the estimate is not chased
 FAN_W_K = 5e-3
 FLOW_LAG_S = 0.020  # compliance between motor and nozzle
 # Plan this far ahead. The output of a step holds from 15 to 23 ms after it; the next step is up to 25 ms later, 50 if
 # the host is late, and holds 23 ms after that: until then, 90 ms after the first, the MCU goes by the plan.
 AHEAD_S = 0.090
-# Random walk of heat nobody told of, W within a second, while nothing speaks for more (predictive_filter.h: lean,
+# Process noise of the disturbance power, W per sqrt(s), while the innovations show no bias (predictive_filter.h: lean,
 # surprise). On the reference nozzle 0.2, 0.3, 0.5, 1.5 W give 0.05, 0.06, 0.07, 0.11 degC of ripple peak to peak, and
 # a host late by 50 ms makes of them 0.06, 0.07, 0.09, 0.16; an unplanned flow of 25 mm3/s costs 0.7 degC with each.
 DISTURBANCE_W = 0.3
 DISTURBANCE_W2_PER_K = 0.012  # 1.6 W over a climb to 250 degC: losses wrong by 30 % are learned on the way
 # What the drive by itself adds to the reading, degC at full drive: C1 off by 0.1 % makes it 7 near holding power, which
-# is learned from 1 as well as from 8. The more is expected, the longer flow nobody told of is taken for it: with 8 an
+# is learned from 1 as well as from 8. The more is expected, the longer unannounced flow is taken for it: with 8 an
 # uncalibrated nozzle comes back 0.15 s later.
 SLANT_C = 1.0
 DISTURBANCE_MAX_W = 20.0  # melt at any flow, a draught, losses wrong by half: 15 W
@@ -60,7 +60,7 @@ def nozzle_model(
         bore_s=melt.bore_lag_s,
         flow_s=FLOW_LAG_S,
         hold_s=stride_s,
-        fade_s=FADE_S,
+        tau_s=TAU_S,
         delay_s=timing.lead_s,
         ahead=round(AHEAD_S / stride_s),
         disturbance_w=DISTURBANCE_W,

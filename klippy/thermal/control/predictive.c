@@ -10,7 +10,7 @@ struct future {
     double gain, disturbance_w;
     struct model_nodes nodes;
     double time_s;
-    struct model_nodes without, reached;    // one horizon on, with no output and with the most
+    struct model_nodes without, reached;    // one horizon on, with no output and with full output
 };
 
 static double
@@ -19,12 +19,13 @@ wanted_c(const struct model_inputs *in, double time_s)
     return in->reference ? model_line_corner(in->reference, time_s) : in->reference_c;
 }
 
-// Temperature the controlled node shall have at `time_s + dt_s`; `fade`: what is left of a small deviation by then.
+// Temperature wanted of the controlled node at `time_s + dt_s`; `remaining`: share of a small deviation left by then.
 static double
-aim(const struct model_params *p, const struct model_inputs *in, double temp_c, double time_s, double dt_s, double fade)
+wanted_after(const struct model_params *p, const struct model_inputs *in, double temp_c, double time_s, double dt_s,
+             double remaining)
 {
     double now_c = wanted_c(in, time_s), then_c = wanted_c(in, time_s + dt_s);
-    return then_c - lesser(p->knee_c, greater(-p->knee_c, now_c - temp_c)) * fade;
+    return then_c - lesser(p->band_c, greater(-p->band_c, now_c - temp_c)) * remaining;
 }
 
 // The nodes after `dt_s` of one output. Surroundings are taken at the middle of each piece.
@@ -61,28 +62,17 @@ go_through(struct future *f, const struct model_planned *decided, int count, dou
     hold(f, output, until_s - f->time_s);
 }
 
-// How far one output brings the nodes within a horizon: none, and the most.
-static void
-reach(struct future *f, double most, double horizon_s)
-{
-    f->without = f->reached = f->nodes;
-    run_on(f, &f->without, 0.0, f->time_s, horizon_s);
-    run_on(f, &f->reached, most, f->time_s, horizon_s);
-}
-
-// Unlimited output from now on, which will stay for `hold_s`: that long it looks ahead, or as far as the model says.
+// Unlimited output from now on: how far no output and full output bring the nodes within the horizon, and between them.
 static double
-choose(struct future *f, double most, double hold_s)
+choose(struct future *f, double full)
 {
     const struct model_params *p = f->p;
-    int is_long = hold_s > p->aim_s;
-    double horizon_s = is_long ? hold_s : p->aim_s, fade = p->fade;
-    if (is_long)
-        fade = p->fade_s ? exp(-horizon_s / p->fade_s) : 0.0;
-    double aim_c = aim(p, f->in, f->nodes.temp_c, f->time_s, horizon_s, fade);
-    reach(f, most, horizon_s);
+    double target_c = wanted_after(p, f->in, f->nodes.temp_c, f->time_s, p->prediction_s, p->remaining);
+    f->without = f->reached = f->nodes;
+    run_on(f, &f->without, 0.0, f->time_s, p->prediction_s);
+    run_on(f, &f->reached, full, f->time_s, p->prediction_s);
     double reach_c = f->reached.temp_c - f->without.temp_c;
-    return reach_c > 1e-9 ? most * (aim_c - f->without.temp_c) / reach_c : 0.0;
+    return reach_c > 1e-9 ? full * (target_c - f->without.temp_c) / reach_c : 0.0;
 }
 
 // Within the power's range, the step's limit and the slew rate.
@@ -96,11 +86,11 @@ limited(const struct model_params *p, const struct model_inputs *in, double valu
 
 // Nothing is going to happen within the horizon that a single output does not do.
 static int
-is_calm(const struct future *f)
+is_unchanging(const struct future *f)
 {
     const struct model_params *p = f->p;
     const struct model_inputs *in = f->in;
-    double now_s = f->time_s, end_s = now_s + (p->ahead + 1) * p->aim_s, now_c = wanted_c(in, now_s);
+    double now_s = f->time_s, end_s = now_s + (p->ahead + 1) * p->prediction_s, now_c = wanted_c(in, now_s);
     if (fabs(now_c - f->nodes.temp_c) >= SETTLED_C)
         return 0;
     if (in->reference) {
@@ -129,31 +119,31 @@ static double
 plan_stride(struct future *f, const struct model_nodes *added, double output, double strides)
 {
     const struct model_params *p = f->p;
-    double reach_c = greater(added->temp_c, 1e-12), dt_s = strides * p->aim_s;
-    double fade = strides > 1.0 ? p->fade * p->fade : p->fade;
-    double aim_c = aim(p, f->in, f->nodes.temp_c, f->time_s, dt_s, fade);
+    double reach_c = greater(added->temp_c, 1e-12), dt_s = strides * p->prediction_s;
+    double remaining = strides > 1.0 ? p->remaining * p->remaining : p->remaining;
+    double target_c = wanted_after(p, f->in, f->nodes.temp_c, f->time_s, dt_s, remaining);
     hold(f, output, dt_s);
-    double wanted = output + (aim_c - f->nodes.temp_c) / (strides * reach_c);
-    double change = limited(p, f->in, wanted, output, p->aim_s) - output;
+    double wanted = output + (target_c - f->nodes.temp_c) / (strides * reach_c);
+    double change = limited(p, f->in, wanted, output, p->prediction_s) - output;
     if (change)
         model_nodes_add(&f->nodes, change * strides, added);
     return output + change;
 }
 
 // What follows the first output, as far as it differs; ends holding the wanted temperature. What comes later will
-// most likely be said anew: those strides are twice as long.
+// probably be replaced: those strides are twice as long.
 static void
 plan(struct future *f, double first, struct model_output *out)
 {
     const struct model_params *p = f->p;
-    double most = p->output_high, output = first, said = first;
-    struct model_nodes added = model_nodes_per(&f->reached, &f->without, most);
-    hold(f, output, p->aim_s);
+    double full = p->output_high, output = first, said = first;
+    struct model_nodes added = model_nodes_per(&f->reached, &f->without, full);
+    hold(f, output, p->prediction_s);
     int doubles = p->ahead > SINGLE_STEPS - 1 ? (p->ahead - SINGLE_STEPS + 1) / 2 : 0;
     for (int i = 0; i < p->ahead - doubles; i++) {
         double start_s = f->time_s;
         output = plan_stride(f, &added, output, i < p->ahead - 2 * doubles ? 1.0 : 2.0);
-        if (fabs(output - said) > SAME_SHARE * most) {
+        if (fabs(output - said) > SAME_SHARE * full) {
             say(out, start_s, output);
             said = output;
         }
@@ -162,7 +152,7 @@ plan(struct future *f, double first, struct model_output *out)
     double power_w = model_hold_w(p, end_c, model_line_step(f->in->flow, end_s), model_line_step(f->in->fan, end_s));
     power_w -= f->disturbance_w;
     double holding = greater(0.0, power_w / (model_heat_per_output_w(p, end_c) * f->gain));
-    if (said > holding + HOLDING_SHARE * most)
+    if (said > holding + HOLDING_SHARE * full)
         say(out, end_s, lesser(holding, said));
 }
 
@@ -220,18 +210,15 @@ decide(const struct model_params *p, const struct model_state *s, const struct m
     else
         go_through(&f, in->pending, in->pending_count, before, apply_s);
     double at_c = out->predicted_c = f.nodes.temp_c;
-    double hold_s = in->hold_s == in->hold_s ? in->hold_s : p->hold_s;
-    out->unlimited = choose(&f, p->output_high, hold_s);
-    out->value = limited(p, in, out->unlimited, s->output, hold_s);
+    out->unlimited = choose(&f, p->output_high);
+    out->value = limited(p, in, out->unlimited, s->output, p->hold_s);
     double per_output_w = model_heat_per_output_w(p, at_c) * s->gain;
     double lost_w = model_hold_w(p, at_c, model_line_step(in->flow, apply_s), model_line_step(in->fan, apply_s));
     out->feedforward = lost_w / per_output_w;
     out->integral = -s->disturbance_w / per_output_w;
     out->proportional = out->unlimited - out->feedforward - out->integral;
-    if (!p->ahead || is_calm(&f))
+    if (!p->ahead || is_unchanging(&f))
         return;
-    if (hold_s > p->aim_s)
-        reach(&f, p->output_high, p->aim_s); // a plan goes in strides of that
     plan(&f, out->value, out);
 }
 

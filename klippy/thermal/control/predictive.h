@@ -1,26 +1,26 @@
 #ifndef CHELPER_MODELLAW_H
 #define CHELPER_MODELLAW_H
-// The model law: what the filter knows, carried forward to when an output holds, and the output that fits.
+// The predictive law: what the filter knows, carried forward to when an output holds, and the output that fits.
 // Explained in klippy/thermal/control/predictive.py.
 
 #include "predictive_filter.h"
 
-// Outputs nearer than this (of the most) are one and the same step.
+// Outputs nearer than this (of full output) are one and the same step.
 #define SAME_SHARE 0.004
 // Nearer than this to the reference, and not about to change: no horizon is worth sending.
 #define SETTLED_C 0.25
 #define SETTLED_MM3_S 0.2 // the flow at the nozzle still follows that of the motor when farther from it than this
 #define SINGLE_STEPS 6    // of the plan; the later ones are twice as long
 #define PIECE_S 0.02      // flow and fan are looked at so often
-#define HOLDING_SHARE 0.05 // of the most: a plan's last output above holding power by this much ends in that
+#define HOLDING_SHARE 0.05 // of full output: a plan's last output above holding power by this much ends in that
 
 enum { MODEL_HORIZON = 64 };
 
 // control_api.ControlInput; NaN and NULL where that has NaN and None
 struct model_inputs {
-    double time_s, reference_c, measured_c, limit, sigma_c, applied, apply_s, hold_s;
+    double time_s, reference_c, measured_c, limit, sigma_c, applied, apply_s;
     int32_t is_rebased;
-    int32_t is_alone;                           // nobody tells what is pending: it is what the law remembers
+    int32_t is_alone;                           // the caller does not know what is pending: it is what the law remembers
     int32_t sample_count, pending_count;
     const struct model_sample *samples;
     const struct model_planned *pending;
@@ -37,7 +37,7 @@ struct model_output {
 // One step; `after` may be `before`.
 void model_step(const struct model_params *p, const struct model_state *before, const struct model_inputs *in,
                 struct model_state *after, struct model_output *out);
-// Somebody else's output; a filter that knows nothing begins at `seen` (NULL: nothing seen), told what holds it there.
+// Somebody else's output; a filter that knows nothing begins at `seen` (NULL: nothing seen); `output` holds it there.
 void model_follow(const struct model_params *p, struct model_state *s, const struct model_sample *seen,
                   const struct model_line *flow, const struct model_line *fan, double output);
 

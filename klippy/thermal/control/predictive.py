@@ -5,21 +5,21 @@
          reference, flow, fan ahead ──────────────────────────────────────────────────► choose ─► output, horizon
 
 Prediction takes the delays out: measuring, link, command lead and heater element are behind us when the choice
-is made. The choice is one number u for the time from t on: with u held the controlled node shall be at
-`aim` a horizon H later. The model is linear in u as near as matters, so two runs (u = 0 and u = most) give it:
+is made. The choice is one number u for the time from t on: with u held the controlled node is at
+T* one prediction horizon H later. The model is almost linear in u, so two runs (u = 0 and u = full) give it:
 
-    T(t+H | u) = T0 + u/most (T1 - T0)  =  aim        aim = r(t+H) - e(H)
+    T(t+H | u) = T0 + u/full (T1 - T0)  =  T*         T* = r(t+H) - e(H)
 
-    e(H) = e exp(-H/fade) for small deviations e = r - T;  no more than the knee's for large ones
+    e(H) = e exp(-H/tau) for small deviations e = r - T;  e outside the proportional band counts as its edge
 
-so a large deviation is run down at the limit of the power and its last degrees fade. Losses, fan, melt of the
-planned flow and the learned disturbance are in T0: that is the feed-forward. Limits are exact: the output is
-cut to 0..most, to the step's limit, to the slew rate, and the next choice starts from what will be, not from
-what was wished. Nothing is integrated but the disturbance, in the filter: nothing winds up.
+so a large deviation falls at full power, and its last degrees with the closed-loop time constant tau. Losses, fan,
+melt of the planned flow and the learned disturbance are in T0: that is the feed-forward. Limits are exact: the
+output is cut to 0..full, to the step's limit, to the slew rate, and the next choice starts from what will be, not
+from what was requested. Nothing is integrated but the disturbance, in the filter: nothing winds up.
 
 The horizon: the same choice again from the predicted state, `ahead` times, should the host be late. What one
 unit of output does within H is known from the two runs above, so each further choice takes one run: with the
-output before it, and by how much that misses its aim.
+output before it, and by how much that misses T*.
 
 All of it is thermal/control/predictive.c; here it is given its input, and its output is taken from it.
 """
@@ -41,14 +41,14 @@ __all__ = ["MODEL", "ModelParameters", "ModelState", "model_follow", "model_step
 
 PENDING_ROOM = 32  # decided before and not in force yet; more are taken, too
 
-_FIGURES = struct.Struct("=8d4i")  # head of struct model_inputs
+_FIGURES = struct.Struct("=7d4i")  # head of struct model_inputs
 _OUTPUT = struct.Struct("=7di4x")  # head of struct model_output
 _PLANNED = struct.Struct("=2d")
 _new_output = partial(tuple.__new__, ControlOutput)
 _new_planned = partial(tuple.__new__, Planned)
 
 
-class _Desk:
+class _Buffers:
     """Where a step's input and output lie in C: one for all heaters, one step after another."""
 
     def __init__(self) -> None:
@@ -68,7 +68,7 @@ class _Desk:
         self.given.pending = self._pending
 
     def put(self, inputs: ControlInput, time_s: float, samples: Samples) -> None:
-        """Lay out the input; its samples, reference, flow and fan are pointed to."""
+        """Write the input; its samples, reference, flow and fan are pointed to."""
         given, pending = self.given, inputs.pending or ()
         count = len(pending)
         if count > self._room:
@@ -85,7 +85,6 @@ class _Desk:
             inputs.sigma_c,
             inputs.applied,
             inputs.apply_s,
-            inputs.hold_s,
             inputs.rebased,
             inputs.pending is None,
             samples.size,
@@ -105,18 +104,18 @@ class _Desk:
         return _new_output((*figures, horizon))
 
 
-_desk = cache(_Desk)
+_buffers = cache(_Buffers)
 
 
 def model_step(
     p: ModelParameters, state: ModelState, inputs: ControlInput, time_s: float
 ) -> tuple[ControlOutput, ModelState]:
     """One step with the measurements up to `time_s`; the output is meant from apply_s on."""
-    desk, samples = _desk(), Samples.of(inputs.samples)
-    desk.put(inputs, time_s, samples)
-    after = desk.ffi.new(desk.state_type)
-    desk.lib.model_step(p.packed(), state.raw, desk.given, after, desk.found)
-    return desk.output(), ModelState(after)
+    buffers, samples = _buffers(), Samples.of(inputs.samples)
+    buffers.put(inputs, time_s, samples)
+    after = buffers.ffi.new(buffers.state_type)
+    buffers.lib.model_step(p.packed(), state.raw, buffers.given, after, buffers.found)
+    return buffers.output(), ModelState(after)
 
 
 def model_follow(p: ModelParameters, state: ModelState, inputs: ControlInput, output: float) -> ModelState:

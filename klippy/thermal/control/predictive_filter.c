@@ -1,4 +1,4 @@
-// What the samples of a message tell of the model's state. See predictive_filter.h.
+// The model's state from the samples of a message. See predictive_filter.h.
 
 #include "predictive_filter.h"
 #include "thermal/models/physics.h"
@@ -21,7 +21,7 @@ struct run {
     double pulled;              // of innovation times that
     double passed;              // of output times time
     double innovation_c;        // weighted mean
-    double heard_s;
+    double measured_s;
     double output;              // mean over the time walked
     double rebased_c;           // 1 sigma of what a step of the drive may have moved the reading, 0: there was none
     double driven, offset_c, offset_output;
@@ -70,7 +70,7 @@ model_layout(const struct model_params *p)
 void
 model_reset(struct model_state *s)
 {
-    *s = (struct model_state){.time_s = NAN, .nodes = {NAN, NAN, NAN, NAN, NAN, 0.0}, .gain = 1.0, .heard_s = -INFINITY};
+    *s = (struct model_state){.time_s = NAN, .nodes = {NAN, NAN, NAN, NAN, NAN, 0.0}, .gain = 1.0, .measured_s = -INFINITY};
 }
 
 void
@@ -98,7 +98,7 @@ model_begin(const struct model_params *p, struct model_state *s, double temp_c, 
     s->size = at.size;
     s->nodes_known = at.nodes;
     s->nodes = model_at_rest(p, temp_c);
-    s->time_s = s->heard_s = time_s;
+    s->time_s = s->measured_s = time_s;
     s->gain = gain;
     s->disturbance_w = s->innovation_c = s->driven = s->offset_c = s->offset_output = s->lean = s->slant_c = 0.0;
     s->usual = s->output / p->output_high;
@@ -113,9 +113,9 @@ trust(struct model_state *s, int place, double sigma)
 }
 
 static double
-bounded(double value, double most)
+bounded(double value, double limit)
 {
-    return lesser(most, greater(-most, value));
+    return lesser(limit, greater(-limit, value));
 }
 
 void
@@ -190,7 +190,7 @@ spread(const struct model_params *p, const struct model_places *at, double rows[
     }
 }
 
-// The offset of a stepped reading, as far as this sample tells; returns what the reading is off by without it.
+// The offset of a stepped reading, as far as this sample shows it; returns what the reading is off by without it.
 static double
 stepped_off(struct run *run, const struct model_sample *sample, double sigma_c, double off_c)
 {
@@ -227,7 +227,7 @@ pass(const struct model_params *p, const struct model_state *s, struct run *run,
         run->weight += share;
         run->levered += share * lever;
         run->pulled += share * off_c;
-        run->heard_s = sample->time_s;
+        run->measured_s = sample->time_s;
         run->driven = sample->output;
     }
     run->passed += sample->output * span_s;
@@ -253,7 +253,7 @@ static struct run
 walk_through(const struct model_params *p, const struct model_state *s, const struct model_sample *samples, int count,
              const struct model_line *flow, const struct model_line *fan)
 {
-    struct run run = {.nodes = s->nodes, .time_s = s->time_s, .heard_s = s->heard_s, .driven = s->driven,
+    struct run run = {.nodes = s->nodes, .time_s = s->time_s, .measured_s = s->measured_s, .driven = s->driven,
                       .offset_c = s->offset_c, .offset_output = s->offset_output, .usual = s->usual};
     struct group g = {.end_s = NAN, .output = NAN};
     for (const struct model_sample *sample = samples; sample < samples + count; sample++) {
@@ -353,7 +353,7 @@ update(const struct model_params *p, const struct model_places *at, struct model
     s->slant_c += at->slant >= 0 ? gains[at->slant] * by_c : 0.0;
     move(p, at, &s->nodes, gains, by_c);
     s->innovation_c = by_c;
-    s->heard_s = run->heard_s;
+    s->measured_s = run->measured_s;
     s->driven = run->driven;
     s->offset_c = run->offset_c;
     s->offset_output = run->offset_output;
@@ -422,7 +422,7 @@ model_observe(const struct model_params *p, struct model_state *s, const struct 
         return;
     struct model_places at = model_layout(p);
     int is_other = !s->size || s->nodes_known != at.nodes;
-    if (!is_number(s->time_s) || is_other || samples[count - 1].end_s - s->heard_s > p->gap_s) {
+    if (!is_number(s->time_s) || is_other || samples[count - 1].end_s - s->measured_s > p->gap_s) {
         begin_anew(p, s, samples, count);
         return;
     }

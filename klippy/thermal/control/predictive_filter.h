@@ -1,6 +1,6 @@
 #ifndef CHELPER_MODELFILTER_H
 #define CHELPER_MODELFILTER_H
-// Kalman filter around the model of heater_model.h: temperatures, disturbance power, gain of the drive.
+// Kalman filter of predictive control, around heater_model.h: temperatures, disturbance power, gain of the drive.
 // Its equations: klippy/thermal/control/predictive_filter.py. What tunes every heater's filter alike stands here; what differs from
 // heater to heater is in struct model_params.
 
@@ -9,12 +9,12 @@
 
 #define GAIN_MIN 0.1
 #define GAIN_MAX 10.0
-// Samples of one innovation at most, about those of a message: one of a long lot would dilute what the newest say.
+// Samples of one innovation at most, some messages: one of a long batch would dilute what the newest say.
 #define TOGETHER_MAX 7
 // An innovation whose square is so many times its variance: the disturbance is taken to have changed ...
 #define SURPRISE 14.0
 #define SURPRISED_W 3.0 // ... by about this much at once.
-// Innovations that lean one way: their sum, each in its own sigma and fading so fast a message, is 1.5 by chance.
+// Innovations that lean one way: their sum, each in its own sigma and decaying so fast a message, is 1.5 by chance.
 #define LEAN_KEEP 0.75
 #define LEAN_MAX 4.0  // nearly three times that: the disturbance moves ...
 #define LEAN_SHARE 0.5 // ... by about this much of disturbance_start_w a message.
@@ -58,19 +58,19 @@ struct model_state {
     struct model_nodes nodes;
     double disturbance_w, gain;
     double innovation_c;        // newest: measured minus expected
-    double heard_s;             // newest measurement
+    double measured_s;             // newest measurement
     double output;              // newest output decided
     double driven;              // output in force at the newest measurement
     double offset_c;            // taken off the readings ...
     double offset_output;       // ... since the output stepped to this
-    double lean;                // fading sum of innovations, each over its sigma
+    double lean;                // decaying sum of innovations, each over its sigma
     double slant_c;             // what full drive by itself adds to the reading
     double usual;               // share of full drive at which the reading is taken for the truth
     double covariance[MODEL_PLACES][MODEL_PLACES];  // of the nodes there are, see model_layout
     int32_t size;               // so many places are used
     int32_t nodes_known;        // which ones they are: those of another model say nothing
     int32_t sent_count;
-    struct model_planned sent[MODEL_SENT];          // own outputs, where the caller does not tell what is pending
+    struct model_planned sent[MODEL_SENT];          // own outputs, where the caller does not know what is pending
 };
 
 // Places in the covariance; -1: no such node.
@@ -84,7 +84,7 @@ struct model_places model_layout(const struct model_params *p);
 void model_reset(struct model_state *s);
 // Know one temperature; the drive's gain is kept, if it is known.
 void model_begin(const struct model_params *p, struct model_state *s, double temp_c, double time_s);
-// Just begun, and told the disturbance: what was doubt about it, gain and second mass is mostly in it.
+// Just begun, with a known disturbance: it holds most of what was uncertain about gain and second mass.
 void model_taken_over(const struct model_params *p, struct model_state *s, double disturbance_w);
 // After these samples, in order of time; many are taken in pieces.
 void model_observe(const struct model_params *p, struct model_state *s, const struct model_sample *samples, int count,

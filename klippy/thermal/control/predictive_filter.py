@@ -1,4 +1,4 @@
-"""Kalman filter around model_plant: temperatures, disturbance power and the gain of the drive, from measurements.
+"""Kalman filter of predictive control (`control: model`): temperatures, disturbance power and gain of the drive.
 
 State of the covariance, in this order, missing nodes left out: element, controlled node, second mass, sensor,
 disturbance d (W), drive gain g, slant k (degC at full drive). Bore and flow follow the controlled node without
@@ -17,7 +17,7 @@ heat comes later. To a loop that is a zero in the right half plane, and a fast o
     reading = T + k (u - u0)        u the drive as a share of full, u0 the usual drive of the last 0.2 s
 
 where k is learned as the reading moves with the drive; T is what would be read at u0, and moves by k du0 with it.
-Which of the readings is right nobody can tell; only that the temperature does not step with the drive.
+Which of the readings is right is not known; only that the temperature does not step with the drive.
 
 A step of the drive cannot step the temperature. Where the reading steps with it (a sensing law that has drifted
 is off by another amount at each power), that offset is taken out as long as the drive stays up: else full power,
@@ -41,7 +41,7 @@ from .control_api import IDLE, Schedule
 
 
 class ModelState:
-    """Memory of the model law: C's struct model_state (thermal/control/predictive_filter.h), whose plain fields it has.
+    """Memory of the predictive law: the fields of C's struct model_state (thermal/control/predictive_filter.h).
 
     Never changed once it is made: a step makes another.
     """
@@ -77,7 +77,7 @@ class ModelState:
 
     @property
     def sent(self) -> tuple[Planned, ...]:
-        """Own outputs, where the caller does not tell what is pending."""
+        """Own outputs, where the caller does not know what is pending."""
         return tuple(Planned(sent.time_s, sent.value) for sent in self.raw.sent[0 : self.raw.sent_count])
 
     def copied(self) -> Any:
@@ -103,7 +103,7 @@ def begin(p: ModelParameters, temp_c: float, time_s: float, before: ModelState |
 
 
 def taken_over(p: ModelParameters, state: ModelState, disturbance_w: float) -> ModelState:
-    """A state just begun, told the disturbance: what was doubt about it, gain and second mass is mostly in it."""
+    """A state just begun, with a known disturbance: it holds most of what was uncertain about gain and second mass."""
     raw = state.copied()
     chelper.get_ffi()[1].model_taken_over(p.packed(), raw, disturbance_w)
     return ModelState(raw)

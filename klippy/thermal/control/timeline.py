@@ -1,4 +1,4 @@
-"""What the bridge has been told to do and when, and where its next command may begin.
+"""The commands sent to the bridge, and where its next command may begin.
 
 A list of commands sent replaces everything pending from its first time on (induction_plan), so what is known of
 the future is always the newest plan. Commands begin on edges between two blocks, so that no block is cut:
@@ -92,8 +92,8 @@ class Timeline:
         """Heat (W) of the commands that begin within this time."""
         return tuple(Planned(c.time_s, c.power_w) for c in self.commands if after_s <= c.time_s < until_s)
 
-    def strays(self, plan: Sequence[Planned], by_w: float) -> bool:
-        """Whether, from the plan's first time on, what was told differs from it by more than this anywhere."""
+    def differs(self, plan: Sequence[Planned], by_w: float) -> bool:
+        """Whether, from the plan's first time on, what was sent differs from it by more than this anywhere."""
         first_s = plan[0].time_s + TIME_SLACK_S
         for planned in plan:
             if abs(self.last_before(planned.time_s + TIME_SLACK_S).power_w - planned.value) > by_w:

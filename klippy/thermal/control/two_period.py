@@ -1,10 +1,10 @@
-"""`control: practical`: the two-period law of Liu 2019 (section 4, Table 2), as published.
+"""`control: two_period`: the two-period law of Liu 2019 (section 4, Table 2), as published.
 
     flying   the temperature rises: less and less drive as the target comes near, none from 3 degC below it on
     falling  the temperature falls: 210..225 of 255, whatever the distance, above the target as well
 
-The paper does not say how rising is told from falling; here the period changes when the temperature has turned by
-`turn_c` against it.
+The paper does not say how to distinguish rising from falling. Here the period changes when the temperature has turned
+by `turn_c` against it.
 
 Limits of the law. It has no integral and no knowledge of the heater: it ends in a cycle whose middle and width are the
 heater's lag times its power, not the target's doing. "Falling" drives at 82 % and more even above the target, so a
@@ -22,7 +22,7 @@ from thermal.records import require
 
 from .control_api import ControlInput, ControlOutput, Law
 
-# Table 2. (least T_e in degC, a of 255), T_e = target minus temperature; the last row has no lower end.
+# Table 2. (minimum T_e in degC, a of 255), T_e = target minus temperature; the last row has no lower end.
 FLYING: tuple[tuple[float, int], ...] = (
     (20.0, 255),
     (10.0, 240),
@@ -44,9 +44,9 @@ class TwoPeriodParameters:
     cutoff_c: float = 15.0
 
     def __post_init__(self) -> None:
-        require(0.0 < self.output_high < math.inf, "practical: the output must be above 0")
-        require(0.0 < self.turn_c < math.inf, "practical: the turn must be above 0")
-        require(0.0 < self.cutoff_c < math.inf, "practical: the cutoff must be above 0")
+        require(0.0 < self.output_high < math.inf, "two-period: the output must be above 0")
+        require(0.0 < self.turn_c < math.inf, "two-period: the turn must be above 0")
+        require(0.0 < self.cutoff_c < math.inf, "two-period: the cutoff must be above 0")
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class TwoPeriodState:
 def table_value(flying: bool, below_c: float) -> int:
     """Drive 0..255 of Table 2, `below_c` below the target."""
     rows = FLYING if flying else FALLING
-    return next(value for lowest_c, value in rows if below_c >= lowest_c)
+    return next(value for from_c, value in rows if below_c >= from_c)
 
 
 def _period(parameters: TwoPeriodParameters, state: TwoPeriodState, temp_c: float) -> TwoPeriodState:
@@ -95,6 +95,6 @@ def two_period_follow(
     return TwoPeriodState()
 
 
-PRACTICAL: Law[TwoPeriodParameters, TwoPeriodState] = Law(
-    "practical", two_period_step, TwoPeriodState(), two_period_follow
+TWO_PERIOD: Law[TwoPeriodParameters, TwoPeriodState] = Law(
+    "two_period", two_period_step, TwoPeriodState(), two_period_follow
 )

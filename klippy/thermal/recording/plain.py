@@ -36,7 +36,7 @@ _TYPES = {
     for name, kind in vars(module).items()
     if isinstance(kind, type) and (is_dataclass(kind) or hasattr(kind, "_fields"))
 }
-_CONTROL = {law.name: law for law in (pid.PID, pid.WATERMARK, two_period.PRACTICAL, predictive.MODEL)}
+_CONTROL = {law.name: law for law in (pid.PID, pid.WATERMARK, two_period.TWO_PERIOD, predictive.MODEL)}
 
 
 class UnknownType(ValueError):

@@ -100,6 +100,7 @@ def blocks_of(payload: bytes) -> Blocks:
 def restore(loop: InductionLoop, memory: dict[str, Any]) -> None:
     """Put a recorded memory into a loop."""
     loop.state = plain.restored(memory["state"])
+    loop.parameters = loop.parameters  # its driver works on that state
     plain.fill_struct(loop.chain.state, memory["chain"])
     for sample, values in zip(loop.chain.hold(len(memory["waiting"])), memory["waiting"], strict=True):
         plain.fill_struct(sample, values)

@@ -95,7 +95,7 @@ class Blocks:
         )
 
     def tracked(self, index: int) -> TempEstimate | None:
-        """The filtered estimate at this block's centre; None: it gave no believable temperature."""
+        """The filtered estimate at this block's centre; None: it gave no valid temperature."""
         b = self.raw[index]
         if not b.is_tracked:
             return None

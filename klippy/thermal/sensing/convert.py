@@ -1,4 +1,4 @@
-"""Raw `induction_block` messages to blocks, a lot of them at a time; the work is done in C (thermal/sensing/convert.h).
+"""Raw `induction_block` messages to blocks, many at a time; the work is done in C (thermal/sensing/convert.h).
 
 One message carries a running block index (16 bit), the clock of its first sample and as many records as fit, little
 endian:
@@ -11,8 +11,8 @@ endian:
     GAP   u16 discarded, u16 lost  samples left out or overwritten since the block before; without it none
     WIDE  u16  highest sample, where the u8 is too small
 
-A block ends at its full length or at a phase step, so `count` may be smaller; the host divides by the count it was
-told. Every sample is told of, so a record's first sample is the end of the record before plus what was left out.
+A block ends at its full length or at a phase step, so `count` may be smaller; the host divides by the count of the
+record. Every sample is accounted for: a record's first sample is the end of the record before plus what was left out.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ import chelper
 
 from .blocks import Blocks
 
-BATCH_MESSAGES = 32  # unpacked at a time, 0.36 s of a calm; more wait for the next time
+BATCH_MESSAGES = 32  # unpacked at a time, 0.15 s; more wait for the next time
 
 # By thermal/sensing/convert.h's enum blockwire_error.
 _COMPLAINTS = {
@@ -36,7 +36,7 @@ _COMPLAINTS = {
 
 @dataclass(frozen=True, slots=True)
 class ConvertParameters:
-    """How the MCU was told to sample."""
+    """How the MCU samples."""
 
     oversample: int  # y: 4^y samples a block
     period_ticks: int  # bridge period in MCU clock ticks
@@ -65,17 +65,13 @@ class Stream:
         )
         self._blocks = Blocks()
         self._near = ffi.new("struct clock_point *")
-        self.restart()
-
-    def restart(self) -> None:
-        """The MCU counts from 0 again."""
         self.counters.next_sequence = -1
 
     def take(self, messages: Any, count: int, clock: int, time_s: float, tick_s: float) -> Blocks:
         """The blocks of up to BATCH_MESSAGES messages (C's struct pull_message), valid until the next.
 
         `clock` is any 64-bit clock within 2^31 ticks of theirs, `time_s` its print time, `tick_s` that of a tick.
-        A message seen before gives none, a malformed one neither: `complaint` tells.
+        A message seen before gives none, a malformed one neither: `complaint` says why.
         """
         blocks, near = self._blocks, self._near
         near.clock, near.time_s, near.tick_s = clock, time_s, tick_s

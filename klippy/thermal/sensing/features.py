@@ -1,4 +1,4 @@
-"""Blocks to error units: raw codes, phase to power fraction, and what makes a block unusable (pipeline.h).
+"""Blocks to signal units: raw codes, phase to power fraction, and what makes a block unusable (pipeline.h).
 
     error = (mean - zero) units_per_lsb        noise = units_per_lsb sqrt((noise_lsb^2 + 1/12) / count + stuck)
 
@@ -29,7 +29,7 @@ class FeatureParameters:
 
 
 # Highest minus lowest of 192 samples of Gaussian noise, expected, over its sigma. Whole codes do not change it: over
-# all places between two codes rounding leaves the mean of a difference as it is (recomputed in test_thermal_track.py).
+# all places between two codes rounding leaves the mean of a difference as it is (recomputed in test_thermal_filter.py).
 SPAN_SAMPLES, SPAN_PER_NOISE = 192, 5.46
 NOISE_NEEDED_LSB = 0.3  # less, and the mean of many samples no longer shows what lies between two codes
 NOISE_BLOCKS = 200  # memory of the running mean: a third of a second
@@ -58,7 +58,7 @@ def extract(parameters: FeatureParameters, blocks: Blocks) -> list[Features]:
     return [
         Features(
             b.centre_s,
-            b.error_units,
+            b.signal_units,
             b.noise_units,
             b.phase_ticks,
             power_fraction(b.phase_ticks, parameters.phase_max_ticks),

@@ -1,7 +1,7 @@
 """The table the MCU's guard trips on: raw codes a healthy nozzle can read, for each bridge phase.
 
 The guard must work with the host dead, so it knows no law, only numbers: from `temp_low_c` to `temp_high_c`
-the law says which error units to expect at a phase, the front end which codes those are; noise of a whole
+the law says which signal to expect at a phase, the front end which codes those are; noise of a whole
 block is far below the margin. At full drive the law is flatter, so the same margin in degrees is fewer codes;
 that is right.
 """

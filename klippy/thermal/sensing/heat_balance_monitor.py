@@ -1,4 +1,4 @@
-"""Is the temperature the coil tells plausible? A heat balance over half a minute, in degC.
+"""Does the temperature of the coil agree with the heat that went in? A heat balance over half a minute, in degC.
 
 Reference plant's two nodes, T measured, T2 followed from it:
 
@@ -6,11 +6,11 @@ Reference plant's two nodes, T measured, T2 followed from it:
     C2 dT2/dt = k01 (T - T2) - g1 (T2 - Ta)
 
 What is left over of that balance, averaged over `window_s` and divided by what a degree changes of it, is the error
-the reading would have to have: `drift_c` (reading minus plausible temperature). It only says something while
+the reading would have to have: `drift_c` (reading minus temperature of the heat balance). It only says something while
 no melt and
 no fan take heat away (`quiet`), and is as good as the losses are known: calibration measures them.
 
-A heat-up tells the nozzle's capacity the same way: heat that went in over degrees that came out.
+A heat-up shows the nozzle's capacity the same way: heat that went in over degrees that came out.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ def scaled(factor: float, ambient_c: float, second_factor: float = 1.0) -> TwoNo
 
 @dataclass(frozen=True, slots=True)
 class HeatBalanceParameters:
-    """Model and how far it may be believed."""
+    """Model and its uncertainty."""
 
     heat: heat_loss.HeatCapacity
     loss: TwoNodeLoss
@@ -77,9 +77,9 @@ class HeatBalanceParameters:
     window_s: float = 12.0  # time constant of the average; the second mass settles with 10 s
     ready_s: float = 30.0  # quiet for so long before anything is said
     drift_max_c: float = 60.0  # 0.4 % of C1: no capacitor drifts more, another steel in the coil does
-    run_c: float = 60.0  # a heat-up by this much tells the capacity
+    run_c: float = 60.0  # a heat-up by this much shows the capacity
     run_w: float = 25.0  # mean heat over it, so that losses are a correction
-    doubt_max_c: float = 2.0  # of the second mass, unknown at a start: with more only gross drift is told
+    doubt_max_c: float = 2.0  # of the second mass, unknown at a start: with more only gross drift is reported
     capacity_band: float = 0.35  # capacity off by more: not the nozzle this was set up for
 
 
@@ -94,7 +94,7 @@ class HeatBalanceState:
     quiet_s: float = 0.0  # for so long nothing else took heat
     left_w: float = 0.0  # averaged remainder of the balance
     doubt_w: float = 0.0  # averaged likewise: what of it the second mass may be to blame for
-    drift_c: float | None = None  # reading minus plausible; None: nothing can be said now
+    drift_c: float | None = None  # reading minus heat balance; None: nothing can be said now
     run_start_c: float = math.nan  # heat-up under way
     run_j: float = 0.0
     run_s: float = 0.0
@@ -104,7 +104,7 @@ class HeatBalanceState:
 def _run(
     parameters: HeatBalanceParameters, state: HeatBalanceState, dt_s: float, temp_c: float, net_w: float
 ) -> None:
-    """Book a heat-up; ends when the heat ends or enough degrees are there."""
+    """Record a heat-up; ends when the heat ends or enough degrees are there."""
     if net_w < parameters.run_w:
         state.run_start_c = math.nan
         return
@@ -134,7 +134,7 @@ def observe(
     energy_j: float,
     quiet: bool,
 ) -> None:
-    """A believed temperature at `time_s`, the heat put in since the one before, and whether nothing else takes heat."""
+    """A valid temperature at `time_s`, the heat put in since the one before, and whether nothing else takes heat."""
     loss = parameters.loss
     dt_s = time_s - state.time_s
     if not 0.0 < dt_s < 2.0:
@@ -174,7 +174,7 @@ def uncertainty_c(parameters: HeatBalanceParameters, temp_c: float) -> float:
 
 
 def warning(parameters: HeatBalanceParameters, state: HeatBalanceState) -> str:
-    """Text for people, "" while all is plausible."""
+    """Text for people, "" while the balance holds."""
     ratio = state.capacity_ratio
     if ratio is not None and abs(ratio - 1.0) > parameters.capacity_band:
         how = "heavier or worse coupled" if ratio > 1.0 else "lighter or better coupled"

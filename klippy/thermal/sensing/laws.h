@@ -1,6 +1,6 @@
 #ifndef CHELPER_SENSINGLAW_H
 #define CHELPER_SENSINGLAW_H
-// Sensing laws: error units of the coil at a bridge phase to the nozzle's temperature and back.
+// Sensing laws: signal units of the coil at a bridge phase to the nozzle's temperature and back.
 // Their equations and where they come from: klippy/thermal/sensing/laws.py, which also holds their coefficients.
 
 #include <stdint.h>

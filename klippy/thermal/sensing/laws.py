@@ -1,4 +1,4 @@
-"""Sensing laws: error units at a bridge phase to temperature and back, all inverted in closed form.
+"""Sensing laws: signal units at a bridge phase to temperature and back, all inverted in closed form.
 
 `ExpLaw` (default without a calibration), fitted to Table 1 of Oskolkov 2021 with p = (phase/45000)^2:
 
@@ -42,10 +42,10 @@ class Law:
     __slots__ = ()
     KIND: ClassVar[int]  # thermal/sensing/laws.h's enum sensing_kind
     DRIFTING: ClassVar[str]  # the one number a one-point correction changes
-    residual_units: float  # standard deviation of the fit, error units; the last field
+    residual_units: float  # standard deviation of the fit, signal units; the last field
 
     def error(self, temp_c: float, phase_ticks: float, supply: float = 1.0) -> float:
-        """Forwards: error units at a temperature and phase."""
+        """Forwards: signal units at a temperature and phase."""
         law, lib = packed(self)
         return float(lib.sensing_error(law, temp_c, phase_ticks, supply))
 

@@ -23,7 +23,7 @@ front_fault(const struct front_params *p, const struct coil_block *b)
 }
 
 // Variance (LSB^2) of what rounding leaves in the mean of any number of samples of Gaussian noise, over all places
-// between two codes. The error's first harmonic fades with exp(-(2 pi sigma)^2), the others faster (Widrow, Kollar,
+// between two codes. The error's first harmonic falls with exp(-(2 pi sigma)^2), the others faster (Widrow, Kollar,
 // Liu, Statistical Theory of Quantization, IEEE Trans. Instrum. Meas. 45, 1996): nothing at 0.5 LSB, all at none.
 static double
 stuck_variance(double noise_lsb)
@@ -40,7 +40,7 @@ front_measure(const struct front_params *p, struct coil_block *blocks, int count
     for (struct coil_block *b = blocks; b < blocks + count; b++) {
         b->centre_s = b->time_s + 0.5 * b->duration_s;
         b->end_s = b->time_s + b->duration_s;
-        b->error_units = (b->mean_raw - p->adc_zero_raw) * p->units_per_lsb;
+        b->signal_units = (b->mean_raw - p->adc_zero_raw) * p->units_per_lsb;
         b->noise_units = sqrt(variance / b->count + stuck) * p->units_per_lsb;
         b->fault = front_fault(p, b);
     }
@@ -56,10 +56,10 @@ chain_estimate(const struct chain_params *p, struct coil_block *b)
         b->fault = BLOCK_FAINT;
         return;
     }
-    struct sensing_reading read = sensing_invert(&p->law, b->error_units, b->phase_ticks, p->supply);
+    struct sensing_reading read = sensing_invert(&p->law, b->signal_units, b->phase_ticks, p->supply);
     if (!(p->temp_low_c <= read.temp_c && read.temp_c <= p->temp_high_c)) {
         double empty = sensing_error(&p->law, p->empty_c, b->phase_ticks, p->supply);
-        b->fault = b->error_units > empty ? BLOCK_EMPTY : BLOCK_OUTSIDE;
+        b->fault = b->signal_units > empty ? BLOCK_EMPTY : BLOCK_OUTSIDE;
         return;
     }
     b->temp_c = read.temp_c;
@@ -71,17 +71,17 @@ chain_estimate(const struct chain_params *p, struct coil_block *b)
 void
 chain_watch_block(const struct chain_params *p, struct chain_watch *w, const struct coil_block *b)
 {
-    w->heard_s = b->end_s;
+    w->last_block_s = b->end_s;
     if (w->is_tripped || b->fault == BLOCK_OFF)
         return; // with the bridge off nothing could be measured
     if (!p->is_calibrated) {
-        w->believed_s = b->end_s;
+        w->last_valid_s = b->end_s;
         return;
     }
     w->fault = b->fault;
     if (b->fault)
         return;
-    w->believed_s = b->end_s;
+    w->last_valid_s = b->end_s;
     int within = p->limit_low_c <= b->temp_c && b->temp_c <= p->limit_high_c;
     w->beyond = within ? 0 : w->beyond + 1;
     if (w->beyond >= p->limit_blocks) {
@@ -108,7 +108,7 @@ chain_noise_lsb(const struct chain_params *p, const struct chain_state *s)
     return s->spans < p->span_blocks / 4 ? NAN : s->span_lsb / p->span_per_noise;
 }
 
-// Each block's own temperature for the model law, and the heat since the block before.
+// Each block's own temperature for the predictive law, and the heat since the block before.
 static struct model_sample
 sample_of(const struct chain_params *p, struct chain_state *s, const struct coil_block *b)
 {
@@ -120,7 +120,7 @@ sample_of(const struct chain_params *p, struct chain_state *s, const struct coil
     s->usual_share += jump ? away : away * b->duration_s / (b->duration_s + p->usual_s);
     sample.temp_c = b->temp_c;
     sample.sigma_c = b->sigma_c; // with the law's residual, not the noise alone
-    sample.is_rebased = (uint8_t)jump;
+    sample.is_rebased = (uint8_t)(jump && !p->is_calibrated);
     return sample;
 }
 
@@ -137,11 +137,13 @@ chain_take(const struct chain_params *p, struct chain_state *s, struct coil_bloc
     for (int i = 0; i < count; i++) {
         struct coil_block *b = &blocks[i];
         chain_estimate(p, b);
-        chain_watch_block(p, &s->watch, b);
         b->heat_w = drive_power_w(p->power_max_w, p->power_exponent, p->power_phase_max_ticks, b->phase_ticks);
         s->heat_j += b->heat_w * (b->duration_s + b->discarded * b->duration_s / b->count);
+        if (p->is_calibrated)
+            drive_offset_block(&s->drive, &p->filter, s->filter.rate_k_s, p->phase_max_ticks, b);
+        chain_watch_block(p, &s->watch, b);
         chain_note_span(p, s, b);
-        if (filter_block(&p->track, &s->track, b))
+        if (filter_block(&p->filter, &s->filter, b))
             newest = i;
         samples[i] = sample_of(p, s, b);
     }

@@ -1,15 +1,16 @@
 #ifndef CHELPER_PIPELINE_H
 #define CHELPER_PIPELINE_H
-// What is done with each block of an induction nozzle's coil, 600 times a second: codes to error units, error units to
+// What is done with each block of an induction nozzle's coil, 600 times a second: codes to signal units, signal units to
 // a temperature with its uncertainty, the watch on it, the filter, and the sample for a control law with a model.
 //
-//   blockwire_unpack ─► coil_block ─► front_measure ─► estimate ─► watch ─► nozzletrack ─► model_sample
+//   blockwire_unpack ─► coil_block ─► front_measure ─► estimate ─► watch ─► filter ─► model_sample
 //
 // klippy/thermal/sensing/pipeline.py fills the parameters and makes Python's records of what somebody wants to see.
 
 #include "convert.h"
 #include "thermal/control/predictive_filter.h"
 #include "temperature_filter.h"
+#include "drive_offset.h"
 #include "laws.h"
 
 // Why a block gives no temperature; the texts are in klippy/thermal/sensing/block_temperature.py.
@@ -31,7 +32,7 @@ struct coil_block {
     int32_t count, min_raw, max_raw, phase_ticks, discarded, lost;
     // of this block alone
     double centre_s, end_s, heat_w;
-    double error_units, noise_units;
+    double signal_units, noise_units;
     double temp_c, sigma_c, noise_c, c_per_unit;    // NaN unless BLOCK_GOOD
     int32_t fault;                                  // enum block_fault
     // filtered, if tracked: at centre_s
@@ -39,7 +40,7 @@ struct coil_block {
     double tracked_c, tracked_sigma_c, tracked_noise_c;
 };
 
-// The analogue front end: what one ADC code means. noise_lsb: of one sample, as told; what the blocks show counts.
+// The analogue front end: what one ADC code means. noise_lsb: of one sample, as configured; what the blocks show counts.
 struct front_params {
     double adc_zero_raw, units_per_lsb, noise_lsb;
     int32_t adc_max_raw;
@@ -49,12 +50,12 @@ struct chain_params {
     struct front_params front;
     struct sensing_law law;
     double residual_units, supply;
-    double temp_low_c, temp_high_c, empty_c;        // believed; above empty_c the signal is not a nozzle's
+    double temp_low_c, temp_high_c, empty_c;        // valid; above empty_c the signal is not a nozzle's
     int32_t phase_low_ticks;
     double limit_low_c, limit_high_c;               // watch
     int32_t limit_blocks, is_calibrated;
     double power_max_w, power_exponent, power_phase_max_ticks;
-    struct filter_params track;
+    struct filter_params filter;
     int32_t span_samples, span_blocks;              // noise from the span of blocks: nominal length, memory
     double span_per_noise;                          // expected span of a block of that length, in sigma of a sample
     double phase_max_ticks;                         // of the usual drive
@@ -63,8 +64,8 @@ struct chain_params {
 
 // What supervision has seen of the blocks; times are print times.
 struct chain_watch {
-    double heard_s;             // end of the newest block
-    double believed_s;          // end of the newest one with a temperature
+    double last_block_s;             // end of the newest block
+    double last_valid_s;          // end of the newest one with a temperature
     int32_t fault;              // why the newest one has none
     int32_t beyond;             // consecutive temperatures beyond a limit
     int32_t is_tripped;         // limit_blocks of them: stays
@@ -73,7 +74,8 @@ struct chain_watch {
 
 struct chain_state {
     struct chain_watch watch;
-    struct filter_state track;
+    struct filter_state filter;
+    struct drive_offset drive;
     double heat_j;              // put in since somebody last set this to 0
     double span_lsb;            // running mean of highest minus lowest code
     int32_t spans;              // how many are in it
@@ -81,7 +83,7 @@ struct chain_state {
 };
 
 double drive_power_w(double power_max_w, double exponent, double phase_max_ticks, double phase_ticks);
-// centre_s, end_s, error_units, noise_units and what is wrong with a block before any law is asked.
+// centre_s, end_s, signal_units, noise_units and what is wrong with a block before any law is asked.
 void front_measure(const struct front_params *p, struct coil_block *blocks, int count);
 // temp_c and its kin of one measured block, or why not.
 void chain_estimate(const struct chain_params *p, struct coil_block *block);

@@ -1,6 +1,6 @@
 """The chain of one nozzle's blocks, in C (thermal/sensing/pipeline.h): its parameters, its memory, what came out.
 
-    Blocks ─► features ─► estimate ─► supervision's watch ─► track ─► newest TempEstimate, samples for a model law
+    Blocks ─► features ─► estimate ─► supervision's watch ─► filter ─► newest TempEstimate, samples
 
 One call for the blocks of a message. Equations and parameters are explained where those are: features.py,
 block_temperature.py, laws.py, temperature_filter.py, supervision.py.
@@ -36,12 +36,12 @@ class Chain:
         ffi, self._lib = chelper.get_ffi()
         self._parameters = ffi.new("struct chain_params *")
         self.state: Any = ffi.new("struct chain_state *")
-        self._watch, self._track = ffi.addressof(self.state, "watch"), ffi.addressof(self.state, "track")
+        self._watch, self._filter = ffi.addressof(self.state, "watch"), ffi.addressof(self.state, "filter")
         self._ffi, self._samples_type = ffi, ffi.typeof("struct model_sample[]")
         self._samples, self._room = ffi.new(self._samples_type, SAMPLES_USUAL), SAMPLES_USUAL
         self.waiting = 0  # samples that nobody has taken yet
-        self._watch.heard_s = self._watch.believed_s = math.inf
-        self.restart_track()
+        self._watch.last_block_s = self._watch.last_valid_s = math.inf
+        self.restart_filter()
 
     def use(
         self,
@@ -49,7 +49,7 @@ class Chain:
         estimator: EstimatorParameters,
         supervise: SuperviseParameters,
         drive: DriveLaw,
-        track: FilterParameters,
+        filter: FilterParameters,
     ) -> None:
         """Work with these from the next block on. The one place where parameters become C's."""
         p = self._parameters
@@ -63,7 +63,7 @@ class Chain:
         p.limit_blocks, p.is_calibrated = supervise.limit_blocks, supervise.calibrated
         p.power_max_w, p.power_exponent = drive.power_max_w, drive.exponent
         p.power_phase_max_ticks = drive.phase_max_ticks
-        p.track = filter_params(track)
+        p.filter = filter_params(filter)
         p.span_samples, p.span_blocks = features.SPAN_SAMPLES, features.NOISE_BLOCKS
         p.span_per_noise = features.SPAN_PER_NOISE
         p.phase_max_ticks = front.phase_max_ticks
@@ -74,9 +74,10 @@ class Chain:
         """C's struct chain_watch: what supervision has seen."""
         return self._watch
 
-    def restart_track(self) -> None:
+    def restart_filter(self) -> None:
         """The filter knows nothing any more."""
-        self._lib.filter_reset(self._track)
+        self._lib.filter_reset(self._filter)
+        self._lib.drive_offset_reset(self._ffi.addressof(self.state, "drive"))
 
     def take(self, blocks: Blocks) -> TempEstimate | None:
         """Blocks in order of time; the newest filtered estimate among them, if any."""

@@ -1,6 +1,6 @@
 """Samples where the C helper holds them (struct model_sample); Python's records on demand.
 
-One comes with each block, 600 a second, and most go from the chain to the model law, both in C, unseen.
+One comes with each block, 600 a second. They go from the chain to the predictive law, both in C.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Plausibility of what the chain sees and does: returns a fault text, or "" while all is well.
 
 The MCU's guard watches single blocks against fixed limits with the host dead; this watches what needs memory
-and a target: nothing heard, nothing believable heard, too hot, too cold, power in and no warmth out, warmth
+and a target: no blocks, no valid temperature, too hot, too cold, power in and no warmth out, warmth
 without power. A fault latches: once named it stays.
 """
 
@@ -21,17 +21,17 @@ class SuperviseParameters:
     temp_low_c: float
     temp_high_c: float  # the greatest target
     over_c: float = (
-        5.0  # room above it: a PID passes its target by up to 4.2 C, the model law by 1.0 (Control.md)
+        5.0  # room above it: a PID passes its target by up to 4.2 C, predictive control by 1.0 (Control.md)
     )
     silence_s: float = 1.0  # no block at all
-    invalid_s: float = 2.0  # blocks, but no believable temperature
+    invalid_s: float = 2.0  # blocks, but no valid temperature
     limit_blocks: int = 6  # consecutive estimates beyond a limit (10 ms): one alone may be a disturbance
     gain_s: float = 3.0  # under demand the nozzle must warm within this time ...
     gain_c: float = 2.0  # ... by this much
     demand_c: float = 5.0  # "under demand": this far below target ...
     demand_fraction: float = 0.5  # ... with at least this fraction of full power asked
-    stray_s: float = 2.0  # with the heater off the nozzle may in this time ...
-    stray_c: float = 15.0  # ... not warm by this much
+    warming_s: float = 2.0  # with the heater off the nozzle may in this time ...
+    warming_c: float = 15.0  # ... not warm by this much
     calibrated: bool = True  # else temperatures say nothing: only silence is a fault
 
     @property
@@ -53,7 +53,7 @@ class SuperviseState:
 
 def start(state: SuperviseState, seen: Any, time_s: float) -> None:
     """Supervision begins (or begins anew after a pause of the whole machine). `seen`: see watch()."""
-    seen.heard_s = seen.believed_s = time_s
+    seen.last_block_s = seen.last_valid_s = time_s
     seen.beyond = 0
     state.demand_s = state.off_s = math.inf
 
@@ -90,17 +90,17 @@ def _gain(
     )
 
 
-def _stray(
+def _warms_while_off(
     parameters: SuperviseParameters, state: SuperviseState, time_s: float, temp_c: float, off: bool
 ) -> str:
     """Warmth without power."""
     if not off:
         state.off_s = math.inf
         return ""
-    if state.off_s == math.inf or time_s - state.off_s > parameters.stray_s or temp_c < state.off_from_c:
+    if state.off_s == math.inf or time_s - state.off_s > parameters.warming_s or temp_c < state.off_from_c:
         state.off_s, state.off_from_c = time_s, temp_c
         return ""
-    if temp_c - state.off_from_c < parameters.stray_c:
+    if temp_c - state.off_from_c < parameters.warming_c:
         return ""
     return f"nozzle warms with the heater off ({temp_c:.0f} C): is the bridge stuck on?"
 
@@ -116,21 +116,21 @@ def watch(
 ) -> str:
     """To be called regularly.
 
-    `seen`: what the blocks have shown, C's struct chain_watch. `temp_c` newest believed temperature,
+    `seen`: what the blocks have shown, C's struct chain_watch. `temp_c` newest valid temperature,
     `power_fraction` requested / full power.
     """
     if state.fault:
         return state.fault
     if seen.is_tripped:
         state.fault = _limit(parameters, seen.tripped_c)
-    elif time_s - seen.heard_s > parameters.silence_s:
-        state.fault = f"no samples from the induction unit for {time_s - seen.heard_s:.1f} s"
-    elif time_s - seen.believed_s > parameters.invalid_s:
+    elif time_s - seen.last_block_s > parameters.silence_s:
+        state.fault = f"no samples from the induction unit for {time_s - seen.last_block_s:.1f} s"
+    elif time_s - seen.last_valid_s > parameters.invalid_s:
         why = REASONS[seen.fault] or "no usable block"
-        state.fault = f"no believable nozzle temperature for {time_s - seen.believed_s:.1f} s ({why})"
+        state.fault = f"no valid nozzle temperature for {time_s - seen.last_valid_s:.1f} s ({why})"
     elif parameters.calibrated and not math.isnan(temp_c):
         demand = target_c - temp_c > parameters.demand_c and power_fraction >= parameters.demand_fraction
         state.fault = _gain(parameters, state, time_s, temp_c, demand)
         off = target_c <= 0.0 and power_fraction <= 0.0
-        state.fault = state.fault or _stray(parameters, state, time_s, temp_c, off)
+        state.fault = state.fault or _warms_while_off(parameters, state, time_s, temp_c, off)
     return state.fault

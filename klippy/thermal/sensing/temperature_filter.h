@@ -1,6 +1,6 @@
 #ifndef CHELPER_TEMPERATURE_FILTER_H
 #define CHELPER_TEMPERATURE_FILTER_H
-// Following the nozzle's temperature through blocks: a Kalman filter in temperature that knows the heat going in.
+// Temperature Kalman filter, the input of PID, watermark and two-period control; the heat that goes in is known.
 // Its equations and parameters: klippy/thermal/sensing/temperature_filter.py.
 
 #include <stdint.h>
@@ -29,7 +29,7 @@ struct filter_state {
 
 double nozzle_loss_w(double conductance_w_k, double radiation_m2, double ambient_c, double temp_c);
 void filter_reset(struct filter_state *s);
-// One block in order of time, estimated; its tracked_* fields are filled. 0: this one gave no believable temperature.
+// One block in order of time, estimated; its tracked_* fields are filled. 0: this one gave no valid temperature.
 int filter_block(const struct filter_params *p, struct filter_state *s, struct coil_block *block);
 
 #endif

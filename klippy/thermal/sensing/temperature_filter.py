@@ -1,4 +1,6 @@
-"""Following the nozzle's temperature through blocks: a Kalman filter in temperature that knows the heat going in.
+"""Temperature Kalman filter, the input of PID, watermark and two-period control; the heat that goes in is known.
+
+Supervision and status use it with every law; predictive control has its own filter (control/predictive_filter.py).
 
 State: T (degC) and q (K/s), the heating rate the model does not explain (melt, fan, a wrong mass or loss).
 
@@ -6,7 +8,7 @@ State: T (degC) and q (K/s), the heating rate the model does not explain (melt, 
     measured = T + noise,  variance of one block's mean over its samples
 
 Every block was converted with its own phase before it comes here; the drive's steps enter as known heat, so they cost
-no lag. A block without a believable temperature still moves the model on. One that disagrees by far is left out,
+no lag. A block without a valid temperature still moves the model on. One that disagrees by far is left out,
 several of them in a row restart the filter: the machine is right, not the model.
 
 The filter is thermal/sensing/temperature_filter.c; here are its parameters.

@@ -23,6 +23,11 @@ class Row:
     offset: int = 0
 
 
+def one_step(phase: int) -> bytes:
+    """A plan of one phase, for queue_induction_plan."""
+    return struct.pack("<HH", 0, phase)
+
+
 def vlq(value: int) -> bytes:
     """A number as the link sends it: groups of seven bits, the first with its sign in two of them."""
     value = (value + (1 << 31)) % (1 << 32) - (1 << 31)
@@ -37,7 +42,7 @@ def content(sequence: int, clock: int, data: bytes, oid: int = 3) -> bytes:
 
 
 def take(stream: Any, clock_hz: float, *messages: tuple[int, int, bytes]) -> Any:
-    """The blocks of a lot of messages (sequence, 64-bit clock, data); print time 0 is clock 0."""
+    """The blocks of a batch of messages (sequence, 64-bit clock, data); print time 0 is clock 0."""
     pulled = chelper.get_ffi()[0].new("struct pull_message[]", len(messages))
     for entry, (sequence, clock, data) in zip(pulled, messages, strict=True):
         packed = content(sequence, clock, data)

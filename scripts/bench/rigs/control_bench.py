@@ -22,7 +22,7 @@ BAND_C = 3.0
 IDLE_S, HOLD_S, FLOW_S, STEP_S = 0.6, 3.0, 1.0, 1.0
 FLOW_KNOWN_S = 0.25  # look-ahead: moves stand in the queue this long before they happen
 POWER_W = {"reference": 81.3, "strong": 282.0}
-OURS = ("model", "pid", "practical", "watermark")
+OURS = ("model", "pid", "two_period", "watermark")
 PEERS = ("indx-like", "mpc-like")
 
 PLANTS: dict[str, tuple[str, dict[str, float]]] = {
@@ -92,7 +92,7 @@ class Result:
 
 
 class OurRig(Rig):
-    """The rig with what the printer tells the loop: the planned flow; and with a host that is late at random."""
+    """The rig with what the printer gives the loop: the planned flow; and with a host that is late at random."""
 
     def __init__(self, plant: Plant, parameters: Any, seed: int, link: Link) -> None:
         super().__init__(plant, parameters, seed, link.up_s, link.down_s, link.jitter_s)

@@ -41,8 +41,8 @@ HOTEND = ModelParameters(
     flow_s=0.02,
     hold_s=REPORT_S,
     horizon_s=3.0,
-    fade_s=3.0,
-    knee_c=2.0,
+    tau_s=3.0,
+    band_c=2.0,
     sigma_c=0.08,
     disturbance_w=0.4,
     disturbance_start_w=1.0,
@@ -53,7 +53,7 @@ PID = pid.klipper_pid(22.2, 1.08, 114.0, 1.0, 1.0)  # a common hotend's, as in s
 LAWS: dict[str, tuple[Any, Any]] = {
     "model": (predictive.MODEL, HOTEND),
     "pid": (pid.PID, PID),
-    "practical": (two_period.PRACTICAL, two_period.TwoPeriodParameters(1.0)),
+    "two_period": (two_period.TWO_PERIOD, two_period.TwoPeriodParameters(1.0)),
     "watermark": (pid.WATERMARK, pid.WatermarkParameters(2.0, 1.0)),
 }
 PLANTS: dict[str, dict[str, float]] = {

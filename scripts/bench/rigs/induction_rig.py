@@ -26,7 +26,7 @@ import numpy as np
 
 from block_codec import Row, pack, take
 from chelper.compiler import read_headers, run_compiler
-from thermal.control import actuator, loop, nozzle_model, predictive, steady, two_period
+from thermal.control import actuator, loop, nozzle_model, predictive, two_period
 from thermal.control import pid as pid_control
 from thermal.identification import sweep
 from thermal.models import heat_loss
@@ -135,10 +135,7 @@ def _saturation(v: dict[str, float], k: float) -> tuple[float, float]:
 
 
 BLOCK_LEN, OVERSAMPLE, RECORDS = 192, 4, 3  # as [induction_heater] has them by default
-CALM_RECORDS, CALM_MESSAGES = (
-    7,
-    6,
-)  # likewise, while nothing happens; and how many messages wake the host once
+BATCH_MESSAGES, BATCH_WAIT_S = 4, 4 * 0.0048 + 0.005  # likewise: in steady state so many wake the host once
 
 
 def default_parameters(**changes: Any) -> loop.LoopParameters:
@@ -182,7 +179,11 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
         _control(choice, pid_control.PidParameters(**pid), heat, balance, drive, timing, held),
         loss,
         actuator.ActuatorParameters(
-            drive, pulse_s, pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1
+            drive,
+            pulse_s,
+            pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1,
+            look_s=settle_s + defaults.LOOK_SAMPLES * PERIOD_S,
+            long_look_s=settle_s + defaults.LONG_LOOK_SAMPLES * PERIOD_S,
         ),
         supervision.SuperviseParameters(-10.0, max_temp_c),
         timing,
@@ -206,8 +207,8 @@ def _control(
         return loop.Control(pid_control.PID, replace(pid, output_high=power_w), power_w)
     if choice == "watermark":
         return loop.Control(pid_control.WATERMARK, pid_control.WatermarkParameters(2.0, power_w), power_w)
-    if choice == "practical":
-        return loop.Control(two_period.PRACTICAL, two_period.TwoPeriodParameters(power_w), power_w)
+    if choice == "two_period":
+        return loop.Control(two_period.TWO_PERIOD, two_period.TwoPeriodParameters(power_w), power_w)
     parameters = replace(nozzle_model.nozzle_model(heat, balance, power_w, timing), **held)
     return loop.Control(predictive.MODEL, parameters, power_w, models=True)
 
@@ -258,16 +259,9 @@ class Rig:
         self._min = 65535
         self._records: list[tuple[int, Row]] = []  # (first period, record)
         self.sent_s: list[float] = []  # when the host sent commands
-        self._calm: steady.Calm | None = None
-        self._watched: steady.Calm | None = None  # what the MCU expects, of the phase in force
-        self._calm_told: list[tuple[float, steady.Calm | None]] = []  # (arrival at the MCU, from then on)
-        self._patient: steady.Calm | None = None  # what the host has said of it
-        self._mean = 0.0
-        self._strayed = False
-        self.strays = 0
-        self.wakes = 0
+        self._batched = False
         self._sequence = 0
-        self._mail: list[tuple[float, int, int, bytes]] = []  # (arrival, sequence, clock, data); b"": strayed
+        self._mail: list[tuple[float, int, int, bytes]] = []  # (arrival, sequence, clock, data)
         self._last_arrival = 0.0
         self._timer_s = 0.0
         self.trace = Trace()
@@ -286,24 +280,10 @@ class Rig:
             row = Row(self._count, value, self.phase, self._min, self._max, self._discarded)
             self._records.append((self._first, row))
             self._discarded = 0
-            if self._count == BLOCK_LEN:
-                self._judge(self._sum / BLOCK_LEN)
         else:
             self._discarded += self._count
         self._sum = self._count = self._max = 0
         self._min = 65535
-
-    def _judge(self, raw: float) -> None:
-        """Is a block as expected? A mean over about eight of them is judged."""
-        if self._calm is None or not self._calm.limit_raw:
-            return
-        if self._watched is None or self.phase != self._watched.phase_ticks:
-            if self.phase != self._calm.phase_ticks:
-                return
-            self._watched, self._mean = self._calm, 0.0
-        self._mean += 0.125 * (raw - self._watched.expected_raw - self._mean)
-        if abs(self._mean) > self._calm.limit_raw:
-            self._calm, self._watched, self._strayed = None, None, True
 
     def _take(self, codes: np.ndarray) -> None:
         start = self.period
@@ -325,17 +305,12 @@ class Rig:
 
     def _flush(self) -> None:
         """Send records together, fewer when one has waited long enough."""
-        while self._calm_told and self._calm_told[0][0] <= self.now_s:
-            self._calm = self._calm_told.pop(0)[1]
-            if self._calm is None or self._calm.phase_ticks == self.phase:
-                self._watched = None
-        most = RECORDS if self._calm is None else CALM_RECORDS
         while self._records:
             first, row = self._records[0]
             waited_s = (self.period - first - row.count) * PERIOD_S
-            if len(self._records) < most and waited_s < LONE_RECORD_S and not self._strayed:
+            if len(self._records) < RECORDS and waited_s < LONE_RECORD_S:
                 break
-            batch = self._records[:most]
+            batch = self._records[:RECORDS]
             while len(data := pack([row for _, row in batch], BLOCK_LEN)) > DATA_SIZE_MAX:
                 batch.pop()
             del self._records[: len(batch)]
@@ -347,9 +322,6 @@ class Rig:
             arrival = max(arrival, self._last_arrival)
             self._last_arrival = arrival
             self._mail.append((arrival, sequence & 0xFFFF, base * PERIOD_TICKS, data))
-        if self._strayed:
-            self._mail.append((self._last_arrival, 0, 0, b""))
-            self._strayed = False
 
     def _set_phase(self, phase: int) -> None:
         self._applied = self.period
@@ -373,35 +345,21 @@ class Rig:
                 self.late += 1
             assert not self._queue or period >= self._queue[-1][0], "commands out of order"
             self._queue.append((max(period, self.period), command.phase_ticks))
-        self._tell_calm(self.loop.calm(self.now_s) if self.driver is None else None)
-
-    def _tell_calm(self, expected: steady.Calm | None) -> None:
-        if expected != self._patient:
-            self._patient = expected
-            self._calm_told.append((self.now_s + self.down_s, expected))
+        self._batched = self.driver is None and self.loop.is_steady()
 
     def set_target(self, target_c: float) -> None:
         self._send(self.loop.set_target(target_c, self.now_s))
 
     def _host(self) -> None:
         now_s = self.now_s
-        lot = [mail for mail in self._mail if mail[0] <= now_s]
-        strayed = any(not mail[3] for mail in lot)
-        most, wait_s = (
-            (CALM_MESSAGES, CALM_MESSAGES * 0.0112 + 0.015) if self._patient is not None else (1, 0.0)
-        )
-        if strayed or len(lot) >= most or (lot and now_s - lot[0][0] >= wait_s):
-            self.wakes += 1
-            del self._mail[: len(lot)]
-            if strayed:
-                self.strays += 1
-                self._tell_calm(None)
-                self.loop.on_stray(now_s)
-            messages = [mail[1:] for mail in lot if mail[3]]
-            blocks = take(self.stream, CLOCK_HZ, *messages)
+        batch = [mail for mail in self._mail if mail[0] <= now_s]
+        count, wait_s = (BATCH_MESSAGES, BATCH_WAIT_S) if self._batched else (1, 0.0)
+        if len(batch) >= count or (batch and now_s - batch[0][0] >= wait_s):
+            del self._mail[: len(batch)]
+            blocks = take(self.stream, CLOCK_HZ, *(mail[1:] for mail in batch))
             self._send((self.driver or self.loop).on_blocks(blocks, now_s))
         if now_s >= self._timer_s:
-            refresh_s = self.loop.watch_s(now_s)
+            refresh_s = self.loop.parameters.timing.refresh_s
             self._timer_s = now_s + refresh_s
             if self.driver is not None:
                 self._timer_s = now_s + 0.010

@@ -7,7 +7,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from block_codec import Row, unpack
+from block_codec import Row, one_step, unpack
 from chip_rig import FREQ, Firmware
 
 CYCLES_PER_INSTRUCTION = 2  # CORE_CYCLES_PER_INSTRUCTION of klippy/simulation/emulator/core.h
@@ -30,7 +30,7 @@ class Sampling:
     after: dict[str, Any]
     steps_asked: int
     steps_made: int
-    phases: list[tuple[int, int, int]]  # asked, told to the world, in the compare registers
+    phases: list[tuple[int, int, int]]  # asked, seen by the world, in the compare registers
 
     @property
     def samples(self) -> int:
@@ -107,9 +107,8 @@ def run_sampling(seconds: float, block: tuple[int, int] = (192, 2), steps_hz: in
                 chip.post("queue_step", oid=STEP_OID, interval=FREQ // steps_hz, count=1000, add=0)
                 asked += 1000
         phase = 3000 + (turn * 7919) % 42000
-        chip.post(
-            "queue_induction_phase", oid=0, clock=(chip.now - offset + FREQ // 200) & 0xFFFFFFFF, phase=phase
-        )
+        clock = (chip.now - offset + FREQ // 200) & 0xFFFFFFFF
+        chip.post("queue_induction_plan", oid=0, clock=clock, steps=one_step(phase))
         chip.run(0.03)
         phases.append((phase, chip.bridge_sets[-1][1], chip.chip.peek("hrtim.lag")))
         turn += 1
@@ -117,7 +116,8 @@ def run_sampling(seconds: float, block: tuple[int, int] = (192, 2), steps_hz: in
     assert chip.shutdown_reason() is None, chip.shutdown_reason()
     while asked * FREQ // (steps_hz or FREQ) > chip.now - offset - start:
         chip.run(0.02)
-        chip.post("queue_induction_phase", oid=0, clock=(chip.now - offset) & 0xFFFFFFFF, phase=3000)
+        clock = (chip.now - offset) & 0xFFFFFFFF
+        chip.post("queue_induction_plan", oid=0, clock=clock, steps=one_step(3000))
     chip.send("induction_report", oid=0, enable=0)
     chip.run(0.05)
     made = abs(int(chip.ask("stepper_get_position", oid=STEP_OID)["pos"]))

@@ -11,6 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import configaliases
 import configtext
 from base_rig import Session, start_error
 from configfile import ConfigWrapper
@@ -29,6 +30,20 @@ def options(text: str, section: str = "a") -> dict[str, str]:
 
 def wrapper(text: str, section: str = "a") -> ConfigWrapper:
     return ConfigWrapper(None, parse(text), {}, section)
+
+
+def test_names_of_earlier_versions_are_replaced_with_a_warning_that_says_where() -> None:
+    text = "[a]\ncontrol: practical\npractical_turn: 1\n[b]\npractical_turn: 1\ntwo_period_turn: 2\n"
+    data = parse(text)
+    messages = [warning["message"] for warning in configaliases.replace_old(data.sections)]
+    found = {n: {k: o.value for k, o in s.options.items()} for n, s in data.sections.items()}
+    assert found == {"a": {"control": "two_period", "two_period_turn": "1"}, "b": {"two_period_turn": "2"}}
+    assert messages == [
+        "Value 'practical' of option 'control' in section 'a' is now 'two_period' (printer.cfg, line 2).",
+        "Option 'practical_turn' in section 'a' is now called 'two_period_turn' (printer.cfg, line 3).",
+        "Option 'practical_turn' in section 'b' is now called 'two_period_turn' (printer.cfg, line 5).",
+    ]
+    assert list(configaliases.replace_old(data.sections)) == []
 
 
 # --- syntax ---

@@ -347,7 +347,7 @@ def deliver(printer: FakePrinter, sequence: int, temp: float, phase: int) -> Non
     packed = content(sequence, clock, blocks(temp, phase))
     pulled = chelper.get_ffi()[0].new("struct pull_message[]", 1)
     pulled[0].len, pulled[0].data, pulled[0].receive_time = len(packed), packed, printer.reactor.now_s
-    printer.mcu.lot(pulled, 1)
+    printer.mcu.on_batch(pulled, 1)
 
 
 def test_extruder_uses_the_induction_heater_under_its_own_name() -> None:
@@ -471,9 +471,7 @@ def test_blocks_become_temperature_and_phase_commands_ahead_of_time() -> None:
     plans = [message for message in printer.mcu.sent if len(message) == 3]
     clocks = [clock for _, clock, _ in plans]
     assert len(clocks) == 2  # the second takes the place of the first, which was for later
-    assert struct.unpack("<HH", plans[-1][2][:4]) == (0, 45000)
-    batches = [message for message in printer.mcu.sent if len(message) == 5]
-    assert batches == [[3, 7, 0, 0, 0], [3, 3, 0, 0, 0]]  # records a message: off, then in a hurry
+    assert struct.unpack("<4H", plans[-1][2][:8]) == (0, 2012, 36, 45000)  # a look first
     assert clocks[-1] > 100.0 * 72e6 + 0.004 * 72e6
     detail = printer.lookup_object("induction_heater nozzle").get_status(100.0)
     assert detail["estimate"] == pytest.approx(200.0, abs=0.1)
@@ -481,7 +479,7 @@ def test_blocks_become_temperature_and_phase_commands_ahead_of_time() -> None:
     assert detail["phase"] == 45000
 
 
-def calm_nozzle() -> tuple[FakePrinter, Any]:
+def held_nozzle() -> tuple[FakePrinter, Any]:
     """Held at 250 for a second."""
     printer, heater = nozzle()
     heater.set_temp(250.0)
@@ -492,27 +490,18 @@ def calm_nozzle() -> tuple[FakePrinter, Any]:
     return printer, heater
 
 
-def test_a_calm_is_reported_with_what_blocks_will_read_and_ends_when_they_do_not() -> None:
-    printer, _ = calm_nozzle()
-    oid, records, phase, expected, limit = next(m for m in reversed(printer.mcu.sent) if len(m) == 5)
-    assert (oid, records, printer.mcu.batch_max) == (3, 7, 6)
-    plan = next(m for m in reversed(printer.mcu.sent) if len(m) == 3)
-    steps = list(struct.iter_unpack("<HH", plan[2]))
-    assert steps == [(0, phase), (9600, phase), (9600, phase)]  # the same again after 80 and 160 ms
-    assert expected == pytest.approx((256.0 + laws.ExpLaw().error(250.0, phase)) * 192, abs=1.0)
-    assert 0.05 * 192 < limit < 0.3 * 192  # 0.12 degC are 0.1 codes
-    sent = len(printer.mcu.sent)
-    assert printer.mcu.response is not None
-    printer.mcu.response({"oid": 3})  # induction_stray
-    assert printer.mcu.sent[sent:] == [[3, 3, 0, 0, 0]] and not printer.mcu.batch_max
-    deliver(printer, 200, 249.9, phase)
-    assert all(len(m) != 5 for m in printer.mcu.sent[sent + 1 :])  # for a while
-
-
-def test_a_new_target_ends_a_calm_at_once() -> None:
-    printer, heater = calm_nozzle()
+def test_messages_of_a_held_nozzle_come_in_batches_until_it_gets_a_new_target() -> None:
+    printer, heater = held_nozzle()
+    assert printer.mcu.batch_max == 4
     heater.set_temp(255.0)
-    assert printer.mcu.sent[-1] == [3, 3, 0, 0, 0] and not printer.mcu.batch_max
+    assert not printer.mcu.batch_max
+
+
+def test_a_dump_gets_each_message_at_once() -> None:
+    printer, heater = held_nozzle()
+    heater.loop.listeners.append(lambda block, found, now_s: None)
+    deliver(printer, 200, 250.0, heater.loop.state.commanded.phase_ticks)
+    assert not printer.mcu.batch_max
 
 
 def test_cold_extrusion_is_reported_by_the_extruder_s_limit() -> None:
@@ -538,7 +527,7 @@ def test_a_target_of_max_temp_is_taken() -> None:
     assert heater.get_temp(0.0)[1] == 320.0
 
 
-@pytest.mark.parametrize(("law", "highest_c"), [("watermark", 313.0), ("practical", 300.0)])
+@pytest.mark.parametrize(("law", "highest_c"), [("watermark", 313.0), ("two_period", 300.0)])
 def test_a_law_that_swings_keeps_away_from_max_temp_and_says_so(law: str, highest_c: float) -> None:
     text = CONFIG.replace("{control}", "pid").replace("sense_pin: PA0", f"sense_pin: PA0\ncontrol: {law}")
     heater = FakePrinter(text, LOADERS).load("extruder")

@@ -113,8 +113,8 @@ def failing(seen: list[float]) -> Callable[..., None]:
 def test_a_reader_of_blocks_that_fails_is_dropped_and_named_once(printer: Printer) -> None:
     failed: list[float] = []
     read: list[float] = []
-    printer.heater.listen(failing(failed))
-    printer.heater.listen(lambda block, found, now_s: read.append(found.temp_c))
+    printer.heater.loop.listeners.append(failing(failed))
+    printer.heater.loop.listeners.append(lambda block, found, now_s: read.append(found.temp_c))
     assert printer.run(50) == 50
     assert len(failed) == 1 and len(read) == 100
     assert printer.lines == [
@@ -146,7 +146,7 @@ def test_a_reader_that_fails_does_not_disturb_a_calibration(printer: Printer) ->
     driver = Driver()
     printer.heater.set_temp(0.0)
     printer.heater.acquire(driver)
-    printer.heater.listen(failing([]))
+    printer.heater.loop.listeners.append(failing([]))
     printer.run(5)
     assert driver.blocks == 10
     assert len(printer.lines) == 1 and "no more paper" in printer.lines[0]

@@ -1,4 +1,4 @@
-"""PID autotune and the practical law on plants written down here."""
+"""PID autotune and the two-period law on plants written down here."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def test_impossible_gains_are_refused(bad: tuple[float, float, float]) -> None:
         pid.klipper_pid(*bad, 1.0, 1.0)
 
 
-# The practical law, Table 2 row by row
+# The two-period law, Table 2 row by row
 
 
 @pytest.mark.parametrize(

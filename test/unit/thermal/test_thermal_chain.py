@@ -92,14 +92,14 @@ def compare(chain: Any, reference: chain_reference.Chain, got: blocks.Blocks, ne
     if last is not None:
         same(newest, last)
     seen = chain.watch
-    assert (seen.heard_s, seen.believed_s) == (reference.heard_s, reference.believed_s)
+    assert (seen.last_block_s, seen.last_valid_s) == (reference.last_block_s, reference.last_valid_s)
     assert (blocks.REASONS[seen.fault], seen.beyond) == (reference.reason, reference.beyond)
     tripped_c = seen.tripped_c if seen.is_tripped else math.nan
     assert tripped_c == pytest.approx(reference.tripped_c, rel=SAME, nan_ok=True)
     assert chain.state.heat_j == pytest.approx(reference.heat_j, rel=SAME)
     assert chain.state.spans == min(len(reference.spans), features.NOISE_BLOCKS)
     assert chain.state.span_lsb == pytest.approx(reference.span_lsb(), rel=SAME)
-    assert chain.state.track.rate_k_s == pytest.approx(reference.x[1], rel=1e-6, abs=1e-6)
+    assert chain.state.filter.rate_k_s == pytest.approx(reference.x[1], rel=1e-6, abs=1e-6)
 
 
 @pytest.mark.parametrize("name", LAWS)
@@ -107,8 +107,8 @@ def compare(chain: Any, reference: chain_reference.Chain, got: blocks.Blocks, ne
 @given(seed=st.integers(0, 2**32), supply=st.sampled_from([1.0, 1.0, 0.85, 1.1]))
 def test_a_stream_gives_what_its_equations_say(name: str, seed: int, supply: float) -> None:
     rng, law = random.Random(seed), LAWS[name]
-    told = parameters(law, rng, supply)
-    chain, reference = new_chain(*told), chain_reference.Chain(*told)
+    given = parameters(law, rng, supply)
+    chain, reference = new_chain(*given), chain_reference.Chain(*given)
     stream = convert.Stream(WIRE)
     index = rng.choice([0, 65530])
     clock, temp_c = 72_000_000 * rng.randint(1, 10**6), rng.uniform(30.0, 260.0)
@@ -161,23 +161,23 @@ def test_each_law_is_its_equation_both_ways(
 def test_parameters_changed_between_messages_hold_from_the_next_one_on() -> None:
     rng = random.Random(7)
     law = LAWS["tank"]
-    told = parameters(law, rng, 1.0)
-    chain, reference = new_chain(*told), chain_reference.Chain(*told)
+    given = parameters(law, rng, 1.0)
+    chain, reference = new_chain(*given), chain_reference.Chain(*given)
     stream = convert.Stream(WIRE)
     for n, (supply, factor) in enumerate([(1.0, 1.0), (0.9, 1.0), (0.9, 1.3), (1.05, 0.8)]):
-        front, read, watch, drive, filtered = told
+        front, read, watch, drive, filtered = given
         read = replace(read, law=law.rezeroed(210.0, law.error(200.0, 5600), 5600), supply=supply)
         drive = replace(drive, vdc_v=24.0 * supply)
         filtered = replace(filtered, heat=heat_loss.HeatCapacity(0.4 * factor))
         chain.use(front, read, watch, drive, filtered)
-        reference.estimator, reference.drive, reference.track = read, drive, filtered
+        reference.estimator, reference.drive, reference.filter = read, drive, filtered
         rows = [block_codec.Row(192, int((256.0 + law.error(200.0, 5600)) * 192) >> 4, 5600, 400, 420)] * 3
         clock = 576 * PERIOD_TICKS * n
         got = block_codec.take(stream, CLOCK_HZ, (3 * n, clock, block_codec.pack(rows, 192)))
         compare(chain, reference, got, chain.take(got))
 
 
-def test_a_filter_told_to_forget_starts_anew() -> None:
+def test_a_filter_that_is_reset_starts_anew() -> None:
     chain = new_chain()
     law = laws.ExpLaw()
     rows = [block_codec.Row(192, int((256.0 + law.error(200.0, 5600)) * 192) >> 4, 5600, 400, 420)] * 3
@@ -185,7 +185,7 @@ def test_a_filter_told_to_forget_starts_anew() -> None:
     first = chain.take(block_codec.take(stream, CLOCK_HZ, (0, 0, block_codec.pack(rows, 192))))
     again = chain.take(block_codec.take(stream, CLOCK_HZ, (3, 576 * 600, block_codec.pack(rows, 192))))
     assert first is not None and again is not None and again.sigma_noise_c < first.sigma_noise_c
-    chain.restart_track()
+    chain.restart_filter()
     got = block_codec.take(stream, CLOCK_HZ, (6, 1152 * 600, block_codec.pack(rows[:1], 192)))
     anew = chain.take(got)
     assert anew is not None and anew == got.estimate(0)

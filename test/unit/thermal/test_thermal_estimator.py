@@ -1,4 +1,4 @@
-"""Error units to temperature: all laws invert exactly, Table 1 comes back, nonsense is invalid."""
+"""Signal units to temperature: all laws invert exactly, Table 1 comes back, nonsense is invalid."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_paper_law_is_as_far_off_as_its_residual_says() -> None:
 
 @pytest.mark.parametrize("law", LAWS, ids=["exp", "eq5", "tank"])
 @given(error=st.floats(-5000.0, 5000.0), phase=st.integers(0, 45000))
-def test_what_cannot_be_believed_is_never_a_number(law: laws.Law, error: float, phase: int) -> None:
+def test_an_impossible_signal_is_never_a_number(law: laws.Law, error: float, phase: int) -> None:
     parameters = block_temperature.EstimatorParameters(law)
     got = estimate(parameters, error, phase)
     if got.valid:
@@ -121,7 +121,7 @@ def test_a_block_that_cannot_be_used_says_why(change: dict[str, float], reason: 
 def test_front_end_scale_and_count_set_error_and_noise() -> None:
     block = SampleBlock(0, 0, 0.0, 0.001, 100, 300.0, 290, 310, 9000, 0, 0)
     (got,) = features.extract(features.FeatureParameters(256.0, 6.4, 1.0), blocks.Blocks.of([block]))
-    assert got.error_units == pytest.approx(44.0 * 6.4)
+    assert got.signal_units == pytest.approx(44.0 * 6.4)
     assert got.noise_units == pytest.approx(6.4 * math.sqrt((1.0 + 1.0 / 12.0) / 100))
     assert got.power_fraction == pytest.approx(0.04)
 
@@ -164,7 +164,7 @@ def test_guard_limits_refuse_a_front_end_that_cannot_show_them() -> None:
 
 @pytest.mark.parametrize("law", LAWS, ids=["exp", "eq5", "tank"])
 @given(temp=temps, seen_as=temps, phase=phases, supply=st.floats(0.8, 1.1))
-def test_a_rezeroed_law_reads_what_it_was_told(
+def test_a_rezeroed_law_reads_the_given_temperature(
     law: laws.Law, temp: float, seen_as: float, phase: int, supply: float
 ) -> None:
     error = law.error(seen_as, phase, supply)

@@ -1,4 +1,4 @@
-"""What was told to the bridge, against what is meant now."""
+"""Powers sent to the bridge, against those planned now."""
 
 from __future__ import annotations
 
@@ -7,23 +7,23 @@ import pytest
 from thermal.control.timeline import Timeline
 from thermal.records import PhaseCommand, Planned
 
-TOLD = ((1.00, 5.0), (1.02, 9.0), (1.05, 7.0))
+SENT = ((1.00, 5.0), (1.02, 9.0), (1.05, 7.0))
 
 
 def line() -> Timeline:
-    told = Timeline()
-    told.note([PhaseCommand(time_s, 1000, power_w) for time_s, power_w in TOLD], 0.99)
-    return told
+    sent = Timeline()
+    sent.note([PhaseCommand(time_s, 1000, power_w) for time_s, power_w in SENT], 0.99)
+    return sent
 
 
 def plan(*steps: tuple[float, float]) -> list[Planned]:
     return [Planned(*step) for step in steps]
 
 
-def test_what_was_said_already_does_not_stray() -> None:
-    assert not line().strays(plan(*TOLD), 0.5)
-    assert not line().strays(plan((1.00, 5.2), (1.02, 8.9), (1.05, 7.3)), 0.5)
-    assert not line().strays(plan((1.02, 9.0), (1.05, 7.0)), 0.5)  # from a later start
+def test_powers_sent_already_do_not_differ() -> None:
+    assert not line().differs(plan(*SENT), 0.5)
+    assert not line().differs(plan((1.00, 5.2), (1.02, 8.9), (1.05, 7.3)), 0.5)
+    assert not line().differs(plan((1.02, 9.0), (1.05, 7.0)), 0.5)  # from a later start
 
 
 @pytest.mark.parametrize(
@@ -37,14 +37,14 @@ def test_what_was_said_already_does_not_stray() -> None:
         ((1.00, 5.0),),  # nothing of what was said holds any more
     ],
 )
-def test_any_step_that_differs_strays(steps: tuple[tuple[float, float], ...]) -> None:
-    assert line().strays(plan(*steps), 0.5)
+def test_any_step_that_differs_is_found(steps: tuple[tuple[float, float], ...]) -> None:
+    assert line().differs(plan(*steps), 0.5)
 
 
 @pytest.mark.parametrize(
     ("from_s", "on"), [(0.99, True), (1.01, True), (1.02, True), (1.04, True), (1.05, False), (2.0, False)]
 )
 def test_a_line_of_commands_knows_whether_it_leaves_the_bridge_on(from_s: float, on: bool) -> None:
-    told = Timeline()
-    told.note([PhaseCommand(1.0, 0, 0.0), PhaseCommand(1.02, 2012, 1.5), PhaseCommand(1.05, 0, 0.0)], 0.99)
-    assert told.is_on_from(from_s) == on
+    sent = Timeline()
+    sent.note([PhaseCommand(1.0, 0, 0.0), PhaseCommand(1.02, 2012, 1.5), PhaseCommand(1.05, 0, 0.0)], 0.99)
+    assert sent.is_on_from(from_s) == on
