@@ -121,7 +121,7 @@ class _Problem:
         """Unknown heat, in pieces one after another; each warms the nozzle and is lost again."""
         run = self.run
         heat_w = HEAT_SHARE * loss_w(run.parameters.loss, float(np.nanmax(run.temp_c)))
-        rise_k_s = heat_w / run.parameters.track.heat.at_25c_j_k
+        rise_k_s = heat_w / run.parameters.filter.heat.at_25c_j_k
         pieces = np.floor(run.end_s / HEAT_S).astype(int)
         warmer_c, now_c = np.zeros((len(pieces), pieces[-1] + 1)), np.zeros(pieces[-1] + 1)
         for i, (piece, lasts_s) in enumerate(zip(pieces.tolist(), run.steps[:, 0].tolist(), strict=True)):

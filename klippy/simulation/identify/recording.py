@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from thermal.control.loop import LoopParameters
+from thermal.control.loop_records import LoopParameters
 from thermal.recording import plain, stored
 
 Array = np.ndarray[Any, np.dtype[Any]]

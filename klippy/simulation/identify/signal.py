@@ -20,7 +20,7 @@ import numpy as np
 
 from chelper.compiler import read_headers
 from simulation.world import API_HEADER, WORLD_LIBRARY, parameter_tables, parameter_values
-from thermal.control.loop import LoopParameters
+from thermal.control.loop_records import LoopParameters
 from thermal.models.drive_law import DriveLaw
 from thermal.sensing.laws import ExpLaw, Law, TankLaw
 
