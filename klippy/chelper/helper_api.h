@@ -10,7 +10,7 @@
 #include "chelper/motion/lookahead.h"
 #include "chelper/motion/stepcompress.h"
 #include "chelper/motion/steppersync.h"
-#include "thermal/control/predictive.h"
+#include "thermal/control/bridge.h"
 #include "thermal/plan/path_pieces.h"
 #include "thermal/sensing/pipeline.h"
 

@@ -8,19 +8,16 @@ Measuring needs excitation: below `phase_low_ticks` the coil says nothing. A req
 phase (about 1.5 W) is met by pulses at that phase against bridge off, so that the mean power is right and
 every pulse is long enough to give a whole measured block. Even a request of zero gives one pulse each
 `sense_interval_s`, so that the temperature stays known; that surplus is carried as a debt and taken off later
-requests.
+requests. The work is done in C: actuator_act and actuator_ahead of bridge.h.
 
     request ->  |‾‾|______|‾‾|______|‾‾‾‾‾|___    pulses of pulse_s at phase_low, mean = request
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 from thermal.models.drive_law import DriveLaw
-from thermal.records import PhaseCommand, Planned
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 
 
@@ -42,84 +39,17 @@ class ActuatorParameters:
         """Heat at the smallest useful phase."""
         return self.law.power_w(self.phase_low_ticks)
 
-
-@dataclass(slots=True)
-class ActuatorState:
-    """What was delivered against what was asked."""
-
-    last_s: float = -math.inf  # start of the interval the last request holds for
-    request_w: float = 0.0  # request in force since last_s
-    owed_j: float = 0.0  # asked minus delivered
-    last_excited_s: float = -math.inf  # end of the last pulse or continuous drive
-    driving: bool = False  # continuous drive (phase above the smallest) since last_s
-
-
-def _account(parameters: ActuatorParameters, state: ActuatorState, time_s: float) -> None:
-    """Add the request of the interval that ends now. Continuous drive delivers what is requested."""
-    if state.driving:
-        state.last_excited_s = time_s
-        state.owed_j = 0.0
-    elif state.last_s > -math.inf:
-        state.owed_j += state.request_w * (time_s - state.last_s)
-    limit_j = 2.0 * parameters.pulses_max * parameters.power_low_w * parameters.pulse_s
-    state.owed_j = min(limit_j, max(-limit_j, state.owed_j))
-
-
-def actuate(
-    parameters: ActuatorParameters,
-    state: ActuatorState,
-    power_w: float,
-    time_s: float,
-    is_on: bool,
-    idle: bool = False,
-) -> list[PhaseCommand]:
-    """Commands that start meeting `power_w` at `time_s`; in order of time, the first at `time_s` if any.
-
-    An empty list means: the bridge stays off, between pulses. The last command of a pulse turns the bridge off, so a
-    host that dies in between leaves nothing running. `is_on`: with nothing more sent, the bridge is on at `time_s` or
-    later, booked pulses apart. `idle`: no target, sense rarely.
-    """
-    _account(parameters, state, time_s)
-    state.last_s = time_s
-    state.request_w = max(0.0, power_w)
-    law = parameters.law
-    phase = round(law.phase_ticks(power_w))
-    if phase >= parameters.phase_low_ticks:
-        state.driving = True
-        return [PhaseCommand(time_s, phase, law.power_w(phase))]
-    state.driving = False
-    pulse_j = parameters.power_low_w * parameters.pulse_s
-    interval_s = parameters.idle_interval_s if idle else parameters.sense_interval_s
-    pulses = min(parameters.pulses_max, math.floor(state.owed_j / pulse_j + 0.5))
-    if pulses < 1 and time_s - state.last_excited_s >= interval_s:
-        pulses = 1
-    if pulses < 1:
-        return [PhaseCommand(time_s, 0, 0.0)] if is_on else []
-    end_s = time_s + pulses * parameters.pulse_s
-    state.owed_j -= pulses * pulse_j
-    state.last_excited_s = end_s
-    return [
-        PhaseCommand(time_s, parameters.phase_low_ticks, parameters.power_low_w),
-        PhaseCommand(end_s, 0, 0.0),
-    ]
-
-
-def ahead(
-    parameters: ActuatorParameters, first: PhaseCommand, horizon: Sequence[Planned]
-) -> list[PhaseCommand]:
-    """Commands after `first` that follow a law's horizon, for the case that nothing newer arrives.
-
-    Below the smallest useful phase the bridge is off or at that phase, whichever is nearer: pulses are booked only
-    when they are sure to come.
-    """
-    law, low_w = parameters.law, parameters.power_low_w
-    commands, before = [], first
-    for planned in horizon:
-        phase = round(law.phase_ticks(planned.value))
-        if phase < parameters.phase_low_ticks:
-            phase = parameters.phase_low_ticks if planned.value > 0.5 * low_w else 0
-        if phase == before.phase_ticks or planned.time_s <= before.time_s:
-            continue
-        before = PhaseCommand(planned.time_s, phase, law.power_w(phase))
-        commands.append(before)
-    return commands
+    def packed(self) -> dict[str, float]:
+        """As C's struct actuator_params."""
+        law = self.law
+        return {
+            "power_max_w": law.power_max_w,
+            "exponent": law.exponent,
+            "phase_max_ticks": law.phase_max_ticks,
+            "power_low_w": self.power_low_w,
+            "pulse_s": self.pulse_s,
+            "sense_interval_s": self.sense_interval_s,
+            "idle_interval_s": self.idle_interval_s,
+            "phase_low_ticks": self.phase_low_ticks,
+            "pulses_max": self.pulses_max,
+        }
