@@ -5,6 +5,7 @@
 #include "chelper/link/msgblock.h"
 #include "chelper/link/portthread.h"
 #include "chelper/link/serialqueue.h"
+#include "chelper/motion/filament_flow.h"
 #include "chelper/motion/gcode_rows.h"
 #include "chelper/motion/kinematics.h"
 #include "chelper/motion/lookahead.h"
