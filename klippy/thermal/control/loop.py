@@ -76,7 +76,8 @@ class InductionLoop:
         news = self.chain.take(blocks)
         if blocks.count:
             state.bridge.edge(blocks.end_s)
-        self.publish(blocks, now_s)
+        if self.listeners:
+            self.publish(blocks, now_s)
         if news is not None:
             before, state.estimate = state.estimate, news
             state.latency_s = now_s - news.time_s
@@ -181,8 +182,6 @@ class InductionLoop:
 
         A listener that fails is removed and its error reported once: control goes on without it.
         """
-        if not self.listeners:
-            return
         for i, block in enumerate(blocks):
             found = blocks.tracked(i) if measured else None
             for listener in tuple(self.listeners):

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 from typing import Any
 
@@ -34,11 +34,10 @@ class Timing:
     max_duration_s: float  # the bridge turns itself off when no command holds for so long
     stale_s: float = 0.15  # no temperature for this long: stop heating blindly
     control_s: float = 0.0  # commands are at least this much apart: a step costs settling samples
+    refresh_s: float = field(init=False)  # longest time between commands while the bridge is on
 
-    @property
-    def refresh_s(self) -> float:
-        """Longest time between commands while the bridge is on."""
-        return self.max_duration_s * REFRESH_SHARE
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "refresh_s", self.max_duration_s * REFRESH_SHARE)
 
     @property
     def stride_s(self) -> float:
@@ -49,6 +48,8 @@ class Timing:
 
 def commands_of(raw: Any, count: int) -> list[PhaseCommand]:
     """Python's records of C's struct phase_command."""
+    if not count:
+        return []
     data = chelper.get_ffi()[0].buffer(raw, count * _COMMAND.size)
     return list(map(_new_command, _COMMAND.iter_unpack(data)))
 
