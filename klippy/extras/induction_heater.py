@@ -27,6 +27,7 @@ from . import heaters as heater_registry
 from .induction import calibrate as induction_calibrate
 from .induction import dump as induction_dump
 from .induction import flow as induction_flow
+from .induction import record as induction_record
 from .induction import settings
 from .induction import supply as induction_supply
 from .induction.mcu import InductionUnit
@@ -107,6 +108,7 @@ class InductionHeater:
         self._running = False
         self._smoothed_c = 0.0
         self._smoothed_s = -math.inf
+        self.record: induction_record.InductionRecord | None = None
         unit.setup_callback(self._on_blocks)
 
     def register(self) -> None:
@@ -179,6 +181,8 @@ class InductionHeater:
         if self._view is not None:
             self._sweep(self._view, blocks, now_s)
             return
+        if self.record is not None:
+            self.record.tick(now_s)
         self._look_ahead(now_s)
         self._send(self.loop.on_blocks(blocks, now_s), now_s)
         self._smooth()
@@ -333,8 +337,6 @@ class InductionHeater:
         self.loop.use(parameters)
         if self.planner is not None and parameters.melt != before.melt:
             self.planner.renew()
-        if (parameters.estimator, parameters.front) != (before.estimator, before.front):
-            self.loop.state.estimate = loop.NOT_MEASURED  # another sensing law's
 
     def _smooth(self) -> None:
         """The displayed temperature: first-order, over `smooth_time`."""
@@ -553,6 +555,8 @@ def load_config_prefix(config: ConfigWrapper) -> InductionSection:
     folder = config.get("calibration_folder", output_file.default_folder(printer))
     induction_calibrate.InductionCalibrate(printer, heater, folder).register()
     induction_dump.InductionDump(printer, heater, folder).register()
+    heater.record = induction_record.InductionRecord(config, heater, rows, folder)
+    heater.record.register()
     supply = induction_supply.read(config)
     if supply is not None:
         supply.serve(heater)

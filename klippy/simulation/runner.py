@@ -136,6 +136,7 @@ class Simulation:
             "log_file": str(options.log.resolve()) if options.log else None,
             "output_folder": str(OUTPUT_FOLDER),  # without a log
             "software_version": "simulation",
+            "is_simulated": True,
             "cpu_info": "simulated time",
         }
         return Printer(self.reactor, start_args)

@@ -44,7 +44,7 @@ ROOMS: tuple[tuple[str, ...], ...] = (
     ("models",),
     ("sensing",),
     ("control",),
-    ("identification", "plan"),
+    ("identification", "plan", "recording"),
 )
 
 # thermal/ computes and nothing else: it needs no more than the standard library and the C helper. Its fits run

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from itertools import count
 from pathlib import Path
-from typing import TextIO
+from typing import BinaryIO, TextIO
 
 from roles import Printer
 
@@ -53,3 +53,10 @@ def open_new(folder: Path, name: str) -> TextIO:
     except (RuntimeError, ValueError) as e:  # no such user's home, a loop of links, a zero byte
         raise OutputError(f"'{name}' is no name of a file: {e}") from None
     raise AssertionError  # count() has no end
+
+
+def open_new_binary(folder: Path, name: str) -> BinaryIO:
+    """The same for bytes. Raises OutputError."""
+    stream = open_new(folder, name)
+    stream.close()
+    return open(stream.name, "wb")  # the caller closes it

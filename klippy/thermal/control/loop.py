@@ -154,7 +154,10 @@ class InductionLoop:
 
     def use(self, parameters: LoopParameters) -> None:
         """Go on with other parameters; another law begins with the heat that holds the nozzle as it is now."""
-        before, self.parameters = self._parameters.control, parameters
+        p, before = self._parameters, self._parameters.control
+        if (parameters.estimator, parameters.front) != (p.estimator, p.front):
+            self.state.estimate = NOT_MEASURED  # another sensing law's
+        self.parameters = parameters
         if parameters.control.law is not before.law:
             self._driver.take_over(self._ahead())
 

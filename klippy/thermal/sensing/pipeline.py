@@ -104,6 +104,17 @@ class Chain:
             self.waiting = 0
         return taken
 
+    def held(self) -> list[Any]:
+        """Samples that nobody has taken yet, C's struct model_sample."""
+        return [self._samples[i] for i in range(self.waiting)]
+
+    def hold(self, count: int) -> list[Any]:
+        """Room for so many in place of those: to be filled, for a memory that is restored."""
+        self.waiting = 0
+        self._make_room(count)
+        self.waiting = count
+        return self.held()
+
     def noise_lsb(self) -> float | None:
         """Standard deviation of one ADC sample in LSB; None before enough blocks."""
         noise_lsb = float(self._lib.chain_noise_lsb(self._parameters, self.state))
