@@ -173,7 +173,7 @@ class PredictiveDriver(BridgeDriver):
         self._ahead: Ahead | None = None  # what the inputs point to
 
     def is_held(self) -> bool:
-        return self.state.bridge.driving and not self.state.horizon
+        return not self.state.horizon and self.state.bridge.driving
 
     def limit_w(self, below_c: float) -> float:
         limit_w = super().limit_w(below_c)

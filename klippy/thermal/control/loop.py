@@ -202,7 +202,7 @@ class InductionLoop:
 
     def is_steady(self) -> bool:
         """Off, or held with no change planned: messages of blocks may come in batches."""
-        return self.state.target_c <= 0.0 or (self.is_settled() and self._driver.is_held())
+        return self.state.target_c <= 0.0 or (self._driver.is_held() and self.is_settled())
 
     def _note_settled(self, news: TempEstimate) -> None:
         state = self.state
