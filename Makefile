@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-plan soak soak-motion fuzz mutants clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan bench-studies soak soak-motion fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -28,6 +28,7 @@ help:
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
 	@echo "make bench-firmware     cost of samples, steps, commands on the images of both chips (QUICK=1)"
 	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it"
+	@echo "make bench-studies      the studies of config/studies: random machines, calibrated machines, the sample"
 	@echo "make soak               a long print in closed loop: does it leak? (HOURS=10, hours of wall time, too)"
 	@echo "make soak-motion        random moves on every machine against the analytic path (SECONDS=600)"
 	@echo "make mutants FILE=guard  do its tests notice each small change of a safety file? (without FILE: all, hours)"
@@ -68,37 +69,32 @@ printer: setup sim chelper
 	@scripts/setup.sh moonraker
 	@$(PYTHON) scripts/run_printer.py
 
-bench: setup sim chelper
-	@$(PYTHON) scripts/bench/bench_print.py --out $(OUT)/bench $(if $(QUICK),--quick)
+# QUICK=1: what each bench leaves out then stands in its --help.
+BENCH = $(PYTHON) scripts/bench/bench_$*.py --json $(OUT)/bench/$*.json
+BENCHES := bench-print bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware
+.PHONY: $(BENCHES)
+bench: bench-print
+$(BENCHES): bench-%: setup sim chelper
+	@$(BENCH) $(if $(QUICK),--quick) $(ARGS)
 
-bench-thermometer: setup-test sim chelper
-	@$(PYTHON) scripts/bench/bench_thermometer.py --json $(OUT)/bench/thermometer.json
+bench-thermometer bench-control bench-firmware: setup-test
+bench-motion: ARGS = $(if $(PEER),--peer "$(PEER)")
 
-bench-api: setup sim chelper
-	@$(PYTHON) scripts/bench/bench_api.py --json $(OUT)/bench/api.json $(if $(QUICK),--seconds 60)
-
-bench-plan: setup sim chelper
-	@$(PYTHON) scripts/bench/bench_plan.py --out $(OUT)/bench/plan
+bench-plan: bench-%: setup sim chelper
+	@$(BENCH)
 	@$(PYTHON) scripts/bench/bench_plan_cost.py --memory benchy.gcode
 	@$(PYTHON) scripts/bench/bench_plan_cost.py --real-time 30
 
-bench-control: setup-test sim chelper
-	@$(PYTHON) scripts/bench/bench_control.py --out $(OUT)/bench $(if $(QUICK),--quick)
-
-bench-motion: setup chelper
-	@$(PYTHON) scripts/bench/bench_motion.py $(if $(QUICK),--quick) $(if $(PEER),--peer "$(PEER)")
+bench-studies: setup sim chelper
+	@scripts/setup.sh study
+	@status=0; for study in $(wildcard config/studies/*.toml); do \
+	    $(PYTHON) scripts/study.py $$study --out $(OUT)/studies/$$(basename $$study .toml) || status=1; done; exit $$status
 
 soak: setup sim chelper
 	@$(PYTHON) scripts/bench/soak_print.py --hours $(or $(HOURS),10)
 
 soak-motion: setup-test chelper
 	@$(PYTHON) scripts/bench/soak_motion.py --seconds $(or $(SECONDS),600)
-
-bench-steady: setup sim chelper
-	@$(PYTHON) scripts/bench/bench_steady.py $(if $(QUICK),--seconds 30 --hours 1)
-
-bench-firmware: setup-test sim chelper
-	@$(PYTHON) scripts/bench/bench_firmware.py --json $(OUT)/bench/firmware.json $(if $(QUICK),--quick)
 
 # --- test ----------------------------------------------------------------------------------------
 # Both are run to their end whatever the other finds; the tests' closing line comes last.
@@ -127,7 +123,7 @@ check-lint:
 check-types:
 	$(PYTHON) -m mypy --no-error-summary
 
-# DICTIONARY_PASS is for scripts/build_dictionary.py; cppcheck 2.10 knows noreturn only as an attribute.
+# DICTIONARY_PASS is for scripts/build/build_dictionary.py; cppcheck 2.10 knows noreturn only as an attribute.
 # The firmware's own files meet four compilers in check-cross. (The C helper is not compiled with -Isrc: the
 # system's headers would find the firmware's sched.h.)
 check-c:

@@ -7,8 +7,8 @@ Three time lines:
 - *print time* p: seconds of the first MCU's clock at its nominal frequency; motion is planned in it
 
 How the line between t and c is found from the answers to `get_clock`: clockfit.py. With one MCU it is only needed to
-pace the host, and one question a second does. With several, their steps must fall on the same instant: all of them are
-asked more often, so that the luckiest answers of the last minute fix the line to a few microseconds.
+time what the host sends, and one question a second does. With several, their steps must fall on the same instant. All
+of them are asked more often: the fastest answers of the last minute fix the line to a few microseconds.
 
 `SecondarySync` lets another MCU follow print time: its line from print time to clock is bent at each calibration
 so that it stays continuous and meets the true relation a few seconds later.
@@ -30,11 +30,11 @@ FIRST_SAMPLE_PERIOD_S = 0.050
 SAMPLE_PERIOD_S = 0.97  # not 1.0: must not lock to things that happen once a second
 # With several MCUs: (until this age in s, ask that often); at the end some 200 byte/s in each direction
 SHARED_PERIODS = ((12.0, 0.0193), (30.0, 0.0487), (math.inf, 0.0973))
-LEARN_S = 8.0  # so long the lines still change a lot
+LEARN_S = 8.0  # for this long the lines still change much
 SILENCE_MAX_S = 4.0  # this long without an answer: communication is lost
 
 MEET_TIME_S = 4.0  # a secondary MCU meets its true clock this long after a calibration
-LEARN_MEET_TIME_S = 1.0  # ... while its line still changes a lot
+LEARN_MEET_TIME_S = 1.0  # ... while its line still changes much
 IDLE_BEND_S = 0.25  # while nothing moves, this long after the last calibration the next one is made
 
 
@@ -76,7 +76,7 @@ class ClockSync:
         self._asked_s = self._silence_s = 0.0
         self.reactor.update_timer(self._timer, self.reactor.NOW)
 
-    def connect_file(self, serial: SerialReader, pace: bool = False) -> None:
+    def connect_file(self, serial: SerialReader) -> None:
         """Batch mode: no MCU answers; time stands still at print time 0 so that the output never varies."""
         self._serial = serial
         self._is_file = True
@@ -84,7 +84,7 @@ class ClockSync:
         self._estimator = ClockEstimator(self.mcu_freq)
 
     def disconnect(self) -> None:
-        """Ask no more."""
+        """Stop asking the MCU."""
         self.reactor.update_timer(self._timer, self.reactor.NEVER)
 
     # --- sampling ---
@@ -123,7 +123,7 @@ class ClockSync:
         clock = self._last_clock + (params["clock"] - self._last_clock & 0xFFFFFFFF)
         self._last_clock = clock
         if not params["#sent_time"]:
-            return  # sent more than once: nobody knows which one this answers
+            return  # sent more than once: which one this answers is unknown
         line = self._estimator.add(ClockSample(params["#sent_time"], params["#receive_time"], clock))
         assert self._serial is not None
         self._serial.set_clock_est(line.freq, line.time_s, int(line.clock))
@@ -200,8 +200,8 @@ class SecondarySync(ClockSync):
         self._adjusted_freq = self.line.freq / (self._main_sync.line.freq / self._main_sync.mcu_freq)
         self._offset_s = print_time - clock / self._adjusted_freq
 
-    def connect_file(self, serial: SerialReader, pace: bool = False) -> None:
-        super().connect_file(serial, pace)
+    def connect_file(self, serial: SerialReader) -> None:
+        super().connect_file(serial)
         self._adjusted_freq = self.mcu_freq
 
     def print_time_to_clock(self, print_time: float) -> int:
@@ -232,7 +232,7 @@ class SecondarySync(ClockSync):
 
     def _on_clock(self, params: dict[str, Any]) -> None:
         super()._on_clock(params)
-        # nobody moves: without calibrations both clocks would have drifted apart by the next motion
+        # nothing moves: without calibrations both clocks would have drifted apart by the next motion
         eventtime = self.reactor.monotonic()
         print_time = self._main_sync.estimated_print_time(eventtime)
         if print_time > self._bend_time + IDLE_BEND_S:

@@ -1,7 +1,7 @@
 """Sections of Klipper's configuration reference that this program has no module for.
 
-A printer prints without some of them: these are left alone, and the user is told once what does not work. The others
-do something the printer relies on (pins, levelling, a motor's current): a config that has them is refused.
+A printer prints without some of them: these are left out, and one notice lists what does not work. The others do
+something the printer relies on (pins, levelling, a motor's current): a config that has them is refused.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def find_left_out(
 
 
 def notice(left_out: Iterable[SectionText]) -> str:
-    """What the user is told about sections that are left out: one line for each thing that does not work."""
+    """The notice about sections that are left out: one line for each thing that does not work."""
     lines = ["Klipper has these sections, Ferrite does not yet. The printer works without them:"]
     found = list(left_out)
     for group in DISPENSABLE:

@@ -360,8 +360,8 @@ class PrinterConfig:
         if left_out:
             text = configabsent.notice(left_out.values())
             self.runtime_warning(text)
-            tell = self.printer.lookup_object("gcode").respond_info
-            self.printer.register_event_handler("klippy:ready", lambda: tell(text, log=False))
+            respond = self.printer.lookup_object("gcode").respond_info
+            self.printer.register_event_handler("klippy:ready", lambda: respond(text, log=False))
         return [module for name, module in configabsent.BROUGHT_ALONG.items() if name in left_out]
 
     def check_unused_options(self, config: ConfigWrapper) -> None:

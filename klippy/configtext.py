@@ -54,7 +54,7 @@ class OptionText:
 
 @dataclass(slots=True)
 class SectionText:
-    """All options of one section name, from wherever they were written."""
+    """All options of one section name, from all places in the files."""
 
     name: str
     origin: Origin
@@ -82,7 +82,7 @@ def strip_comment(line: str) -> str:
 def split_autosave(text: str) -> tuple[str, str]:
     """Split the main file into what the user wrote and the body of the SAVE_CONFIG block (prefixes removed).
 
-    A block that somebody edited (lines without the prefix after its start) is not ours any more: it raises.
+    A block that was edited by hand (lines without the prefix after its start) raises an error.
     """
     start = _AUTOSAVE_START.search(text)
     if start is None:

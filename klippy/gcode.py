@@ -41,7 +41,7 @@ class RowRunner(Protocol):
         ...
 
     def settle(self) -> None:
-        """Plan what was queued, and wait while enough is planned. Raises what planning raises."""
+        """Plan the queued moves, and wait while enough is planned. Raises the errors of planning."""
         ...
 
 
@@ -228,7 +228,7 @@ class GCodeDispatch:
         return self.mutex
 
     def run_script(self, script: str) -> None:
-        """Run lines one after the other once nobody else does; the first error ends it and is raised."""
+        """Run lines in order, after any other script; the first error ends them and is raised."""
         with self.mutex:
             self.run_script_from_command(script)
 
@@ -242,7 +242,7 @@ class GCodeDispatch:
     def run_next(
         self, text: bytes, at: int, end: int, need_ack: bool = False, note: LineNote | None = None
     ) -> int:
-        """Run what comes next in text[at:end], which ends with a line end: a row of moves, or else one line. Returns
+        """Run a row of moves, or else one line, at the front of text[at:end], which ends with a line end. Returns
         where the next line begins; errors as of `run_line`."""
         if self._rows is not None and text.startswith(_ROW_BEGINS, at):
             stop = self._rows.run(text, at, end)
@@ -267,7 +267,7 @@ class GCodeDispatch:
         return stop
 
     def run_line(self, line: str, need_ack: bool = False) -> None:
-        """Run one line; the caller holds the mutex. Errors are told to the user, and raised unless acknowledging."""
+        """Run one line; the caller holds the mutex. The user gets its errors; they are raised unless acknowledging."""
         gcmd: GCodeCommand | None = None
         handler: Callable[[GCodeCommand], Any] | None
         try:
@@ -294,11 +294,11 @@ class GCodeDispatch:
                 gcmd.ack()
 
     def register_comment_listener(self, listener: Callable[[str], None]) -> None:
-        """Call listener(line) for each line that is only a comment: slicers tell there what comes."""
+        """Call listener(line) for each line that is only a comment: slicers announce layers and features so."""
         self._comment_listeners.append(listener)
 
     def has_comment_listeners(self) -> bool:
-        """Whether anybody wants to see comments."""
+        """Whether there are comment listeners."""
         return bool(self._comment_listeners)
 
     def register_row_runner(self, runner: RowRunner) -> None:
@@ -310,7 +310,7 @@ class GCodeDispatch:
         return self._handlers.get(command)
 
     def _report(self, problem: Exception, line: str) -> None:
-        """Tell the user why a line could not be carried out; a bug stops the printer."""
+        """Report to the user why a line could not be carried out; a bug stops the printer."""
         if isinstance(problem, CommandError):
             self.respond_error(str(problem))
             self.printer.send_event("gcode:command_error")
@@ -369,7 +369,7 @@ class GCodeDispatch:
 
     # --- answers to the user ---
     def respond_raw(self, msg: str) -> None:
-        """Send a line to every output. One that fails gets no more: whoever speaks may be a heater's control."""
+        """Send a line to every output. An output that fails is dropped: the caller may be a heater's control."""
         for callback in tuple(self.output_callbacks):
             try:
                 callback(msg)
@@ -395,7 +395,7 @@ class GCodeDispatch:
             self.printer.request_exit("error_exit")
 
     def respond_state(self, state: str) -> None:
-        """Tell the user of a change of state."""
+        """Report a change of state to the user."""
         self.respond_info(f"Klipper state: {state}", log=False)
 
     # --- built-in commands ---

@@ -91,11 +91,11 @@ class GCodeCommand:
         return True
 
     def respond_info(self, msg: str, log: bool = True) -> None:
-        """Tell the user something."""
+        """Send the user a message."""
         self._dispatch.respond_info(msg, log)
 
     def respond_raw(self, msg: str) -> None:
-        """Send a line as it is."""
+        """Send a line without a prefix."""
         self._dispatch.respond_raw(msg)
 
     # --- parameters ---

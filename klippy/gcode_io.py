@@ -40,7 +40,7 @@ class GCodeIO:
             self._handle = self.reactor.register_fd(self.fd, self._handle_readable)
 
     def _handle_ready(self) -> None:
-        """In batch mode the file is read only now: there is nobody to tell that we are not ready."""
+        """In batch mode the file is read only now: no client waits for an error that the printer is not ready."""
         if self.is_fileinput and self._handle is None and self.fd is not None:
             if _is_pollable(self.fd):
                 self._handle = self.reactor.register_fd(self.fd, self._handle_readable)
@@ -145,7 +145,7 @@ class GCodeIO:
             self._running = False
 
     def _respond(self, msg: str) -> None:
-        """Send a line to the pseudo terminal; with nobody there, output is dropped."""
+        """Send a line to the pseudo terminal; without a reader it is dropped."""
         if not self._output_ok or self.fd is None:
             return
         try:

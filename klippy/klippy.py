@@ -73,7 +73,7 @@ def parse_arguments(argv: list[str]) -> argparse.Namespace:
 
 
 def build_start_args(options: argparse.Namespace) -> dict[str, Any]:
-    """What the printer is told about its start."""
+    """How the printer was started, as plugins read it from get_start_args()."""
     start_args: dict[str, Any] = {
         "config_file": os.path.abspath(options.config),
         "apiserver": options.api_server,
@@ -99,7 +99,7 @@ def build_start_args(options: argparse.Namespace) -> dict[str, Any]:
 
 
 def start_log(options: argparse.Namespace) -> queuelogger.QueueListener | None:
-    """Everything to the log file; problems to stderr as well, for whoever is looking."""
+    """Everything goes to the log file, problems also to stderr."""
     root = logging.getLogger()
     root.setLevel(logging.DEBUG if options.verbose else logging.INFO)
     console = logging.StreamHandler()

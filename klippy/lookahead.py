@@ -126,7 +126,7 @@ class Move:
         chelper.get_ffi()[1].move_limit_speed(self.record, speed, accel)
 
     def move_error(self, msg: str = "Move out of range") -> Exception:
-        """An error for the user that names where the move wants to go."""
+        """An error for the user that names the move's end."""
         x, y, z, e = self.end_pos
         return self.toolhead.printer.command_error(f"{msg}: {x:.3f} {y:.3f} {z:.3f} [{e:.3f}]")
 
@@ -146,9 +146,9 @@ def is_done_in_c(*methods: Any) -> bool:
 
 class LookAheadQueue:
     """Moves whose speeds are not fixed yet. They live in the C helper (lookahead.h); Move objects exist only for
-    those that Python has made or asked for."""
+    those that Python has made or requested."""
 
-    # Try to fix moves whenever this much (least) motion time has come in.
+    # Try to fix moves whenever at least this much motion time has come in.
     REVIEW_S = 0.250
 
     def __init__(self, toolhead: Any = None) -> None:
@@ -196,7 +196,7 @@ class LookAheadQueue:
         return self._lib.lookahead_plan(self.row, lazy)
 
     def planned(self, count: int) -> list[Move]:
-        """The first moves, which are planned, as objects; those are let go."""
+        """The first moves, which are planned, as objects; the queue drops them."""
         first = self.row.first
         moves = []
         for number in range(first, first + count):
@@ -213,8 +213,8 @@ class LookAheadQueue:
         return moves
 
     def callbacks(self, count: int) -> list[tuple[int, list[Callable[[float], None]]]]:
-        """(how many moves up to and with this one since the last, whom to tell its end) among the first `count`,
-        whose objects are let go; the last pair closes the count."""
+        """(moves up to and with this one since the last pair, callbacks of its end) among the first `count` moves,
+        whose objects are dropped; the last pair completes the count."""
         pairs: list[tuple[int, list[Callable[[float], None]]]] = []
         at, end = self.row.first, self.row.first + count
         for number in sorted(n for n in self._moves if n < end):

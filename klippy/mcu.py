@@ -454,11 +454,11 @@ class MCU:
     register_serial_response = register_response
 
     def register_batch(
-        self, cb: Callable[[Any, int], None], msgformat: str, seconds: float = 0.0, most: int = 0
+        self, cb: Callable[[Any, int], None], msgformat: str, seconds: float = 0.0, batch_max: int = 0
     ) -> None:
-        """Call `cb(messages, count)` with undecoded messages, when there are `most` or one has waited so long."""
+        """Call `cb(messages, count)` with undecoded messages, when there are `batch_max` or one is `seconds` old."""
         try:
-            self._serial.register_batch(cb, msgformat, seconds, most)
+            self._serial.register_batch(cb, msgformat, seconds, batch_max)
         except msgproto.error as e:
             self._fail(self._missing_command_text(msgformat, e))
 

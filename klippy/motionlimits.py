@@ -116,8 +116,8 @@ def read_velocity_limits(config: Any) -> VelocityLimits:
 
 
 def parse_m204(gcmd: Any) -> dict[str, float]:
-    """M204 S<accel>, or P<print> T<travel>: the lower of both. Slicers send P or T alone, too, for a kind of move that
-    is not told apart here: that changes nothing."""
+    """M204 S<accel>, or P<print> T<travel>: the lower of both. Slicers also send P or T alone, for a kind of move that
+    has no limit of its own here: that changes nothing."""
     accel = gcmd.get_float("S", None, **ACCEL)
     if accel is None:
         printing, travel = gcmd.get_float("P", None, **ACCEL), gcmd.get_float("T", None, **ACCEL)

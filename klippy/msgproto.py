@@ -117,16 +117,16 @@ def encode_block(seq: int, content: bytes) -> bytes:
 
 
 def check_block(data: bytes | bytearray | memoryview) -> int:
-    """What `data` begins with: n > 0 a valid block of n bytes, 0 too few to tell, -n no block: drop n bytes."""
+    """What `data` begins with: n > 0 a valid block of n bytes, 0 too few to decide, -n no block: drop n bytes."""
     if not len(data):
         return 0
     if data[0] == BLOCK_SYNC:
         return -1
     length = data[0]
-    plausible = BLOCK_MIN <= length <= BLOCK_MAX and (
+    may_be_head = BLOCK_MIN <= length <= BLOCK_MAX and (
         len(data) < 2 or data[1] & ~BLOCK_SEQ_MASK == BLOCK_DEST
     )
-    if plausible:
+    if may_be_head:
         if len(data) < length:
             return 0
         expected = data[length - 3] << 8 | data[length - 2]
@@ -138,7 +138,7 @@ def check_block(data: bytes | bytearray | memoryview) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Block:
-    """One valid block: its 4-bit sequence and what it carries."""
+    """One valid block: its 4-bit sequence and its content."""
 
     seq: int
     content: bytes
@@ -409,7 +409,7 @@ def _expand_enumeration(entries: Mapping[str, Any]) -> dict[str, int]:
 
 
 class MessageParser:
-    """Everything one firmware can say and be told. Knows only ``identify`` until `process_identify` was called."""
+    """All messages and commands of one firmware. Knows only ``identify`` until `process_identify` was called."""
 
     error = error
 

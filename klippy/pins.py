@@ -175,7 +175,7 @@ class PrinterPins:
         return f" (known: {', '.join(sorted(self.chips))})" if self.chips else ""
 
     def _sections_using(self, pin_desc: str) -> str:
-        """` (by [fan] pin, [heater_bed] heater_pin)` as far as the config tells."""
+        """` (by [fan] pin, [heater_bed] heater_pin)` as far as the config says."""
         configfile = self._printer.lookup_object("configfile", None) if self._printer is not None else None
         if configfile is None:
             return ""

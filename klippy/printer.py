@@ -98,7 +98,7 @@ class Printer:
         return self._result is not None
 
     def set_rollover_info(self, name: str, info: str, log: bool = True) -> None:
-        """Log text that is to be repeated in every log file."""
+        """Log text that is repeated in every new log file."""
         if log:
             logging.info(info)
         if self.log_listener is not None:
@@ -233,7 +233,7 @@ class Printer:
             self.invoke_shutdown(str(e) if known else f"Internal error during ready: {e}")
 
     def _fail(self, reason: str, advice: str) -> None:
-        """Start-up did not succeed: tell why, and wait for a RESTART (batch mode: end)."""
+        """Start-up did not succeed: report why, and wait for a RESTART (batch mode: end)."""
         logging.error(reason)
         self._set_state("error", f"{reason}\n{advice}")
         self._send_event_safely("klippy:notify_mcu_error")
@@ -266,7 +266,7 @@ class Printer:
         self.reactor.end()
 
     def run(self) -> str:
-        """Start the printer and serve it until somebody asks for the end; returns why it ended."""
+        """Start the printer and serve it until its end is requested; returns why it ended."""
         self.reactor.register_callback(self._connect)
         try:
             self.reactor.run()

@@ -1,4 +1,4 @@
-"""The host's log: records are queued and written by a thread of their own, so that a slow disk delays nobody."""
+"""The host's log: records are queued and written by a thread of their own: a slow disk does not delay the host."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _UNMARKED_LEVELS = (logging.INFO, logging.DEBUG)
 
 
 class LineFormatter(logging.Formatter):
-    """Message as it is; warnings and worse are marked."""
+    """The bare message; warnings and errors are marked."""
 
     def format(self, record: logging.LogRecord) -> str:
         text = super().format(record)

@@ -197,11 +197,11 @@ class ReactorMutex:
         self._owner: greenlet.greenlet | None = None
 
     def test(self) -> bool:
-        """True while somebody holds the lock."""
+        """True while the lock is held."""
         return self._locked
 
     def contended(self) -> bool:
-        """True while somebody else waits for the lock."""
+        """True while another greenlet waits for the lock."""
         return bool(self._queue)
 
     def is_mine(self) -> bool:
@@ -285,7 +285,7 @@ class Reactor:
             heapq.heapify(self._heap)
 
     def unregister_timer(self, timer_handler: ReactorTimer) -> None:
-        """The timer fires no more."""
+        """Remove the timer."""
         self.update_timer(timer_handler, _NEVER)
         timer_handler.callback = _return_never
 
@@ -312,7 +312,7 @@ class Reactor:
         self._wake_up()
 
     def run_beside(self, work: Callable[[], Any]) -> ReactorCompletion:
-        """Do long `work` without holding anything up; completes with what it returns, or with its exception.
+        """Do long `work` without blocking the host; completes with its result, or with its exception.
 
         `work` runs on a thread of its own and must not touch the printer. Where time stands still while the host
         computes it is done at once, so that a simulation repeats itself to the byte.
@@ -322,7 +322,7 @@ class Reactor:
         def attempt() -> Any:
             try:
                 return work()
-            except Exception as error:  # handed to whoever waits for the result
+            except Exception as error:  # passed to the greenlet that waits for the result
                 return error
 
         if self.time_source.runs_by_itself:

@@ -52,7 +52,7 @@ class _Waiter:
 
 @dataclass(slots=True)
 class _Clock:
-    """Relation of host time and MCU clock as last told by the clock synchronisation."""
+    """Relation of host time and MCU clock as last given by the clock synchronisation."""
 
     freq: float = 0.0
     time_s: float = 0.0
@@ -91,7 +91,7 @@ class SerialReader:
         self._notify_id = 0
         self._clock = _Clock()
         self._is_file = False
-        # freed when nobody holds it any more: step writers may outlive the connection
+        # freed with its last user: step writers may outlive the connection
         self._sq = self._ffi.gc(self._lib.serialqueue_alloc(0), self._lib.serialqueue_free)
         self._default_queue = self._lib.serialqueue_alloc_commandqueue(self._sq)
 
@@ -182,19 +182,19 @@ class SerialReader:
     # --- receiving ---
 
     def register_batch(
-        self, callback: BatchHandler, msgformat: str, seconds: float = 0.0, most: int = 0
+        self, callback: BatchHandler, msgformat: str, seconds: float = 0.0, batch_max: int = 0
     ) -> None:
         """Hand messages of this format on undecoded, many at a time: `callback(messages, count)` in the reactor thread.
 
-        `messages` are C's struct pull_message, up to BATCH_MAX. They wait until there are `most` of them or the oldest
-        is so old. One format only; registering it again changes what it waits for.
+        `messages` are C's struct pull_message, up to BATCH_MAX. They wait until there are `batch_max` of them, or the
+        oldest is `seconds` old. One format only; registering it again changes these limits.
         """
         message_id = self.msgparser.lookup_command(msgformat).id_bytes
         self._on_batch = callback
-        self._lib.serialqueue_set_batch(self._sq, message_id, len(message_id), seconds, most)
+        self._lib.serialqueue_set_batch(self._sq, message_id, len(message_id), seconds, batch_max)
 
     def _drain(self) -> None:
-        """Take what the queue has for us. Called by the port in the reactor thread."""
+        """Take what the queue has received. Called by the port in the reactor thread."""
         pulled = self._pulled
         while count := self._lib.serialqueue_pull(self._sq, pulled, PULL_MAX):
             # decode all before calling anybody: a handler may come back here
@@ -212,10 +212,10 @@ class SerialReader:
             self._drain_batch(self._on_batch)
 
     def _drain_batch(self, handler: BatchHandler) -> None:
-        lot = self._batch
-        while count := self._lib.serialqueue_pull_batch(self._sq, lot, BATCH_MAX, self.reactor.monotonic()):
+        batch = self._batch
+        while count := self._lib.serialqueue_pull_batch(self._sq, batch, BATCH_MAX, self.reactor.monotonic()):
             try:
-                handler(lot, count)
+                handler(batch, count)
             except Exception:
                 logging.exception("%shandler of a batch of messages failed", self.warn_prefix)
             if count < BATCH_MAX:
@@ -254,7 +254,7 @@ class SerialReader:
             logging.info("%sunexpected message: %s", self.warn_prefix, self.msgparser.format_params(params))
 
     def register_response(self, callback: ResponseHandler | None, name: str, oid: int | None = None) -> None:
-        """Call `callback(params)` for each such message, in the reactor thread; it must not sleep. None: no more."""
+        """Call `callback(params)` for each such message, in the reactor thread; it must not sleep. None removes it."""
         if callback is None:
             self._tables.handlers.pop((name, oid), None)
         else:
@@ -415,10 +415,6 @@ class CommandWrapper:
     def send(self, data: Sequence[Any] = (), minclock: int = 0, reqclock: int = 0) -> None:
         """Queue it: not sent before MCU clock `minclock`, needed by `reqclock` (0: at once)."""
         self._serial.raw_send(self._message.encode(data), minclock, reqclock, self._queue)
-
-    def send_wait_ack(self, data: Sequence[Any] = (), minclock: int = 0, reqclock: int = 0) -> None:
-        """Send it and wait until the MCU has it. Raises `error`."""
-        self._serial.raw_send_wait_ack(self._message.encode(data), minclock, reqclock, self._queue)
 
 
 class CommandQueryWrapper:

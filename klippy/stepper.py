@@ -20,7 +20,7 @@ QUEUE_STEP = "queue_step oid=%c interval=%u count=%hu add=%hi"
 SET_NEXT_STEP_DIR = "set_next_step_dir oid=%c dir=%c"
 RESET_STEP_CLOCK = "reset_step_clock oid=%c clock=%u"
 
-# Most drivers want 1 us at least (A4988); 2 us is safe for all in use.
+# A typical driver needs 1 us at least (A4988); 2 us is safe for all in use.
 DEFAULT_STEP_PULSE_S = 0.000002
 # Drivers that step on both edges can be driven without an "unstep" if the pulse may be this short.
 BOTH_EDGE_PULSE_S = 0.000000500

@@ -23,7 +23,7 @@ HOLD_BACK_S = 0.050
 BORDER_S = 0.001
 # Positions are kept this long for look-ups of the past (homing, reports).
 HISTORY_S = 30.0
-# Distance of the two points through which the print_time -> clock line of an MCU is laid.
+# Distance of the two points through which the print_time -> clock line of an MCU runs.
 CLOCK_BASELINE_S = 10.0
 END_OF_TIME_CLOCK = 2**63
 
@@ -64,7 +64,7 @@ class StepStream:
         self.sync_kinematics()
 
     def sync_kinematics(self) -> None:
-        """Tell the C side which solver feeds which stepper (after set_stepper_kinematics)."""
+        """Pass the C side which solver feeds which stepper (after set_stepper_kinematics)."""
         if self._sync is None:
             return
         for index, stepper in enumerate(self.steppers):
@@ -138,7 +138,7 @@ class StepStreams:
         self.streams[stepper.get_mcu()].sync_kinematics()
 
     def note_active_callback(self, stepper: Stepper) -> None:
-        """The stepper wants to be told before its next step."""
+        """The stepper has callbacks to run before its next step."""
         if stepper not in self._waking:
             self._waking.append(stepper)
 

@@ -148,7 +148,7 @@ class ToolHead:
             )
 
     def _report_stall(self, now: float) -> None:
-        """Tell the user, not too often, that the head had to stop in mid-print, and what helps."""
+        """Report, not too often, that the head had to stop in mid-print, and what helps."""
         if now < self._next_stall_report:
             return
         self._next_stall_report = now + STALL_REPORT_S
@@ -166,15 +166,15 @@ class ToolHead:
             self.print_time = self._drip_done
 
     def _commit(self, count: int) -> None:
-        """The first `count` moves, whose speeds are fixed, get their times and go to the motion queues. Python looks at
-        each only if somebody wants to."""
+        """The first `count` moves, whose speeds are fixed, get their times and go to the motion queues. Python handles
+        each of them only for listeners."""
         extruder, filament, queue = self.extruder, self._filament_mm, self.lookahead
         by_hand = bool(self.extra_axes) or not is_done_in_c(extruder.process_move)
         moves = queue.planned(count) if by_hand or self._listeners else []
         extruder_trapq = self._no_trapq if by_hand else getattr(extruder, "trapq", self._no_trapq)
         filament[0] = start = getattr(extruder, "last_position", 0.0)
         time = self.print_time
-        told: list[tuple[Callable[[float], None], float]] = []
+        due: list[tuple[Callable[[float], None], float]] = []
         parts = [(1, move.timing_callbacks or []) for move in moves] or queue.callbacks(count)
         for number, (part, callbacks) in enumerate(parts):
             end = self._commit_in_c(queue.row, part, time, self.trapq, extruder_trapq, filament)
@@ -183,11 +183,11 @@ class ToolHead:
             if by_hand:
                 self._commit_others(time, moves[number])
             time = end
-            told += [(callback, time) for callback in callbacks]
+            due += [(callback, time) for callback in callbacks]
         if filament[0] != start:
             extruder.last_position = filament[0]
         self.print_time = self._motion_end = time
-        for callback, end in told:
+        for callback, end in due:
             callback(end)
         for listener in self._listeners:
             listener(moves)
@@ -326,7 +326,7 @@ class ToolHead:
         self.printer.send_event("toolhead:manual_move")
 
     def dwell(self, delay: float) -> None:
-        """Rest for `delay` seconds after what is queued."""
+        """Rest for `delay` seconds after the queued moves."""
         self.get_last_move_time()
         self._advance_print_time(self.print_time + max(0.0, delay))
         self._wait_for_room()
@@ -339,7 +339,7 @@ class ToolHead:
 
     def wait_moves(self) -> None:
         """Return when all that is queued has been done."""
-        if not self.can_pause:  # nobody to wait for: what comes next follows at once
+        if not self.can_pause:  # nothing to wait for: the next line follows at once
             self._flush_lookahead()
             return
         self._settle()
@@ -352,7 +352,7 @@ class ToolHead:
         self._settle()
 
     def get_last_move_time(self) -> float:
-        """print_time at which all that is queued ends; what comes next begins there."""
+        """print_time at which the queued moves end; the next move begins there."""
         self._flush_lookahead()
         if self._at_rest:
             self._start_motion()
@@ -404,14 +404,14 @@ class ToolHead:
             self._streams.advance(time, hold_back=False)
         if time < end:  # stopped by the trigger: the rest of the plan is void
             self._cut_plan(min(self.print_time, time + self._streams.look_ahead_s()))
-        # all of it now: once the motors have told where they halted, no step of this move may follow
+        # all of it now: once the motors have reported where they halted, no step of this move may follow
         self._streams.advance(self.print_time + self._streams.look_ahead_s(), hold_back=False)
         self._drip_done = self._streams.done_time
         self._start_watch()  # the timer may have gone to sleep until the end of the whole, uninterrupted move
 
     def _cut_plan(self, print_time: float) -> None:
-        """The head rests from print_time on, where the plan has it then: what is shaped or smoothed runs out without a
-        jump (the motors have been halted already; homing tells where)."""
+        """The head rests from print_time on, at its planned place. Shaped and smoothed motion runs out without a
+        jump (the motors have been halted already; homing finds out where)."""
         self.print_time = self._motion_end = print_time
         self._lib.trapq_state_at(self.trapq, print_time, self._cut_xyz, self._cut_speed)
         self._trapq_set_position(self.trapq, print_time, *self._cut_xyz)

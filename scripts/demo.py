@@ -45,7 +45,7 @@ def simulate(config: Path, gcode: Path, out: Path) -> int:
     with subprocess.Popen(command) as program:
         try:
             return program.wait()
-        except KeyboardInterrupt:  # the terminal has told both of us, and the program says so
+        except KeyboardInterrupt:  # the terminal has interrupted both, and the program says so
             try:
                 return program.wait(INTERRUPT_WAIT_S)
             except subprocess.TimeoutExpired:

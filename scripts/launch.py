@@ -1,4 +1,4 @@
-"""Entry points of an installed Ferrite (`pip install .`): ferrite-klippy, ferrite-simulate, ferrite-console.
+"""Entry points of an installed Ferrite (`pip install .`): ferrite-klippy, ferrite-simulate and others.
 
 The modules in klippy/ import each other by bare names, as plugins do; so the installed tree has the same shape as a
 checkout, and starting a program means putting its folders first on the path.
@@ -34,6 +34,11 @@ def klippy() -> int:
 def simulate() -> int:
     """A print on the simulated printer."""
     return _start("simulate")
+
+
+def study() -> int:
+    """Many simulated prints."""
+    return _start("study")
 
 
 def console() -> int:

@@ -128,7 +128,7 @@ def story(found: Extract) -> str:
         if name.endswith((".temp", "sysload", "print_stall", "bytes_retransmit", "bytes_invalid")):
             values = found.series[name][1]
             lines.append(
-                f"{name:<32} least {min(values):10.2f}  most {max(values):10.2f}  last {values[-1]:10.2f}"
+                f"{name:<32} min {min(values):10.2f}  max {max(values):10.2f}  last {values[-1]:10.2f}"
             )
     return "\n".join(lines)
 

@@ -4,7 +4,7 @@
     scripts/motion_plot.py batch DICT OUT --config printer.cfg --out motion.png [--from S] [--to S] [--stepper NAME]
     scripts/motion_plot.py live SOCKET --seconds 10 --out motion.png
 
-batch reads the output of a batch run (klippy.py -i -o); the config tells which motor a step pin belongs to and how far
+batch reads the output of a batch run (klippy.py -i -o); the config says which motor a step pin belongs to and how far
 a step goes. live subscribes to motion_report/dump_stepper and dump_trapq of a running host.
 
 The step error is the time by which a step comes earlier or later than smooth motion would have it: with a live host
@@ -42,7 +42,7 @@ import parsedump
 Array = NDArray[np.float64]
 
 END = b"\x03"
-WINDOW_STEPS = 16  # steps on each side that a local parabola is laid through
+WINDOW_STEPS = 16  # steps on each side that a local parabola is fitted through
 GRID_S = 0.001  # velocity and acceleration are worked out on a grid
 SMOOTH_S = 0.008
 SLOWEST_MM_S = 0.5  # below, a step's error in time says nothing
@@ -145,30 +145,30 @@ class _Trace:
 
 
 def _decode(lines: Iterable[str], freq: float, lengths: dict[str, tuple[str, float]]) -> Iterable[Motor]:
-    tracks: dict[str, _Trace] = {}
+    traces: dict[str, _Trace] = {}
     for line in lines:
         name, _, rest = line.partition(" ")
         if name not in ("config_stepper", "reset_step_clock", "set_next_step_dir", "queue_step"):
             continue
         value = dict(word.split("=", 1) for word in rest.split() if "=" in word)
         if name == "config_stepper":
-            tracks[value["oid"]] = _Trace(value["step_pin"])
+            traces[value["oid"]] = _Trace(value["step_pin"])
             continue
-        track = tracks[value["oid"]]
+        trace = traces[value["oid"]]
         if name == "reset_step_clock":  # 32 bits on the wire
-            track.clock += (int(value["clock"]) - track.clock) & 0xFFFFFFFF
+            trace.clock += (int(value["clock"]) - trace.clock) & 0xFFFFFFFF
         elif name == "set_next_step_dir":
-            track.forward = 1 if value["dir"] == "1" else -1
+            trace.forward = 1 if value["dir"] == "1" else -1
         else:
             interval, count, add = int(value["interval"]), int(value["count"]), int(value["add"])
-            track.commands.append((track.clock, interval, track.forward * count, add))
-            track.clock += interval * count + add * count * (count - 1) // 2
-    for track in tracks.values():
-        section, step_mm = lengths.get(track.pin, (f"pin {track.pin}", 1.0))
+            trace.commands.append((trace.clock, interval, trace.forward * count, add))
+            trace.clock += interval * count + add * count * (count - 1) // 2
+    for trace in traces.values():
+        section, step_mm = lengths.get(trace.pin, (f"pin {trace.pin}", 1.0))
         motor = Motor(section, step_mm)
-        if track.commands:
-            clocks = [run_steps(c + i, i, n, a) for c, i, n, a in track.commands]
-            ways = [np.full(abs(n), np.sign(n), dtype=float) for _, _, n, _ in track.commands]
+        if trace.commands:
+            clocks = [run_steps(c + i, i, n, a) for c, i, n, a in trace.commands]
+            ways = [np.full(abs(n), np.sign(n), dtype=float) for _, _, n, _ in trace.commands]
             motor.times = np.concatenate(clocks) / freq
             motor.positions = np.cumsum(np.concatenate(ways)) * step_mm
         yield motor

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""The host and its simulated printer in one process, the wall clock setting the pace (used by run_printer.py).
+"""The host and its simulated printer in one process, the wall clock setting the speed (used by run_printer.py).
 
     wall clock ──► PacedTime.wait ──► world advances, never ahead of the wall clock × speed
                         │

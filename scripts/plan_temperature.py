@@ -86,7 +86,7 @@ def parse(argv: Sequence[str] | None) -> argparse.Namespace:
         "--set", action="append", default=[], metavar="OPTION=VALUE", help="of [temperature_plan]"
     )
     parser.add_argument(
-        "--step", type=_min_change_c, default=2.0, help="--emit: least change written, degC (2)"
+        "--step", type=_min_change_c, default=2.0, help="--emit: smallest change written, degC (2)"
     )
     return parser.parse_args(argv)
 
@@ -134,10 +134,12 @@ def leave_out_tools(options: argparse.Namespace, line: int) -> None:
         raise BadInput(
             f"{options.gcode}, line {line}: this tool has a nozzle of its own, and --emit knows one nozzle"
         )
-    print("what the other tools lay is left out")
+    print("what the other tools deposit is left out")
 
 
-def tell(found: plan_offline.OfflinePlan, plain: plan_offline.OfflinePlan, material: Material) -> None:
+def print_result(
+    found: plan_offline.OfflinePlan, plain: plan_offline.OfflinePlan, material: Material
+) -> None:
     """What a user may want to know or to change."""
     print(temperature_plan.report_line(found.summary, material))
     if found.summary.cold_share > 0.01:
@@ -153,7 +155,7 @@ def tell(found: plan_offline.OfflinePlan, plain: plan_offline.OfflinePlan, mater
     if slowest < 1.0:
         low_c, _, high_c = plain.summary.interface_5_50_95_c[1]
         print(
-            f"hot layers are laid at down to {100 * slowest:.0f} % of the file's speed; at its own speed one fixed"
+            f"hot layers are printed at down to {100 * slowest:.0f} % of the file's speed; at its own speed one fixed"
             f" temperature gives {low_c:.0f}..{high_c:.0f} C"
         )
 
@@ -184,7 +186,7 @@ def plan(options: argparse.Namespace) -> dict[str, Any]:
             f"interface_temp: {known.options.interface_c} is what the material's window lets the whole path come"
             " nearest to; planned with it"
         )
-    tell(found, plain, settings.material)
+    print_result(found, plain, settings.material)
     if options.report:
         plan_report.write(options.report, options.gcode.name, found, settings.material, plain.summary)
     if options.emit:

@@ -159,13 +159,13 @@ def moonraker_is_up(port: int) -> bool:
 
 
 class Supervisor:
-    """Starts the programs, tells when the printer is ready, watches them, stops them."""
+    """Starts the programs, says when the printer is ready, watches them, stops them."""
 
     def __init__(self, folder: printer_data.PrinterData, programs: list[Program], port: int | None) -> None:
         self._folder = folder
         self._programs = programs
         self._port = port
-        self._told = ""
+        self._reported = ""
         self._moonraker_announced = port is None
         self._ending = False
 
@@ -179,7 +179,7 @@ class Supervisor:
             while not self._ending and not any(program.given_up for program in self._programs):
                 for program in self._programs:
                     program.watch(time.monotonic())
-                self._tell()
+                self._report()
                 time.sleep(POLL_S)
         finally:
             for program in reversed(self._programs):
@@ -189,12 +189,12 @@ class Supervisor:
             say("run_printer: stopped")
         return 0 if self._ending else 1
 
-    def _tell(self) -> None:
+    def _report(self) -> None:
         """A line at each change of the printer's state."""
         info = ask_host(self._folder.socket) if self._folder.socket.exists() else None
         state = str(info["state"]) if info else "starting"
-        if state not in (self._told, "startup"):
-            self._told = state
+        if state not in (self._reported, "startup"):
+            self._reported = state
             if state == "ready":
                 say(f"ready: the printer is ready; API server at {self._folder.socket}")
             elif info:

@@ -2,8 +2,9 @@
 # Makes a checkout ready to run: Debian packages, a Python environment in .venv, pinned Python packages.
 #
 #   scripts/setup.sh demo       what a simulated print needs (a C compiler, numpy, matplotlib, ...)
-#   scripts/setup.sh moonraker  that, and Moonraker in an environment of its own
-#   scripts/setup.sh test       what `make test` needs: demo, Moonraker, clang, cross compilers, mypy, pytest, ...
+#   scripts/setup.sh study      that, and what studies of many prints need (scripts/study.py)
+#   scripts/setup.sh moonraker  demo, and Moonraker in an environment of its own
+#   scripts/setup.sh test       what `make test` needs: study, Moonraker, clang, cross compilers, mypy, pytest, ...
 #   scripts/setup.sh browser    what `make test-browser` needs: pytest and Chromium
 #   scripts/setup.sh flash      what `make test-flash` needs: pytest, cross compilers, avrdude, openocd
 #   scripts/setup.sh host       what the host needs on a printer (scripts/install.sh)
@@ -28,6 +29,7 @@ demo_packages=(
   "gcc               gcc"
   "libc6-dev         /usr/include/stdio.h"
 )
+study_packages=("${demo_packages[@]}")
 host_packages=(
   "${demo_packages[@]}"
   "python3-dev       /usr/include/python3*/Python.h"
@@ -180,7 +182,8 @@ pip_install() {
 # Each level's list includes the one before it, so a level is one list and the files it draws in.
 host_lists=(requirements.txt)
 demo_lists=(requirements-sim.txt "${host_lists[@]}" requirements-data.txt)
-test_lists=(requirements-dev.txt "${demo_lists[@]}")
+study_lists=(requirements-study.txt "${demo_lists[@]}")
+test_lists=(requirements-dev.txt "${study_lists[@]}")
 
 installed() { # level, its lists: true if exactly these were installed into this environment
   [ -f "$venv/.ferrite-$1" ] && [ "$(cat "$venv/.ferrite-$1")" = "$(fingerprint "${@:2}")" ]
@@ -194,14 +197,13 @@ need_python() { # level, its lists (the first is the one to install)
   fingerprint "${@:2}" >"$venv/.ferrite-$1"
 }
 
-need_python_for() { # host, demo or test: nothing is done if a larger level is there
-  case $1 in
-    test) need_python test "${test_lists[@]}" ;;
-    demo) installed test "${test_lists[@]}" || need_python demo "${demo_lists[@]}" ;;
-    host)
-      installed test "${test_lists[@]}" || installed demo "${demo_lists[@]}" \
-        || need_python host "${host_lists[@]}" ;;
-  esac
+need_python_for() { # a level with lists of its own: nothing is done if it or a larger one is there
+  local level larger=(test study demo host)
+  for level in "${larger[@]}"; do
+    local -n lists=${level}_lists
+    if installed "$level" "${lists[@]}"; then return; fi
+    if [ "$level" = "$1" ]; then need_python "$level" "${lists[@]}"; return; fi
+  done
 }
 
 need_moonraker() { # its own environment: its pins are not ours
@@ -231,8 +233,8 @@ need_registers() { # the vendor's register table, for scripts/check/check_regist
 }
 
 case $level in
-  demo|moonraker|test|browser|flash|host) ;;
-  *) fail "say 'demo', 'moonraker', 'test', 'browser', 'flash' or 'host', not '$level'" ;;
+  demo|study|moonraker|test|browser|flash|host) ;;
+  *) fail "say 'demo', 'study', 'moonraker', 'test', 'browser', 'flash' or 'host', not '$level'" ;;
 esac
 # One set-up at a time: two makes started together would install over each other.
 mkdir -p out
@@ -246,7 +248,7 @@ declare -n packages=${level}_packages
 need_debian "${packages[@]}"
 make_venv
 case $level in
-  host) need_python_for host ;;
+  host|study) need_python_for "$level" ;;
   demo|moonraker) need_python_for demo ;;
   *) need_python_for test ;;
 esac

@@ -94,7 +94,7 @@ def parse_builds(texts: Sequence[str]) -> dict[str, str]:
 
 
 def check_overrides(config: Path, overrides: Sequence[tuple[str, str, str]]) -> None:
-    """A section that the config does not have cannot be overridden: most likely it is misspelt."""
+    """A section that the config does not have cannot be overridden: it is probably misspelt."""
     data = configtext.ConfigData()
     try:
         text = configtext.split_autosave(configtext.read_text(str(config)))[0]
@@ -165,7 +165,7 @@ def write_results(options: argparse.Namespace, outcome: Outcome) -> None:
         print(f"simulate: no report: {e}", file=sys.stderr)
 
 
-def tell(outcome: Outcome) -> None:
+def print_outcome(outcome: Outcome) -> None:
     """One line of what happened: stdout if it went well, else stderr."""
     facts: dict[str, Any] = outcome.summary
     unknown = facts.get("unknown_commands")
@@ -214,7 +214,7 @@ def main(argv: Sequence[str]) -> int:
     except (BadInput, WorldError, OSError) as e:
         print(f"simulate: {e}", file=sys.stderr)
         return BAD_INPUT
-    tell(outcome)
+    print_outcome(outcome)
     return outcome.status
 
 

@@ -350,8 +350,8 @@ def check_response(outcome: Outcome, what: str) -> str | None:
 
 
 def check_no_response(outcome: Outcome, what: str) -> str | None:
-    heard = [reply for reply in outcome.replies if what in reply]
-    return f"answers: {heard}" if heard else None
+    matching = [reply for reply in outcome.replies if what in reply]
+    return f"answers: {matching}" if matching else None
 
 
 def check_error(outcome: Outcome, what: str) -> str | None:

@@ -41,9 +41,9 @@ SIM_SHARED := -g -fPIC -shared -fvisibility=hidden -Wl,-Bsymbolic
 firmware-sim: $(SIM_MCU_LIB)
 
 $(SIM_DIR)/ferrite.dict $(SIM_DIR)/compile_time.c: $(SIM_DIR)/dictionary.stamp
-$(SIM_DIR)/dictionary.stamp: $(SIM_SOURCES) $(SIM_HEADERS) scripts/build_dictionary.py src/build.mk
+$(SIM_DIR)/dictionary.stamp: $(SIM_SOURCES) $(SIM_HEADERS) scripts/build/build_dictionary.py src/build.mk
 	@mkdir -p $(SIM_DIR)
-	$(PYTHON) scripts/build_dictionary.py --out $(SIM_DIR) --version '$(FERRITE_VERSION)' \
+	$(PYTHON) scripts/build/build_dictionary.py --out $(SIM_DIR) --version '$(FERRITE_VERSION)' \
 		--cc '$(CC) $(SIM_INCLUDES)' $(SIM_SOURCES)
 	@touch $@
 
@@ -72,10 +72,10 @@ CROSS_FLAGS_arm-none-eabi-gcc := -mcpu=cortex-m4 -mthumb
 CROSS_FLAGS_avr-gcc := -mmcu=atmega2560
 
 compile-check: $(CROSS_COMPILERS:%=$(CROSS_DIR)/%/stamp)
-$(CROSS_DIR)/%/stamp: $(CROSS_SOURCES) $(FIRMWARE_HEADERS) src/template/port_types.h scripts/build_dictionary.py
+$(CROSS_DIR)/%/stamp: $(CROSS_SOURCES) $(FIRMWARE_HEADERS) src/template/port_types.h scripts/build/build_dictionary.py
 	@command -v $* >/dev/null || { echo "compile-check needs $*: apt-get install the package that has it"; exit 1; }
 	@mkdir -p $(@D)
-	@$(PYTHON) scripts/build_dictionary.py --out $(@D) --cc '$* $(CROSS_FLAGS_$*) -Isrc -Isrc/template' $(CROSS_SOURCES)
+	@$(PYTHON) scripts/build/build_dictionary.py --out $(@D) --cc '$* $(CROSS_FLAGS_$*) -Isrc -Isrc/template' $(CROSS_SOURCES)
 	@for source in $(CROSS_SOURCES) $(@D)/compile_time.c; do \
 		$* $(CROSS_FLAGS_$*) $(C_WARNINGS) -Os -Isrc -Isrc/template -c -o $(@D)/$$(basename $$source .c).o $$source \
 			|| exit 1; done
@@ -85,12 +85,12 @@ $(CROSS_DIR)/%/stamp: $(CROSS_SOURCES) $(FIRMWARE_HEADERS) src/template/port_typ
 FUZZ_SECONDS ?= 600
 FUZZ_DIR := $(OUT)/fuzz
 fuzz-build: $(FUZZ_DIR)/fuzz_command
-$(FUZZ_DIR)/fuzz_command: test/c/fuzz_command.c $(SIM_DIR)/dictionary.stamp
+$(FUZZ_DIR)/fuzz_command: test/fuzz/fuzz_command.c $(SIM_DIR)/dictionary.stamp
 	@mkdir -p $(FUZZ_DIR)
 	clang -std=gnu11 -Wall -Wextra -Werror -O1 -g -fsanitize=fuzzer,address,undefined -fno-sanitize-recover=all \
 		$(SIM_INCLUDES) -o $@ $< $(SIM_SOURCES) $(SIM_DIR)/compile_time.c
 fuzz: fuzz-build
 	@mkdir -p $(FUZZ_DIR)/corpus
-	$(PYTHON) test/c/fuzz_seeds.py $(FUZZ_DIR)/corpus
+	PYTHONPATH=klippy:scripts/bench/rigs $(PYTHON) test/fuzz/fuzz_seeds.py $(FUZZ_DIR)/corpus
 	$(FUZZ_DIR)/fuzz_command -max_len=1024 -max_total_time=$(FUZZ_SECONDS) -artifact_prefix=$(FUZZ_DIR)/ \
 		-print_final_stats=1 $(FUZZ_DIR)/corpus

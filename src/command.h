@@ -8,7 +8,7 @@
  *     DECL_RESPONSE(response_lamp, "lamp value=%c clock=%u");
  *     ... respond(&response_lamp, lamp_read(), timer_read_time());
  *
- * In a normal compile the macros shrink to declarations.  scripts/build_dictionary.py preprocesses every source
+ * In a normal compile the macros shrink to declarations.  scripts/build/build_dictionary.py preprocesses every source
  * file once more with DICTIONARY_PASS defined, collects what the macros then leave in the text, and writes
  * OUT/compile_time.c: the command table, the encoders, the lists of init, task and shutdown functions, and the
  * compressed data dictionary the host fetches with `identify`.  A message's text is therefore written once.

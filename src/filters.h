@@ -3,8 +3,8 @@
  *     y += (x - y) / 2^shift            Oskolkov 2021, eqs 3 and 4 with alpha = 2^-shift
  *
  * Formats: input and output u23.0 (0 ..= EMA_INPUT_MAX), state u23.8.  No step can overflow: the state stays between
- * the smallest and largest input so far, so a difference of two states is at most 2^31 - 256, and rounding adds at
- * most 2^(EMA_SHIFT_MAX - 1) = 128 to it.
+ * the smallest and largest input so far, so a difference of two states is at most 2^31 - 256. Rounding adds no
+ * more than 2^(EMA_SHIFT_MAX - 1) = 128 to it.
  * Rounding: half up, at each step and at the output; the state stops within 2^(shift-1)/256 of a constant input.
  * Cost: a subtraction, two additions, two shifts; no division.
  */

@@ -29,6 +29,7 @@
 #include "board/timer.h"
 #include "command.h"
 #include "guard.h"
+#include "induction_timing.h"
 #include "oversample.h"
 #include "phase.h"
 #include "sched.h"
@@ -44,14 +45,17 @@ enum {
     BLOCKS_WAITING_MAX = 32, /* power of two; 51 ms of blocks of 192 samples for a host link that stalls */
     RECORD_SIZE_MAX = 16,
     DATA_SIZE_MAX = 48,      /* what fits one message: 7 plain records, 3 of the longest */
-    RECORDS_DEFAULT = 2,
     RECORDS_MAX = 7,
     LONE_RECORD_US = 20000,  /* a record that would wait longer for others goes without them */
     LATE_MARGIN_US = 20,     /* a late phase command is applied so much after its arrival */
-    DEFAULT_Y = 5,           /* Oskolkov 2021: 12 -> 17 bit */
-    DEFAULT_SETTLE = 20,     /* samples; tank settles with 27 us, 18 periods to 0.1 degrees of phase */
 };
 
+DECL_CONSTANT("INDUCTION_FREQUENCY", INDUCTION_FREQUENCY);
+DECL_CONSTANT("INDUCTION_OVERSAMPLE", INDUCTION_OVERSAMPLE);
+DECL_CONSTANT("INDUCTION_BLOCK_SAMPLES", INDUCTION_BLOCK_SAMPLES);
+DECL_CONSTANT("INDUCTION_SETTLE_SAMPLES", INDUCTION_SETTLE_SAMPLES);
+DECL_CONSTANT("INDUCTION_RECORDS", INDUCTION_RECORDS);
+DECL_CONSTANT("INDUCTION_LEAD_US", INDUCTION_LEAD_US);
 DECL_CONSTANT("INDUCTION_LIMIT_ROWS", GUARD_ROWS_MAX);
 DECL_CONSTANT("INDUCTION_Y_MIN", OVERSAMPLE_Y_MIN);
 DECL_CONSTANT("INDUCTION_Y_MAX", OVERSAMPLE_Y_MAX);
@@ -377,11 +381,13 @@ command_config_induction(const struct command_args *args)
     u->adc = sync_adc_setup(args->val[2], u->bridge, HALF_LEN, samples_ready);
     u->period_ticks = period_ticks;
     u->hold_samples = timer_from_us(LONE_RECORD_US) / period_ticks;
-    u->records = RECORDS_DEFAULT;
+    u->records = INDUCTION_RECORDS;
     u->timer.func = phase_timer;
     phase_init(&u->schedule, (uint16_t)phase_max);
     guard_init(&u->guard, SYNC_ADC_MAX, max_duration);
-    oversample_init(&u->oversample, (struct oversample_config){.y = DEFAULT_Y, .settle_samples = DEFAULT_SETTLE});
+    oversample_init(&u->oversample, (struct oversample_config){.y = INDUCTION_OVERSAMPLE,
+                                                                .settle_samples = INDUCTION_SETTLE_SAMPLES,
+                                                                .block_len = INDUCTION_BLOCK_SAMPLES});
     move_request_size(sizeof(struct phase_node));
     unit = u;
 }

@@ -5,7 +5,7 @@
 #   PORT_CC PORT_OBJCOPY              its tools (PORT_CC is also what preprocesses for the dictionary)
 #   PORT_FIRMWARE                     the portable files it takes: some of build.mk's FIRMWARE_ lists
 #   PORT_SOURCES                      its own files
-#   PORT_PREFIX_MAP                   how the compiler is told to forget a folder's name (older ones: -fdebug-prefix-map)
+#   PORT_PREFIX_MAP                   the option by which the compiler forgets a folder's name (older ones: -fdebug-prefix-map)
 #   PORT_CFLAGS PORT_LDFLAGS          what the compiler and the linker need to know beyond what is here
 #   PORT_LINK_INPUTS                  files the link depends on (linker script)
 #   PORT_IMAGES                       what is made of OUT/PORT/ferrite.elf (ferrite.bin, ferrite.hex), with rules
@@ -65,10 +65,10 @@ firmware: $(PORT_ELF) $(PORT_IMAGES:%=$(PORT_OUT)/%)
 list-sources:
 	@echo $(PORT_ALL_SOURCES)
 flash: firmware
-	@$(PORT_PYTHON) scripts/flash_firmware.py $(if $(PORT_FLASH_DEVICE),--device $(PORT_FLASH_DEVICE)) $(PORT_FLASH_CMD)
+	@$(PORT_PYTHON) scripts/build/flash_firmware.py $(if $(PORT_FLASH_DEVICE),--device $(PORT_FLASH_DEVICE)) $(PORT_FLASH_CMD)
 # KEEP=1 makes today's figures those of the last release.
 size: firmware
-	@$(PORT_PYTHON) scripts/firmware_size.py --port $(PORT) --out $(PORT_OUT) $(if $(KEEP),--keep)
+	@$(PORT_PYTHON) scripts/build/firmware_size.py --port $(PORT) --out $(PORT_OUT) $(if $(KEEP),--keep)
 
 $(PORT_FLAGS_STAMP):
 	@command -v $(PORT_CC) >/dev/null || { \
@@ -79,8 +79,8 @@ $(PORT_FLAGS_STAMP):
 
 $(PORT_OUT)/ferrite.dict $(PORT_OUT)/compile_time.c: $(PORT_OUT)/dictionary.stamp
 $(PORT_OUT)/dictionary.stamp: $(PORT_ALL_SOURCES) $(FIRMWARE_HEADERS) $(wildcard src/$(PORT)/*.h) \
-		scripts/build_dictionary.py $(PORT_FLAGS_STAMP)
-	$(PORT_PYTHON) scripts/build_dictionary.py --out $(PORT_OUT) --version '$(FERRITE_VERSION)' \
+		scripts/build/build_dictionary.py $(PORT_FLAGS_STAMP)
+	$(PORT_PYTHON) scripts/build/build_dictionary.py --out $(PORT_OUT) --version '$(FERRITE_VERSION)' \
 		--cc '$(PORT_CC) $(PORT_CFLAGS) $(PORT_INCLUDES)' $(PORT_ALL_SOURCES)
 	@touch $@
 
@@ -111,4 +111,4 @@ endif
 menuconfig: setup
 	@$(PYTHON) -c 'import menuconfig' 2>/dev/null || $(PYTHON) -m pip install --quiet --disable-pip-version-check \
 		$$(grep '^kconfiglib==' requirements-dev.txt)
-	@srctree=src KCONFIG_CONFIG=$(KCONFIG_CONFIG) $(PYTHON) scripts/run_menuconfig.py Kconfig
+	@srctree=src KCONFIG_CONFIG=$(KCONFIG_CONFIG) $(PYTHON) scripts/build/run_menuconfig.py Kconfig

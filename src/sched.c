@@ -20,7 +20,7 @@ enum {
     /* So many intervals without ever being in time: a timer asks to run again at once, for ever.  Origin: above any honest
      * burst (a few timers per stepper), below a second of hanging on the slowest machine. */
     INTERVALS_MAX = 300,
-    PAUSE_INTERVALS = 16,     /* after so many without leaving the interrupt, tasks get PORT_TIMER_PAUSE_TICKS */
+    PAUSE_INTERVALS = 16,  /* after so many without leaving the interrupt, tasks get PORT_TIMER_PAUSE_TICKS */
     LATE_MAX_US = 100000,  /* a timer that runs later than this: the machine is overloaded */
 };
 /* A timer nearer than this is waited for inside the interrupt, where leaving and coming again costs more. */
@@ -54,8 +54,8 @@ static struct {
     uint8_t announce_shutdown, announce_start;
     uint8_t timers_alive;             /* the timer interrupt has come since the watchdog was fed */
     uint8_t dispatching;              /* the head of the list is the timer that runs now */
-    uint16_t intervals_late;             /* since a timer was last in time */
-    uint8_t intervals_busy;              /* since tasks have last had a turn */
+    uint16_t intervals_late;          /* since a timer was last in time */
+    uint8_t intervals_busy;           /* since tasks have last had a turn */
     volatile uint8_t tasks_waiting;
 } sched;
 
@@ -166,7 +166,7 @@ comes_soon(uint32_t late)
     return 0;
 }
 
-/* The hot path of all stepping, deposited out for a timer that stays the head of the list: it is left there while it runs. */
+/* The hot path of all stepping, optimised for a timer that stays the head of the list: it stays there while it runs. */
 static void
 run_due_timers(void *unused)
 {
@@ -192,7 +192,7 @@ run_due_timers(void *unused)
         shutdown(SHUTDOWN_RESCHEDULED_IN_PAST);
 }
 
-/* Timers take all the time there is: the tasks' turn, or the host would never be heard. */
+/* Timers take all the time there is: give the tasks a turn, or no message of the host is ever handled. */
 static uint32_t
 after_pause(void)
 {

@@ -64,7 +64,7 @@ void try_shutdown(enum shutdown_reason reason);  /* as shutdown(), but returns i
 uint8_t sched_is_shutdown(void);
 enum shutdown_reason sched_shutdown_reason(void);
 void sched_clear_shutdown(void);
-void sched_respond_shutdown(void);               /* tell the host why a command was refused */
+void sched_respond_shutdown(void);               /* report to the host why a command was refused */
 
 /* For ports.  ----------------------------------------------------------------------------------------------- */
 
@@ -73,7 +73,7 @@ void sched_boot(void);
 void sched_run_tasks(void);          /* one pass */
 uint32_t sched_last_pass_ticks(void);  /* task: duration of the pass before this one, sleep not counted */
 uint8_t sched_tasks_waiting(void);   /* has anything been woken since the last pass began? */
-/* Timer interrupt: run what is due, a interval of it at most; returns when to come again, which may be past (at once then, but
+/* Timer interrupt: run what is due, one interval of it at most; returns when to come again, which may be past (at once then, but
  * other interrupts come first). */
 uint32_t sched_timer_dispatch(void);
 uint32_t sched_next_waketime(void);

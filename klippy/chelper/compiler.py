@@ -11,7 +11,7 @@ from pathlib import Path
 _MARKER = re.compile(r'# \d+ "[^"]*"(?P<flags>[ \d]*)$')
 _SYSTEM_HEADER = "3"
 _BLOCK = r"\{[^{}]*\}"
-for _ in range(3):  # so many braces within braces
+for _ in range(3):  # three levels of braces within braces
     _BLOCK = rf"\{{(?:[^{{}}]|{_BLOCK})*\}}"
 # Inline functions, which no library exports; attributes; `const` of a number, which cffi wants to know beforehand.
 _NOT_FOR_CFFI = re.compile(

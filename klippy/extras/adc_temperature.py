@@ -44,19 +44,19 @@ class ReadingRange:
     high: float = 1.0
 
     def explain(self, name: str, mcu_adc: Any, curve: Curve, mcu: Any, reason: str) -> str:
-        """After a board's "ADC out of range": what is known of this sensor, "" if it was not the one."""
+        """After a board's "ADC out of range": the text about this sensor, "" if another sensor caused it."""
         value, at_s = mcu_adc.get_last_value()
         if "ADC out of range" not in reason or mcu is not mcu_adc.get_mcu() or not at_s:
             return ""
         scale = mcu_adc.get_full_scale()
         if math.floor(self.low * scale) <= round(value * scale) <= math.ceil(self.high * scale):
             return ""
-        told = (
+        reading = (
             f"{curve.calc_temp(value):.1f} C"
             if END < value < 1.0 - END
             else "no temperature, a broken or shorted sensor"
         )
-        return f"{name}: {told}; allowed are {self.low_c:g} to {self.high_c:g} C."
+        return f"{name}: {reading}; allowed are {self.low_c:g} to {self.high_c:g} C."
 
 
 class PrinterADCtoTemperature:
@@ -257,7 +257,7 @@ def _sensor(config: ConfigWrapper, curve: Curve) -> PrinterADCtoTemperature:
 
 
 def register_builtin(heaters: Any) -> None:
-    """Tell the registry the types built in here."""
+    """Register the types built in here."""
     for name, (zero_v, slope_v_k) in _LINEAR_AMPLIFIERS.items():
         points = _amplifier_points(zero_v, slope_v_k)
         heaters.add_sensor_factory(name, lambda c, p=points: read_voltage_sensor(c, p, c))

@@ -71,7 +71,7 @@ class BLTouch(ProbeSwitch):
         )
 
     def _handle_ready(self) -> None:
-        """Pin up, wherever the last session left it."""
+        """Move the pin up: its state after the last session is unknown."""
         if self._output_mode is not None:
             self._signal(OUTPUT_MODES[self._output_mode])
         self._signal("pin_up", self._move_time_s)
@@ -79,7 +79,7 @@ class BLTouch(ProbeSwitch):
     # -- the signal --
 
     def _signal(self, command: str, wait_s: float = 0.0) -> None:
-        """Give a command after what is queued, and let the head rest until it has been done."""
+        """Send a command after all queued moves; the head rests until it has been executed."""
         toolhead = self.printer.lookup_object("toolhead")
         start = max(toolhead.get_last_move_time(), self._free_at)
         self._control.set_pwm(start, pulse_width_s(ANGLES[command]) / SIGNAL_PERIOD_S)

@@ -136,7 +136,7 @@ class MCU_SPI:
         self._send.send([self.oid, bytes(data)], minclock=minclock, reqclock=reqclock)
 
     def spi_transfer(self, data: Sequence[int], minclock: int = 0, reqclock: int = 0) -> dict[str, Any]:
-        """Send and wait for as many bytes: they are in `response` of what is returned."""
+        """Send, and wait for as many bytes; `response` of the result has them."""
         params: dict[str, Any] = self._transfer.send(
             [self.oid, bytes(data)], minclock=minclock, reqclock=reqclock
         )

@@ -101,7 +101,7 @@ class AdcPin:
         self._buttons: list[tuple[float, float, StateCallback]] = []
         self._seen: int | None = None  # newest reading's button
         self._seen_since_s = 0.0
-        self._told: int | None = None
+        self._reported: int | None = None
         self._adc = printer.lookup_object("pins").setup_pin("adc", pin)
         self._adc.setup_adc_sample(ADC_SAMPLE_TIME_S, ADC_SAMPLE_COUNT)
         self._adc.setup_adc_callback(ADC_REPORT_TIME_S, self._on_adc)
@@ -121,11 +121,11 @@ class AdcPin:
         button = self._which(read_value)
         if button != self._seen:
             self._seen, self._seen_since_s = button, read_time
-        elif button != self._told and read_time - self._seen_since_s >= ADC_DEBOUNCE_TIME_S:
+        elif button != self._reported and read_time - self._seen_since_s >= ADC_DEBOUNCE_TIME_S:
             eventtime = self.reactor.monotonic()
-            if self._told is not None:
-                self._buttons[self._told][2](eventtime, 0)
-            self._told = button
+            if self._reported is not None:
+                self._buttons[self._reported][2](eventtime, 0)
+            self._reported = button
             if button is not None:
                 self._buttons[button][2](eventtime, 1)
 
@@ -224,5 +224,5 @@ class PrinterButtons:
 
 
 def load_config(config: ConfigWrapper) -> PrinterButtons:
-    """Loaded by whoever has buttons."""
+    """Loaded by sections that have buttons."""
     return PrinterButtons(config.get_printer())

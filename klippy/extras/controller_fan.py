@@ -52,7 +52,7 @@ class ControllerFan:
         self._last_speed = 0.0
 
     def register(self) -> None:
-        """Look up what is watched when all is loaded; start once the printer is ready."""
+        """Look up the watched objects when all sections are loaded; start once the printer is ready."""
         self.printer.register_event_handler("klippy:connect", self._handle_connect)
         self.printer.register_event_handler("klippy:ready", self._handle_ready)
 

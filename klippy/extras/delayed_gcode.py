@@ -58,7 +58,7 @@ class DelayedGcode:
     cmd_UPDATE_DELAYED_GCODE_help = "Update the duration of a delayed_gcode"
 
     def cmd_UPDATE_DELAYED_GCODE(self, gcmd: GCodeCommand) -> None:
-        """Run it in DURATION seconds; 0: not at all."""
+        """Run it in DURATION seconds; 0 cancels it."""
         self._set(gcmd.get_float("DURATION", minval=0.0))
 
 

@@ -1,4 +1,4 @@
-"""[display_status]: M73 and M117 for whoever displays them."""
+"""[display_status]: M73 and M117 for displays and front ends."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class DisplayStatus:
         )
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
-        """Progress 0..1 as told by M73, else by the file position; message or None."""
+        """Progress 0..1 as set by M73, else by the file position; message or None."""
         sd = self.printer.lookup_object("virtual_sdcard", None)
         if self._progress is not None and eventtime > self._progress_until:
             still_printing = (sd is not None and sd.is_active()) or self._is_printing(eventtime)

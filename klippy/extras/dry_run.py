@@ -31,7 +31,7 @@ POLL_S = 0.5
 
 
 class LiftedPath:
-    """Position transform: Z lifted, filament held. Goes on to what was there before."""
+    """Position transform: Z lifted, filament held. It passes moves on to the transform before it."""
 
     def __init__(self, following: Any, z_offset_mm: float) -> None:
         self._next = following
@@ -122,7 +122,7 @@ class DryRun:
             self._gcode.register_command(command, None)
             self._gcode.register_command(command, handler)
         self._handlers = {}
-        if gcode_move.transform is self._path:  # else somebody put another on top: it stays, lifted
+        if gcode_move.transform is self._path:  # else another transform is on top: this one stays, lifted
             gcode_move.set_move_transform(self._before, force=True)
             gcode_move.reset_last_position()
         self._path = None

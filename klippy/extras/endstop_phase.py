@@ -1,11 +1,11 @@
-"""[endstop_phase], [endstop_phase STEPPER]: a motor's phase tells the place of an endstop better than the switch.
+"""[endstop_phase], [endstop_phase STEPPER]: a motor's phase gives the place of an endstop better than the switch.
 
 A motor goes through `phases` = 4 * microsteps positions and begins again. At the place of the endstop it always stands
 in the same phase; the switch is only needed to say which turn it is. The bare section collects the phases of homing
 moves (ENDSTOP_PHASE_CALIBRATE); with a stepper's name its homing is corrected.
 
-The phase comes from the driver (a Trinamic one tells it), else from the count of steps, if driver and micro-controller
-always start together.
+The phase comes from the driver (a Trinamic one reports it), else from the count of steps, if driver and
+micro-controller always start together.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def spread(counts: Counter[int], phases: int) -> tuple[int, int, int]:
 
 
 def find_driver(printer: Printer, stepper_name: str) -> Any:
-    """The object of the motor's driver if it can tell the phase, else None."""
+    """The object of the motor's driver if it can report the phase, else None."""
     for kind in DRIVERS:
         driver = printer.lookup_object(f"{kind} {stepper_name}", None)
         if driver is not None:

@@ -96,7 +96,7 @@ class ObjectFilter:
         """The first move after an excluded object: make the real retraction that of the G-code."""
         self._stopped_at = None
         real_e_mm = self.next_transform.get_position()[_E]
-        missing_mm = self._real_depth_mm - depth_mm  # > 0: drawn back farther than the G-code believes
+        missing_mm = self._real_depth_mm - depth_mm  # > 0: drawn back farther than in the G-code
         self._left_out_mm = commanded_e_mm - real_e_mm - missing_mm
         if missing_mm > 0.0:
             self._prime_mm = missing_mm
@@ -133,7 +133,7 @@ class ExcludeObject:
             self.gcode.register_command(name, getattr(self, f"cmd_{name}"), desc=text)
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
-        """Known objects with what the slicer told of them, names of the excluded ones, the one being printed."""
+        """Known objects with what the slicer said of them, names of the excluded ones, the one being printed."""
         return {
             "objects": self.objects,
             "excluded_objects": self.excluded_objects,
@@ -157,7 +157,7 @@ class ExcludeObject:
             return
         self._filter.skipping = False
         if gcode_move.transform is not self._filter:
-            return  # somebody put a transform on top: stay, passing everything on
+            return  # another transform is on top: stay, and pass everything on
         gcode_move.set_move_transform(self._before, force=True)
         gcode_move.reset_last_position()
         self._filter = None
@@ -180,7 +180,7 @@ class ExcludeObject:
         return any(entry["name"] == name for entry in self.objects)
 
     def cmd_EXCLUDE_OBJECT_DEFINE(self, gcmd: GCodeCommand) -> None:
-        """An object of the file: NAME, CENTER=X,Y, POLYGON=[[x,y],...] and whatever else the slicer tells."""
+        """An object of the file: NAME, CENTER=X,Y, POLYGON=[[x,y],...] and whatever else the slicer adds."""
         if gcmd.get("RESET", None):
             self._forget()
         name = gcmd.get("NAME", None)

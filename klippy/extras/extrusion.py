@@ -1,10 +1,10 @@
-"""[extrusion]: what leaves the nozzle: die swell, and the ooze after a stop or a cold spell (HydraRaptor 2007).
+"""[extrusion]: what leaves the nozzle: die swell, and the ooze after a stop or a cold time (HydraRaptor 2007).
 
     EXTRUSION_CALIBRATE SPEEDS=1,2,4 [LENGTH=15] [PAUSE=10]          strands into the air, one for each filament speed
     EXTRUSION_CALIBRATE SPEEDS=1,2,4 WIDTHS=0.45,0.49,0.55           fit what was measured on them; SAVE_CONFIG keeps it
     PRIME_OOZE                                                       push what has oozed since the last extrusion
 
-d = hole + gain * v: the strand is wider than the hole, the more the faster it leaves (thermal/plan/extrusion.py).
+d = hole + gain * v: the strand is wider than the hole, and wider still at a higher speed (thermal/plan/extrusion.py).
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from typing import Any
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
 
-START_DELAY_S = 2.0  # after ready: the switches tell their state first
+START_DELAY_S = 2.0  # after ready: the switches report their state first
 
 
 @dataclass(frozen=True, slots=True)

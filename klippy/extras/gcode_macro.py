@@ -250,7 +250,7 @@ class GCodeMacro:
 
 
 def load_config(config: ConfigWrapper) -> PrinterGCodeMacro:
-    """Loaded by whoever has templates."""
+    """Loaded by sections that have templates."""
     return PrinterGCodeMacro(config.get_printer())
 
 

@@ -70,7 +70,7 @@ class GCodeMove:
         self.is_printer_ready = False
         self._move: Any = None
         ffi, self._lib = chelper.get_ffi()
-        self._aim = ffi.new("struct gcode_destination *")
+        self._destination = ffi.new("struct gcode_destination *")
 
     # -- set-up --
 
@@ -189,20 +189,20 @@ class GCodeMove:
                     further[number] = float(params[letter])
         except ValueError:
             raise self._bad_number(gcmd) from None
-        aim = self._aim
-        self._lib.gcode_destination([self.modal_state()], [(values, given)], aim)
-        target = [*aim.target, *self.last_position[4:]]
+        dest = self._destination
+        self._lib.gcode_destination([self.modal_state()], [(values, given)], dest)
+        target = [*dest.target, *self.last_position[4:]]
         for number, value in further.items():
             target[number] = (
                 value + (self.modes.base_position if self.modes.absolute_coord else target)[number]
             )
         # a sum is finite exactly if all its parts are (coordinates far below overflow)
-        speed = aim.modal_speed
+        speed = dest.modal_speed
         if not math.isfinite(sum(target) + speed):
             raise self._bad_number(gcmd)
         if speed <= 0.0:
             raise gcmd.error(f"Invalid speed in '{gcmd.get_commandline()}': F must be above zero")
-        self._move(target, aim.speed)
+        self._move(target, dest.speed)
         self.modes.speed = speed
         self.last_position = target
 
@@ -397,7 +397,7 @@ class MoveRows:
         self._state_bytes = self._ffi.buffer(self._state, self._STATE.size)
 
     def _is_plain(self) -> bool:
-        """Whether C does just what Python would: nobody has put a method of his own in place of one it stands for."""
+        """Whether C does just what Python would: no plugin has replaced one of the methods that C stands for."""
         toolhead, gcode = self._toolhead, self._gcode
         if not is_done_in_c(toolhead.move):
             return False
@@ -459,7 +459,7 @@ class MoveRows:
         return start
 
     def settle(self) -> None:
-        """Let the toolhead plan what has been queued."""
+        """Make the toolhead plan the queued moves."""
         if self._state.queued:
             self._toolhead.note_queued(bool(self._state.due))
 

@@ -58,7 +58,7 @@ class HeaterProfiles:
         self._sections[words[1], words[2]] = config
 
     def _check(self) -> None:
-        """All heaters are there: a profile that none of them could use is told now, not when it is wanted."""
+        """All heaters are there: a profile that none of them could use is reported now, not when it is requested."""
         heaters = self.printer.lookup_object("heaters")
         for (name, _), config in self._sections.items():
             try:

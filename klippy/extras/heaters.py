@@ -114,7 +114,7 @@ class PrinterHeaters:
         return factory(config)
 
     def _load_builtin(self, config: ConfigWrapper) -> None:
-        """Built-in types, then the sections that define custom ones, wherever they stand."""
+        """Built-in types, then the sections that define custom ones, in any order of the config."""
         if self._builtin_loaded:
             return
         self._builtin_loaded = True
@@ -207,7 +207,7 @@ class PrinterHeaters:
             self._wait_while(heater.check_busy)
 
     def _wait_while(self, is_busy: Callable[[float], bool]) -> None:
-        """Poll once a second, telling the temperatures, until done or shut down."""
+        """Report the temperatures once a second, until done or shut down."""
         if is_batch(self.printer):
             return
         toolhead = self.printer.lookup_object("toolhead")

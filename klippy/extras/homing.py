@@ -75,10 +75,10 @@ class HomingMove:
             for s in endstop.get_steppers()
             if s in kin.get_steppers()
         ]
-        most = max(steps, default=0.0)
-        if most <= 0.0 or distance <= 0.0:
+        max_steps = max(steps, default=0.0)
+        if max_steps <= 0.0 or distance <= 0.0:
             return ENDSTOP_REST_MAX_S
-        return min(ENDSTOP_REST_MAX_S, distance / speed / most)
+        return min(ENDSTOP_REST_MAX_S, distance / speed / max_steps)
 
     def _calc_toolhead_pos(self, moved: dict[str, float]) -> list[float]:
         """Position of the head when each stepper has gone `moved` mm from the start of the move."""
@@ -170,7 +170,7 @@ class HomingMove:
         return times, missing
 
     def _set_position(self, movepos: Sequence[float], probe_pos: bool) -> list[float]:
-        """The toolhead is told where it really stopped."""
+        """Set the toolhead's position to where it really stopped."""
         if not probe_pos:
             # homing: the trigger *is* the place the move was to end at; what was run on after it comes on top
             halt_pos = self._place_by_overrun(movepos)
@@ -232,7 +232,7 @@ class Homing:
         self.adjust_pos[stepper_name] = adjustment
 
     def _fill_coord(self, coord: Sequence[float | None]) -> list[float]:
-        """None: as it is."""
+        """Set the position of each axis; None keeps it."""
         current = self.toolhead.get_position()
         return [was if new is None else new for new, was in zip(coord, current, strict=False)]
 
@@ -258,7 +258,7 @@ class Homing:
         self._finish(rails, move, homepos, homing_axes)
 
     def _rest(self) -> None:
-        """Motion before and after is kept apart: all steps are out, and what comes next begins a little later."""
+        """Separate motion before and after: all steps are sent, and the next move begins a little later."""
         self.toolhead.get_last_move_time()
         self.toolhead.flush_step_generation()
 

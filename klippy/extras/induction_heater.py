@@ -470,6 +470,7 @@ class InductionHeater:
             "calibrating": self._running and self.in_calibration,
             "latency": round(state.latency_s, 4),
             "noise_lsb": _rounded(self.loop.chain.noise_lsb()),
+            "drive_offset": round(self.loop.chain.state.drive.full_c, 2),
             "drift": _rounded(state.heat_balance.drift_c),
             "capacity_ratio": _rounded(state.heat_balance.capacity_ratio),
             "supply": round(self.parameters.estimator.supply, 4),

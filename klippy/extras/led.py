@@ -60,7 +60,7 @@ class LEDHelper:
             self.need_transmit = True
 
     def check_transmit(self, print_time: float | None) -> None:
-        """Bring out what has changed."""
+        """Send the changed colours."""
         if self.need_transmit:
             self.need_transmit = False
             self.update_func(self.led_state, print_time)
@@ -94,7 +94,7 @@ class LEDHelper:
             )
 
     def _show(self, number: int, text: str) -> None:
-        """The colour a template gives as `red, green, blue, white`; what is missing is dark."""
+        """The colour a template gives as `red, green, blue, white`; missing ones are dark."""
         parts = [min(1.0, max(0.0, float(part))) for part in text.split(",")]
         red, green, blue, white, *_ = [*parts, 0.0, 0.0, 0.0, 0.0]
         self.set_color(number, (red, green, blue, white))

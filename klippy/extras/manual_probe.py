@@ -52,7 +52,7 @@ def report_save_config(gcmd: GCodeCommand, what: str) -> None:
 
 
 class ManualProbeHelper:
-    """One dialogue; `finalize_callback` is told its end."""
+    """One dialogue; `finalize_callback` is called at its end."""
 
     def __init__(self, printer: Printer, gcmd: GCodeCommand, finalize_callback: Finalize) -> None:
         verify_no_manual_probe(printer)
@@ -63,7 +63,7 @@ class ManualProbeHelper:
         self._toolhead = printer.lookup_object("toolhead")
         self._tested: list[float] = []  # heights, sorted
         self._z_mm = kinematic_position(printer)[2]
-        self._told = printer.lookup_object("manual_probe")
+        self._status = printer.lookup_object("manual_probe")
         for name, text in COMMANDS.items():
             self._gcode.register_command(name, getattr(self, f"cmd_{name}"), desc=text)
         self._gcode.respond_info(
@@ -81,7 +81,7 @@ class ManualProbeHelper:
     def _report(self) -> None:
         self._z_mm = kinematic_position(self.printer)[2]
         lower, upper = self._neighbours()
-        self._told.note(self._z_mm, lower, upper)
+        self._status.note(self._z_mm, lower, upper)
         left, right = ("??????" if z is None else f"{z:.3f}" for z in (lower, upper))
         self._gcode.respond_info(f"Z position: {left} --> {self._z_mm:.3f} <-- {right}")
 
@@ -124,7 +124,7 @@ class ManualProbeHelper:
     def _finish(self, place: Sequence[float] | None) -> None:
         for name in COMMANDS:
             self._gcode.register_command(name, None)
-        self._told.note(None, None, None)
+        self._status.note(None, None, None)
         self.finalize_callback(place)
 
 
@@ -175,7 +175,7 @@ class ManualProbe:
         self.printer.lookup_object("configfile").set(section, "position_endstop", f"{position_mm:.3f}")
 
     def cmd_Z_ENDSTOP_CALIBRATE(self, gcmd: GCodeCommand) -> None:
-        """Z_ENDSTOP_CALIBRATE [SPEED=mm/s]: what now is the bed shall be z = 0."""
+        """Z_ENDSTOP_CALIBRATE [SPEED=mm/s]: the height found by hand becomes z = 0."""
         assert self._endstop is not None
         configured_mm = self._endstop[1]
 

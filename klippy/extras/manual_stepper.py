@@ -135,7 +135,7 @@ class ManualStepper:
         return start_time + accel_t + cruise_t + accel_t
 
     def do_move(self, movepos: float, speed: float, accel: float, sync: bool = True) -> None:
-        """Go to movepos (mm); without sync the head may move meanwhile."""
+        """Go to movepos (mm); without sync the head may move at the same time."""
         self._check_range(movepos)
         self.sync_print_time()
         if movepos != self._position:
@@ -233,7 +233,7 @@ class ManualStepper:
         alone = not move.is_kinematic_move and not move.axes_d[3]
         stretch = move.move_d / abs(way)  # of the path, per mm of this axis
         accel = bounds.accel
-        if accel is None and alone:  # nobody else bounds it
+        if accel is None and alone:  # it has no other limit
             accel = self.accel or self._toolhead().get_max_velocity()[1]
         if bounds.velocity is not None or accel is not None:
             speed = move.max_cruise_v2**0.5 if bounds.velocity is None else bounds.velocity * stretch

@@ -28,13 +28,13 @@ USUAL_C = {"heater_bed": 80.0}
 NOZZLE_POWER_W = 30.0
 EVEN_C = 5.0  # 6 W/K; off and on would leave the thermometer without a reading at each peak
 MELT_C = 230.0  # usual for the steps with filament ...
-COOLER_C, COOLER_MIN_C = 45.0, 20.0  # ... and the second temperature so much below it
+COOLER_C, COOLER_MIN_C = 45.0, 20.0  # ... and how far below it the second temperature is
 EXTRUDE_MARGIN_C = 5.0  # above min_extrude_temp at least
 AIR_MM = 20.0  # below the nozzle, for filament to come out
 PIECE_S, PIECE_AHEAD_S = (
     5.0,
     0.4,
-)  # filament is fed in moves of so long: ABORT ends it soon, and few joints disturb it
+)  # time of a feeding move: ABORT ends it soon, and few joints disturb it
 MIN_POWER_W = 1.0  # no heater of a printer is weaker
 
 
@@ -150,10 +150,10 @@ class ModelCalibrate:
                 + (f" and at {span_c:.0f} C less" if span_c else "")
                 + f", and min_extrude_temp is {needed_c:.0f} C"
             )
-        most = extruder.max_e_velocity * extruder.filament_area
-        if fastest > most:
+        max_flow = extruder.max_e_velocity * extruder.filament_area
+        if fastest > max_flow:
             raise gcmd.error(
-                f"MODEL_CALIBRATE: max_extrude_only_velocity of [extruder] allows FLOW={most:.1f} at most"
+                f"MODEL_CALIBRATE: max_extrude_only_velocity of [extruder] allows FLOW={max_flow:.1f} at most"
             )
         height_mm = self.printer.lookup_object("toolhead").get_position()[2]
         homed = self.printer.lookup_object("toolhead").get_status(self._reactor.monotonic())["homed_axes"]
@@ -176,7 +176,7 @@ class ModelCalibrate:
             part.fan.set_speed(0.0)
         else:
             runner.say(
-                "The part fan is on, and what it takes will count as the heater's own loss; FAN=1 tells them apart"
+                "The part fan is on: its cooling will count as the heater's own loss. FAN=1 measures it separately"
             )
 
     def _surround(self, run: step_test.StepTest, now_s: float) -> None:
@@ -194,7 +194,7 @@ class ModelCalibrate:
                 run.abort(f"the extruder says: {e}")
 
     def _extrude(self, lasts_s: float) -> float:
-        """Feed for so long, or as long as one move may take; that time, s."""
+        """Feed for this time, or for the longest time of one move; returns the time, s."""
         toolhead = self.printer.lookup_object("toolhead")
         extruder = toolhead.get_extruder()
         speed_mm_s = self._flow / extruder.filament_area

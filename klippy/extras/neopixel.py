@@ -1,6 +1,6 @@
 """[neopixel NAME]: a chain of WS2812 (Neopixel) LEDs; see led.py for colours and SET_LED.
 
-The MCU keeps the chain's bytes; those that have changed are sent to it, then it is told to transmit. A transmission
+The MCU keeps the chain's bytes. The host sends it those that have changed, then the order to transmit. A transmission
 that an interrupt of the MCU has spoilt is repeated.
 """
 

@@ -1,4 +1,4 @@
-"""[probe]: a switch that tells where the bed is.
+"""[probe]: a switch that finds the bed.
 
     Sampling        how a point is probed, and what several samples come to
     PrinterProbe    printer object 'probe': commands, `probe:z_virtual_endstop`, and what other modules call
@@ -20,7 +20,7 @@ from . import manual_probe
 from .probing.points import ProbePointsHelper
 from .probing.switch import ProbeEvents, ProbeSwitch
 
-# PROBE_CALIBRATE brings the nozzle to where the probe was, so much above the trigger, at this speed.
+# PROBE_CALIBRATE brings the nozzle to where the probe was, this far above the trigger, at this speed.
 CALIBRATE_LIFT_MM = 5.0
 CALIBRATE_TRAVEL_MM_S = 50.0
 ACCURACY_SAMPLES = 10

@@ -1,6 +1,6 @@
 """Counting pulses on a pin: `MCU_counter` (the firmware's counter), `FrequencyCounter`, and `Tachometer` of a fan.
 
-The firmware counts every edge, two a pulse, and tells count and clock of the last edge each sample_time.
+The firmware counts every edge, two a pulse. Each sample_time it reports the count and the clock of the last edge.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from gcode import GCodeCommand
 MAX_CYCLE_S = 5.0
 MIN_GAP_S = 0.100  # between two values
 PAUSE_S = 0.100  # without signal when the cycle time changes
-SETTLE_S = 0.002  # after switching off, before the MCU may be told the new cycle
+SETTLE_S = 0.002  # after switching off, before the MCU may be sent the new cycle
 
 
 class MCU_pwm_cycle:

@@ -43,7 +43,7 @@ class SafeZHoming:
         return toolhead.get_status(self.printer.get_reactor().monotonic())["homed_axes"]
 
     def _hop(self, toolhead: Any) -> None:
-        """Up, unless the head is known to be high enough; an unknown height counts as 0 meanwhile."""
+        """Move up, unless the head is known to be high enough; an unknown height counts as 0 for that."""
         options = self.options
         if options.z_hop == 0.0:
             return

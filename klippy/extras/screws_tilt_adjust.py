@@ -1,6 +1,6 @@
-"""[screws_tilt_adjust]: SCREWS_TILT_CALCULATE probes above each screw of the bed and tells how far to turn it.
+"""[screws_tilt_adjust]: SCREWS_TILT_CALCULATE probes above each screw of the bed and says how far to turn it.
 
-Turns are told as a clock shows them: 01:15 is one turn and a quarter.
+Turns are given as a clock shows them: 01:15 is one turn and a quarter.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Screw:
     name: str
 
 
-def read_screws(config: ConfigWrapper, least: int) -> list[Screw]:
+def read_screws(config: ConfigWrapper, min_count: int) -> list[Screw]:
     """Options screw1, screw1_name, screw2, ...; also of bed_screws."""
     screws: list[Screw] = []
     number = 1
@@ -38,8 +38,8 @@ def read_screws(config: ConfigWrapper, least: int) -> list[Screw]:
         x, y = config.getfloatlist(f"screw{number}", count=2)
         screws.append(Screw(x, y, config.get(f"screw{number}_name", f"screw at {x:.3f},{y:.3f}")))
         number += 1
-    if len(screws) < least:
-        raise config.error(f"Section '{config.get_name()}' needs {least} screws at least")
+    if len(screws) < min_count:
+        raise config.error(f"Section '{config.get_name()}' needs {min_count} screws at least")
     return screws
 
 

@@ -9,9 +9,9 @@
     [simulator fan NAME]        a fan
     [simulator probe]           the bed's surface, and the probe that looks for it
 
-These describe the machine as it *is*; the other sections say what the host believes. Whatever is left out
-here is taken from the host's section of the same thing (stepper_NAME, NAME, heater_bed, ...), so that belief
-and machine agree unless a test wants them not to. A host without a simulation reads and checks these sections
+These describe the machine as it *is*; the other sections say what the host assumes. Whatever is left out
+here is taken from the host's section of the same thing (stepper_NAME, NAME, heater_bed, ...). So assumption
+and machine agree unless a test sets them apart. A host without a simulation reads and checks these sections
 too and does nothing with them, so the same file serves both.
 
 The plant's parameters have one home, the C tables plant_params and thermal_load_params. A simulation hands
@@ -322,7 +322,7 @@ _READERS: dict[str, Callable[[Any, str], Any]] = {
 
 
 class SimulatorSection:
-    """The printer object of one such section: holds what was read, for whoever simulates."""
+    """The printer object of one such section: holds the options read, for a simulation."""
 
     def __init__(self, settings: Any) -> None:
         self.settings = settings

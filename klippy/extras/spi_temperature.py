@@ -99,7 +99,7 @@ def max31856(config: ConfigWrapper) -> Chip:
     averaging = config.getchoice("tc_averaging_count", _MAX31856_AVERAGING, default=0)
     cr0 = _MAX31856_CR0_AUTO | _MAX31856_CR0_OPEN_TEST | (_MAX31856_CR0_50HZ if use_50hz else 0)
     cr1 = averaging << 4 | tc_type
-    mask = 0x00  # every fault is told
+    mask = 0x00  # every fault is reported
     return Chip(
         "MAX31856",
         1,
@@ -212,14 +212,14 @@ class SpiSensor:
     def _on_result(self, params: dict[str, Any]) -> None:
         fault = params["fault"]
         if fault:
-            self._tell(fault)
+            self._report(fault)
             return
         self._reported_fault = 0
         clock = self.mcu.clock32_to_clock64(params["next_clock"]) - self._report_ticks
         if self._callback is not None:
             self._callback(self.mcu.clock_to_print_time(clock), self.chip.to_temp_c(params["value"]))
 
-    def _tell(self, fault: int) -> None:
+    def _report(self, fault: int) -> None:
         """Once a change: the MCU shuts down by itself if it stays."""
         if fault == self._reported_fault:
             return
@@ -249,7 +249,7 @@ def build_sensor(config: ConfigWrapper, read_chip: Callable[[Any], Chip]) -> Spi
 
 
 def register_builtin(heaters: Any) -> None:
-    """Tell the registry the types of this file."""
+    """Register the types of this file."""
     for name, read_chip in CHIPS.items():
         heaters.add_sensor_factory(name, lambda config, read_chip=read_chip: build_sensor(config, read_chip))
 

@@ -135,7 +135,7 @@ def build_sensor(config: ConfigWrapper) -> CombinedTemperature:
 
 
 def register_builtin(heaters: Any) -> None:
-    """Tell the registry the type of this file."""
+    """Register the type of this file."""
     heaters.add_sensor_factory("temperature_combined", build_sensor)
 
 

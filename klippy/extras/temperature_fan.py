@@ -46,14 +46,14 @@ class WatermarkCooling:
 
 
 class PidCooling:
-    """The heaters' PID, whose output is what is taken away from full speed."""
+    """The heaters' PID; its output is subtracted from full speed."""
 
     def __init__(self, parameters: pid.PidParameters) -> None:
         self._parameters = parameters
         self._state = pid.PidState()
 
     def decide(self, time_s: float, temp_c: float, target_c: float, low: float, high: float) -> float:
-        # the law's output range is the room between full and least speed
+        # the law's output range is the room between full and minimum speed
         parameters = replace(self._parameters, output_low=0.0, output_high=max(high - low, 1e-6))
         inputs = pid.ControlInput(target_c, temp_c)
         output, self._state = pid.pid_step(parameters, self._state, inputs, time_s)

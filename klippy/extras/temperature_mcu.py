@@ -231,7 +231,7 @@ def build_sensor(config: ConfigWrapper) -> McuTemperature:
 
 
 def register_builtin(heaters: Any) -> None:
-    """Tell the registry the type of this file."""
+    """Register the type of this file."""
     heaters.add_sensor_factory("temperature_mcu", build_sensor)
 
 

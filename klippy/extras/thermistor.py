@@ -213,7 +213,7 @@ def build_sensor(config: ConfigWrapper, law: Law) -> PrinterADCtoTemperature:
 
 
 def register_builtin(heaters: Any) -> None:
-    """Tell the registry the types built in here."""
+    """Register the types built in here."""
     laws: dict[str, Law] = {
         name: fit_beta(25.0, part.ohm_25c, part.beta_k) for name, part in _BETA_PARTS.items()
     }

@@ -123,7 +123,7 @@ class TuningTower:
         if gcode_move.transform is tower:
             gcode_move.set_move_transform(tower.following, force=True)
             gcode_move.reset_last_position()
-        else:  # somebody put a transform on top: stay there, deaf
+        else:  # another transform is on top: stay, without effect
             tower._update = lambda z_mm: None  # type: ignore[method-assign]
         self.gcode.respond_info("Ending tuning test mode")
 

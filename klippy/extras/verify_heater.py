@@ -1,13 +1,10 @@
-"""[verify_heater NAME]: does the heater do what it is told? Loaded for every ordinary heater, with or without
-a section.
+"""[verify_heater NAME]: does the heater follow its target? Loaded for every ordinary heater, with or without a section.
 
-Once a second, three situations:
+Checked once a second, by state:
 
-- holding: temperature has been at the target. Every degree below target - hysteresis counts one degree-second
-of
-  error; a full budget of `max_error` of them is a fault, being near the target again empties it.
-- heating: the target was raised. The temperature must climb `heating_gain` degrees within each
-`check_gain_time`.
+- holding: the temperature has reached the target. The error below target - hysteresis is summed up in degree-seconds.
+  A sum of `max_error` is a fault. Being near the target again sets it to zero.
+- heating: the target was raised. The temperature must rise by `heating_gain` within each `check_gain_time`.
 - idle: no target.
 """
 

@@ -321,7 +321,7 @@ class VirtualSD:
             self.reactor.pause(self.reactor.NOW)
 
     def _run_text(self, text: bytes, end: int, mutex: Any) -> tuple[int, bool]:
-        """Run lines of text[:end] until somebody else wants a turn: how far, and whether the position is that place."""
+        """Run lines of text[:end] until another task waits: (how far, whether the file's position is that place)."""
         base, limit, run_next = self.file_position, self.file_size, self.gcode.run_next
         at = 0
 

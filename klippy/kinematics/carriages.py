@@ -94,7 +94,7 @@ class Drive:
 
 @dataclass(eq=False, slots=True)
 class CarriagePair:
-    """The two carriages of one axis. `safe_mm`: least distance between them, 0: not watched."""
+    """The two carriages of one axis. `safe_mm`: minimum distance between them, 0: not watched."""
 
     axis: int
     carriages: tuple[Carriage, Carriage]
@@ -147,22 +147,32 @@ class CarriagePair:
         return low, high
 
 
+def solve(rows: Sequence[Sequence[float]], right: Sequence[float], pivot_min: float) -> list[float]:
+    """Solution of a square system by elimination with pivots; ValueError if there is none.
+
+    Not numpy's: that takes 15 MB of the host's memory, for four unknowns at most.
+    """
+    work = [[*row, value] for row, value in zip(rows, right, strict=True)]
+    for column in range(len(work)):
+        pivot = max(range(column, len(work)), key=lambda r: abs(work[r][column]))
+        if abs(work[pivot][column]) <= pivot_min:
+            raise ValueError("the points determine no surface")
+        work[column], work[pivot] = work[pivot], work[column]
+        for row, values in enumerate(work):
+            if row != column:
+                share = values[column] / work[column][column]
+                work[row] = [a - share * b for a, b in zip(values, work[column], strict=True)]
+    return [row[-1] / row[column] for column, row in enumerate(work)]
+
+
 def solve_axes(rows: Sequence[tuple[Sequence[float], float]]) -> list[float] | None:
-    """x, y, z with the least squared error of `row . xyz = value`; None if the rows do not determine them."""
+    """x, y, z with the smallest squared error of `row . xyz = value`; None if the rows do not determine them."""
     system = [[math.fsum(r[i] * r[j] for r, _ in rows) for j in range(3)] for i in range(3)]
     right = [math.fsum(r[i] * value for r, value in rows) for i in range(3)]
-    for column in range(3):  # elimination with row exchange
-        best = max(range(column, 3), key=lambda i: abs(system[i][column]))
-        if abs(system[best][column]) < SMALLEST_PIVOT:
-            return None
-        system[column], system[best] = system[best], system[column]
-        right[column], right[best] = right[best], right[column]
-        for i in range(3):
-            if i != column:
-                factor = system[i][column] / system[column][column]
-                system[i] = [a - factor * b for a, b in zip(system[i], system[column], strict=True)]
-                right[i] -= factor * right[column]
-    return [right[i] / system[i][i] for i in range(3)]
+    try:
+        return solve(system, right, SMALLEST_PIVOT)
+    except ValueError:
+        return None
 
 
 @dataclass(frozen=True, slots=True)

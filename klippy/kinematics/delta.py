@@ -154,10 +154,6 @@ class DeltaKinematics:
             "cone_start_z": self.flat_z,
         }
 
-    def get_calibration(self) -> dict[str, Any]:
-        """Geometry for a delta calibration: radius, and towers by name."""
-        return {"radius": self.radius, "towers": dict(zip("abc", self.towers, strict=True))}
-
 
 def load_kinematics(toolhead: Any, config: Any) -> DeltaKinematics:
     return DeltaKinematics(toolhead, config)

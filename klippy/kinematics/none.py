@@ -30,7 +30,7 @@ class NoneKinematics:
         """Nothing to home."""
 
     def check_move(self, move: Move) -> None:
-        """No axes: every move is taken as it is and turns nothing."""
+        """No axes: every move is accepted and turns no motor."""
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
         return {"homed_axes": "", "axis_minimum": self.axes_minmax, "axis_maximum": self.axes_minmax}

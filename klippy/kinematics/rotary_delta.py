@@ -90,8 +90,8 @@ class RotaryDeltaKinematics:
     def _reach(self) -> float:
         """Largest radius at which all arms reach in every direction, at minimum and maximum z.
 
-        Which direction is the worst depends on the arms: opposite to a shoulder its arm is stretched most, across
-        from it the lower arm leans sideways and is shorter in the plane of the upper one.
+        The worst direction depends on the arms. Opposite to a shoulder its arm is stretched farthest; across from
+        it the lower arm leans sideways and is shorter in the plane of the upper one.
         """
         radius = 0.0
         while radius < max(arm.upper + arm.lower for arm in self.arms) and self._all_reach(

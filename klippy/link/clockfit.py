@@ -1,4 +1,4 @@
-"""The line between system time and an MCU's clock, from the times of question and answer alone. Pure: asks nobody.
+"""The line between system time and an MCU's clock, from the times of question and answer alone. Pure: no I/O.
 
 One `get_clock` gives a clock value c that was read some time between sending and receiving. With the system's time t
 and y = c/f_nominal - t (s), each answer bounds the true y at that time from both sides:
@@ -11,13 +11,13 @@ and y = c/f_nominal - t (s), each answer bounds the true y at that time from bot
         +----------------------------------- t
 
 Delays (queues, interrupts, USB frames) only ever push the bounds apart, never together, and now and then there is
-none. So the answers that count are the innermost ones: two parallel lines are laid through the strip between highs and
-lows so that they are as far apart as can be, and the truth is midway. For one-sided noise their error falls with the
+none. So the innermost answers count: two parallel lines run through the strip between highs and lows, as far apart as
+possible, and the true line is midway. For one-sided noise their error falls with the
 number of answers (1/n), that of a least squares fit with its root only. What remains is half the difference of the
 shortest way there and back.
 
 The crystal's slow drift bends the strip. Its curvature is taken from the slopes of the last minutes and straightened
-out before the lines are laid.
+out before the lines are fitted.
 """
 
 from __future__ import annotations
@@ -118,14 +118,14 @@ def widest_strip(highs: Sequence[Point], lows: Sequence[Point]) -> float:
     above = _lower_hull(highs)
     below = _lower_hull([(x, -y) for x, y in lows])  # mirrored: its slopes have the other sign
     over, under = _Chain(above), _Chain(below)
-    narrowest, least, most = math.inf, -math.inf, math.inf
+    narrowest, low, high = math.inf, -math.inf, math.inf
     for x in sorted({x for x, _ in above} | {x for x, _ in below}):
         top, top_left, top_right = over.look(x)
         bottom, bottom_left, bottom_right = under.look(x)
         if top + bottom < narrowest:
             narrowest = top + bottom
-            least, most = max(top_left, -bottom_right), min(top_right, -bottom_left)
-    ends = [slope for slope in (least, most) if math.isfinite(slope)]
+            low, high = max(top_left, -bottom_right), min(top_right, -bottom_left)
+    ends = [slope for slope in (low, high) if math.isfinite(slope)]
     return sum(ends) / len(ends) if ends else 0.0
 
 
@@ -175,7 +175,7 @@ def fit_clock_line(samples: Sequence[ClockSample], nominal_freq: float, curvatur
 
 
 class ClockEstimator:
-    """The samples of the last WINDOW_S and the line through them. Told times and clocks."""
+    """The samples of the last WINDOW_S and the line through them. Times and clocks are arguments."""
 
     def __init__(self, nominal_freq: float) -> None:
         self.nominal_freq = nominal_freq

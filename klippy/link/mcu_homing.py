@@ -19,8 +19,8 @@ import pins
 
 from .roles import Mcu
 
-# How long a board goes on unheard, and how often it reports meanwhile. By itself it may lose five reports in a row; one
-# of several that runs on while another has stopped goes 5 mm at 100 mm/s, and may lose two.
+# How long a board goes on without an answer, and how often it reports meanwhile. A single board may lose five reports
+# in a row. One of several boards that runs on while another has stopped goes 5 mm at 100 mm/s, and may lose two.
 SINGLE_TIMEOUT_S, SINGLE_REPORT_S = 0.250, 0.040
 MULTI_TIMEOUT_S, MULTI_REPORT_S = 0.050, 0.015
 SHUTDOWN_POLL_S = 0.5

@@ -1,4 +1,4 @@
-"""What an MCU is told at the start of a session, and what it reports about itself. No reactor, no link: only data.
+"""What is sent to an MCU at the start of a session, and what it reports about itself. No reactor, no link: only data.
 
 An MCU keeps its configuration until it is reset. The host builds the text of the configuration anew at each start
 and compares its CRC with the one the MCU was configured with: equal, and the MCU can go on as it is.
@@ -110,8 +110,8 @@ SHUTDOWN_HELP = (
     ),
     (
         ("Induction bridge off: no phase command",),
-        "The board heard nothing from the host for max_duration of the induction heater and switched the bridge off by"
-        " itself. The host program ended, the host computer was too busy or swapping memory, or the cable came off.",
+        "The board received nothing from the host for max_duration of the induction heater and switched the bridge off"
+        " by itself. The host program ended, the host computer was too busy or swapping memory, or the cable came off.",
     ),
     (
         ("Thermocouple reader fault",),

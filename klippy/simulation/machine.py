@@ -170,25 +170,25 @@ def _pin(machine: Machine, given: str | None, config: Config, section: str, opti
 
 def _add_axis(machine: Machine, axis: AxisSettings, config: Config) -> int:
     where = f"simulator axis {axis.name}"
-    belief = config.get(axis.section, {})
+    assumed = config.get(axis.section, {})
     if re.fullmatch(r"[xyz]\d+", axis.name):  # one more motor of the axis
-        belief = {**config.get(f"stepper_{axis.name[0]}", {}), "endstop_pin": "", **belief}
+        assumed = {**config.get(f"stepper_{axis.name[0]}", {}), "endstop_pin": "", **assumed}
     role = _ROLES.get(axis.name, "OTHER")
     step = _pin(machine, axis.step_pin, config, axis.section, "step_pin", where)
     dir_pin = _pin(machine, axis.dir_pin, config, axis.section, "dir_pin", where)
     if step.mcu != dir_pin.mcu:
         raise WorldError(f"Section '{where}': step pin and dir pin must be on one MCU.")
-    mm_per_step = axis.mm_per_step or _mm_per_step(belief, where)
+    mm_per_step = axis.mm_per_step or _mm_per_step(assumed, where)
     if role == "E":
         return machine.world.add_axis(role, step, dir_pin, mm_per_step, both_edges=axis.both_edges)
     if _kinematics(config) == "delta" and axis.name in _TOWERS:
-        belief = _tower_assumption(belief, config, where)
-    low = _first(axis.position_min_mm, _number(belief, "position_min", 0.0, where) - _SLACK_MM)
-    high = _first(axis.position_max_mm, _number(belief, "position_max", 200.0, where) + _SLACK_MM)
+        assumed = _tower_assumption(assumed, config, where)
+    low = _first(axis.position_min_mm, _number(assumed, "position_min", 0.0, where) - _SLACK_MM)
+    high = _first(axis.position_max_mm, _number(assumed, "position_max", 200.0, where) + _SLACK_MM)
     if not low < high:
         raise WorldError(f"Section '{where}': position_min must be below position_max.")
-    endstop_mm = _first(axis.endstop_mm, _number(belief, "position_endstop", low + _SLACK_MM, where))
-    endstop_text = axis.endstop_pin or belief.get("endstop_pin")
+    endstop_mm = _first(axis.endstop_mm, _number(assumed, "position_endstop", low + _SLACK_MM, where))
+    endstop_text = axis.endstop_pin or assumed.get("endstop_pin")
     if endstop_text and endstop_text.endswith(
         "virtual_endstop"
     ):  # something else's pin: of a probe or a driver
@@ -214,12 +214,12 @@ def _add_axis(machine: Machine, axis: AxisSettings, config: Config) -> int:
 
 def _add_probe(machine: Machine, probe: ProbeSettings, config: Config) -> int:
     where = f"simulator probe {probe.name}".rstrip()
-    belief = config.get("bltouch") or config.get("probe", {})
-    pin = _pin(machine, probe.pin or belief.get("sensor_pin"), config, "probe", "pin", where)
-    control_text = probe.control_pin or belief.get("control_pin")
+    assumed = config.get("bltouch") or config.get("probe", {})
+    pin = _pin(machine, probe.pin or assumed.get("sensor_pin"), config, "probe", "pin", where)
+    control_text = probe.control_pin or assumed.get("control_pin")
     control = parse_pin(control_text, machine, f"Section '{where}', control_pin") if control_text else None
     x, y, z = (
-        _first(value, _number(belief, option, 0.0, where))
+        _first(value, _number(assumed, option, 0.0, where))
         for value, option in zip(probe.offset_mm, ("x_offset", "y_offset", "z_offset"), strict=True)
     )
     axes = _index(machine.axes, "x", "axis", where), _index(machine.axes, "y", "axis", where)
@@ -249,7 +249,7 @@ def _z_motors(
 
 
 def _z_positions(config: Config) -> list[tuple[float, float]]:
-    """Where the Z motors hold the bed, as the host's levelling believes."""
+    """Where the Z motors hold the bed, as the host's levelling assumes."""
 
     def pairs(section: str, option: str) -> list[tuple[float, float]]:
         lines = config.get(section, {}).get(option, "").splitlines()
@@ -273,12 +273,12 @@ def _couple_axes(machine: Machine, config: Config) -> None:
             machine.world.couple_axes(machine.axes[name], machine.axes[partner], own_share, partner_share)
 
 
-def _tower_assumption(belief: Mapping[str, str], config: Config, where: str) -> Mapping[str, str]:
+def _tower_assumption(assumed: Mapping[str, str], config: Config, where: str) -> Mapping[str, str]:
     """A delta's carriage, its place counted so that it meets its switch at the tower's position_endstop."""
     first = config.get("stepper_a", {})
-    top_mm = _number({**first, **belief}, "position_endstop", 200.0, where)
+    top_mm = _number({**first, **assumed}, "position_endstop", 200.0, where)
     way = {"position_endstop": top_mm, "position_min": top_mm - _TOWER_MM, "position_max": top_mm}
-    return {**first, **belief, **{option: str(value) for option, value in way.items()}}
+    return {**first, **assumed, **{option: str(value) for option, value in way.items()}}
 
 
 def _first(value: float | None, default: float) -> float:

@@ -47,7 +47,7 @@ WITHOUT_EFFECT = (
 
 
 class AnyFirmware(msgproto.MessageParser):
-    """Has every message that somebody asks for, and every pin."""
+    """A made-up firmware with every requested message and every pin."""
 
     def lookup_command(self, msgformat: str) -> msgproto.MessageFormat:
         name = msgformat.partition(" ")[0]
@@ -108,7 +108,7 @@ class PathConfig(configfile.PrinterConfig):
         return super().check_absent_sections(has_module)
 
     def check_unused_options(self, config: Any) -> None:
-        """The printer refuses what it does not know; its path is known all the same."""
+        """The printer refuses unknown commands; the path does not depend on them."""
 
 
 def complete(data: ConfigData) -> None:
@@ -147,7 +147,7 @@ class PathPrinter(Printer):
 
 
 class NoWaiting:
-    """Time that passes only where somebody waits for it, and then at once."""
+    """Time that passes only when it is waited for, and then at once."""
 
     runs_by_itself = False
 

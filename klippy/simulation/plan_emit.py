@@ -22,9 +22,9 @@ _FACTOR = re.compile(rb"^\s*(?:N\d+\s*)?M220(?![.\d])[^;]*S\s*([0-9.]+)", re.IGN
 
 
 def write(source: Path, target: Path, plan: OfflinePlan, step_c: float) -> int:
-    """Write `target`, which may be `source`; returns how many commands it got. `step_c`: least change. Raises OSError.
+    """Write `target`, which may be `source`; returns how many commands it got. `step_c`: min change. Raises OSError.
 
-    It is written beside the target and takes its place when it is complete: no file is ever lost half written.
+    The new file is written beside the target and replaces it when complete: no file is ever left half written.
     """
     kind = target.stat().st_mode if target.exists() else stat.S_IFREG
     if not stat.S_ISREG(kind):  # /dev/stdout, a pipe
@@ -46,7 +46,7 @@ def write(source: Path, target: Path, plan: OfflinePlan, step_c: float) -> int:
 
 def _write(source: Path, out: BinaryIO, plan: OfflinePlan, step_c: float) -> int:
     commands = _commands(plan, step_c)
-    speed_changes = {change.line: change.speed_factor for change in plan.speed_changes}
+    speed_changes = {change.line: change.speed for change in plan.speed_changes}
     first, last = plan.moves[0].line, plan.moves[-1].line
     count, file_percent, factor = len(commands), 100.0, 1.0
     with source.open("rb") as lines:
@@ -54,21 +54,21 @@ def _write(source: Path, out: BinaryIO, plan: OfflinePlan, step_c: float) -> int
             if number in commands:
                 out.write(b"M104 S%d ;planned\n" % commands[number])
             if number in speed_changes:
-                speed_factor = speed_changes[number]
-                if speed_factor.factor != factor:
-                    factor = speed_factor.factor
+                speed = speed_changes[number]
+                if speed.factor != factor:
+                    factor = speed.factor
                     out.write(b"M220 S%d ;planned\n" % round(file_percent * factor))
                     count += 1
-                if speed_factor.pause_s > 0.0:
-                    out.write(b"G4 P%d ;planned\n" % round(1000.0 * speed_factor.pause_s))
+                if speed.pause_s > 0.0:
+                    out.write(b"G4 P%d ;planned\n" % round(1000.0 * speed.pause_s))
                     count += 1
             kept = line
-            told = _TARGET.match(line)
-            if told is not None and first < number < last and float(told[1]) > 0.0:
+            found = _TARGET.match(line)
+            if found is not None and first < number < last and float(found[1]) > 0.0:
                 kept = b";planned: " + line.lstrip()
-            told = _FACTOR.match(line)
-            if told is not None:
-                file_percent = float(told[1])
+            found = _FACTOR.match(line)
+            if found is not None:
+                file_percent = float(found[1])
                 kept = b"M220 S%d ;planned, was: %s" % (round(file_percent * factor), line.lstrip())
             out.write(kept)
         if factor != 1.0:

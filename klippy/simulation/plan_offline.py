@@ -27,7 +27,7 @@ from .path_host import PathHost
 AHEAD_S = (
     2.0  # what is planned nearer than this to the end of the path as far as it is known is planned again
 )
-WINDOW_S = 2.0  # so much new motion, then another plan
+WINDOW_S = 2.0  # new motion until another plan
 SHORTEST_S = 1e-6  # a shorter move deposits nothing (path_pieces.c)
 FARTHEST_MM = 10000.0  # no printer is larger; the map of the part grows with its area
 PROGRESS_LINES = 500
@@ -54,7 +54,7 @@ class SpeedChange(NamedTuple):
     """Before this line of the file the print gets another speed, or waits."""
 
     line: int
-    speed_factor: LayerSpeed
+    speed: LayerSpeed
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,8 +132,8 @@ class _Lines:
 
 
 class OfflineRun(PathEvents):
-    """Plans one file; `progress(lines)` is called now and then. Its session lags behind what has been read as a printer
-    does, but by as much as is good for the plan."""
+    """Plans one file; `progress(lines)` is called now and then. As on a printer the session lags behind the lines
+    read, here by as much as is good for the plan."""
 
     def __init__(
         self,
@@ -239,8 +239,8 @@ class OfflineRun(PathEvents):
 
     def on_speed(self, speed: LayerSpeed) -> None:
         if not self.session.requested.state.layer:
-            speed = LayerSpeed(speed.factor)  # nobody waits in the middle of a layer
-        before = self._speed_changes[-1].speed_factor.factor if self._speed_changes else 1.0
+            speed = LayerSpeed(speed.factor)  # no pause in the middle of a layer
+        before = self._speed_changes[-1].speed.factor if self._speed_changes else 1.0
         if speed.factor != before or speed.pause_s > 0.0:
             self._speed_changes.append(SpeedChange(self._lines.now.number, speed))
 

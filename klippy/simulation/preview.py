@@ -19,43 +19,13 @@ from gcode_command import CHECKSUM, LINE_NUMBER, TRADITIONAL_WORD
 # Commands that leave the meaning of coordinates alone.
 _HARMLESS = frozenset(
     (
-        *(
-            "G4",
-            "G10",
-            "G11",
-            "G17",
-            "G18",
-            "G19",
-            "G21",
-            "M17",
-            "M18",
-            "M73",
-            "M82",
-            "M83",
-            "M84",
-            "M104",
-            "M105",
-        ),
-        *(
-            "M106",
-            "M107",
-            "M109",
-            "M110",
-            "M115",
-            "M117",
-            "M118",
-            "M119",
-            "M140",
-            "M190",
-            "M204",
-            "M220",
-            "M221",
-        ),
-        *("M400", "T0", "EXCLUDE_OBJECT_DEFINE", "EXCLUDE_OBJECT_END", "EXCLUDE_OBJECT_START", "RESPOND"),
-        *("SET_FAN_SPEED", "SET_HEATER_TEMPERATURE", "SET_INPUT_SHAPER", "SET_PRESSURE_ADVANCE"),
-        *("SET_PRINT_STATS_INFO", "SET_SEGMENT_TEMPERATURE", "SET_VELOCITY_LIMIT", "TEMPERATURE_WAIT"),
+        "G4", "G10", "G11", "G17", "G18", "G19", "G21", "M17", "M18", "M73", "M82", "M83", "M84", "M104", "M105",
+        "M106", "M107", "M109", "M110", "M115", "M117", "M118", "M119", "M140", "M190", "M204", "M220", "M221",
+        "M400", "T0", "EXCLUDE_OBJECT_DEFINE", "EXCLUDE_OBJECT_END", "EXCLUDE_OBJECT_START", "RESPOND",
+        "SET_FAN_SPEED", "SET_HEATER_TEMPERATURE", "SET_INPUT_SHAPER", "SET_PRESSURE_ADVANCE", "SET_PRINT_STATS_INFO",
+        "SET_SEGMENT_TEMPERATURE", "SET_VELOCITY_LIMIT", "TEMPERATURE_WAIT",
     )
-)
+)  # fmt: skip
 _MOVES = frozenset(("G0", "G1", "G2", "G3"))
 _AXES = "XYZ"
 _PLACE = re.compile(r"([XYZ])([^A-Z]*)")

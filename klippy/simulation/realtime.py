@@ -138,7 +138,7 @@ class RealTimePrinter:
                 try:
                     os.write(terminal.master, data)
                 except BlockingIOError:
-                    pass  # nobody reads: bytes are lost, as on a wire
+                    pass  # no reader: bytes are lost, as on a wire
 
     def close(self) -> None:
         """Remove the terminals and finish the trace."""

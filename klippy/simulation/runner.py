@@ -173,7 +173,7 @@ class Simulation:
                 )
 
     def _sample(self, now: float) -> None:
-        """What the host believes and wants goes into the trace."""
+        """The host's estimate and target go into the trace."""
         set_channel, pointer, lib = self.world.lib.world_set_channel, self.world.pointer, self.world.lib
         if self._heater is not None:
             estimate_c, target_c = self._heater.get_temp(now)
@@ -284,12 +284,12 @@ class Simulation:
         self._finish_print(status)
 
     def _may_resume(self) -> bool:
-        """A paused print, and a time is told until which somebody (a delayed_gcode, the API) may let it go on."""
+        """A paused print, in a run with an end time until which a delayed_gcode or the API may resume it."""
         pause_resume = self.printer.lookup_object("pause_resume", None)
         return self.options.until_s is not None and pause_resume is not None and pause_resume.is_paused
 
     def _finish_print(self, status: dict[str, Any]) -> None:
-        """The file is no longer being read: it is through, or a command in it failed."""
+        """The file is no longer read: it is at its end, or a command in it failed."""
         if self.facts.faults:
             self._end(BAD_INPUT, self.facts.faults[-1])
             return

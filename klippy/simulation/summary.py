@@ -1,4 +1,4 @@
-"""What a simulated print came to, as plain data for the summary file.
+"""The results of a simulated print, as plain data for the summary file.
 
     world figures, epochs, links, axes ─┐
     run facts (RunFacts) ───────────────┴─► summary() ─► dict for JSON

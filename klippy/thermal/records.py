@@ -1,7 +1,7 @@
 """The records that travel between the stages of the thermal chain.
 
 Every quantity carries its unit in its name. `time_s` is always print time: seconds on the clock the whole
-printer shares. Raw values are ADC codes (LSB); "error units" are those of Oskolkov 2021, about 0.8 units per
+printer shares. Raw values are ADC codes (LSB); signal units are those of Oskolkov 2021's "error", about 0.8 per
 degree at low power. Named tuples: hundreds are made every second, in a third of a frozen dataclass's time.
 """
 
@@ -87,15 +87,6 @@ class FlowSegment(NamedTuple):
     end_s: float
     flow_mm3_s: float
     path_mm: float
-
-
-class TempSegment(NamedTuple):
-    """A piece of the temperature plan."""
-
-    start_s: float
-    end_s: float
-    target_c: float
-    feedforward_w: float
 
 
 class Sample(NamedTuple):

@@ -30,11 +30,11 @@ from .statusfeed import END, Fields, Status, StatusPublisher, StatusReader, Subs
 
 _RECEIVE_SIZE = 65536
 _REQUEST_LIMIT = 1024 * 1024  # bytes; 10 ms of parsing
-_STALL_S = 5.0  # a client that took nothing for so long is dropped
+_STALL_S = 5.0  # a client that reads nothing for this time is dropped
 _BACKLOG_LIMIT = 32 * 1024 * 1024
 _SUBSCRIPTION_PERIOD_S = 0.25
 _SHORTEST_PERIOD_S = 0.02
-_FAREWELL_S = 3.0  # when the host ends, clients have so long to close their side
+_FAREWELL_S = 3.0  # when the host ends, clients have this time to close their side
 _SCRIPT_SLICE_S = 0.01  # a script of many lines lets others run so often
 
 
@@ -62,7 +62,7 @@ class WebRequest:
         self.response: Any = None
 
     def check(self) -> None:
-        """Raise if it is no request at all."""
+        """Raise if it is not a request."""
         if not isinstance(self.method, str):
             raise WebRequestError("Invalid request: 'method' must be a text")
         if not isinstance(self.params, dict):
@@ -134,7 +134,7 @@ class ClientConnection:
         self._stall_timer = self._reactor.register_timer(self._check_stall)
 
     def is_closed(self) -> bool:
-        """Whether the client is gone, or is told to go."""
+        """Whether the client is gone, or is being disconnected."""
         return self.closed or self._ending
 
     def end(self) -> None:
@@ -307,7 +307,7 @@ class ServerSocket:
         self.clients.pop(client.uid, None)
 
     def _close(self) -> None:
-        """The path goes first, so that nobody comes; then the clients, in good order if they can."""
+        """Remove the socket's path first, so that no client connects; then end the clients in good order."""
         self.reactor.unregister_fd(self._handle)
         self._sock.close()
         try:
@@ -379,9 +379,6 @@ class WebHooks:
             choices = ", ".join(sorted(name for name in table if name is not None))
             raise request.error(f"The value '{value}' is not valid for {key} (choices: {choices})")
         table[value](request)
-
-    def get_connection(self) -> None:
-        """No single connection is kept; here for callers that ask."""
 
     def get_callback(self, path: str) -> Callable[[WebRequest], None]:
         """Handler of an endpoint."""
@@ -514,7 +511,7 @@ class ObjectEndpoints:
         request.send({"eventtime": eventtime, "status": self._reader.collect(wanted, eventtime, {})})
 
     def _subscribe(self, request: WebRequest) -> None:
-        """Replaces this connection's subscription. `interval` (s, ours) asks for another pace than 0.25 s."""
+        """Replaces this connection's subscription. `interval` (s, ours) sets another period than 0.25 s."""
         wanted = self._wanted(request)
         template = request.get_dict("response_template", {})
         period_s = float(request.get_float("interval", _SUBSCRIPTION_PERIOD_S))

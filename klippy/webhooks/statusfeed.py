@@ -17,7 +17,7 @@ _encode = json.JSONEncoder(separators=(",", ":"), allow_nan=False).encode
 
 
 class Client(Protocol):
-    """Whoever can be sent messages."""
+    """A receiver of messages."""
 
     def is_closed(self) -> bool: ...
     def send_encoded(self, data: bytes) -> None: ...
@@ -50,7 +50,7 @@ Status = dict[str, dict[str, Any]]
 
 @dataclasses.dataclass(slots=True)
 class Subscription:
-    """What one client wants; `seen`: what it was told first, until the next round."""
+    """What one client wants; `seen`: the first status it was sent, until the next round."""
 
     wanted: Wanted
     template: dict[str, Any]
@@ -100,9 +100,9 @@ class StatusReader:
 
 
 class StatusPublisher:
-    """Sends changes to all subscribers of one pace.
+    """Sends changes to all subscribers with one period.
 
-    All are compared with the round before. A new subscriber is compared once with what it was told itself.
+    Each round is compared with the one before. For a new subscriber the first comparison is with what it was sent.
     """
 
     def __init__(self, reactor: Any, reader: StatusReader, period_s: float) -> None:
@@ -122,7 +122,7 @@ class StatusPublisher:
             )
 
     def remove(self, client: Client) -> None:
-        """No more."""
+        """Stop the timer."""
         self._subscriptions.pop(client, None)
 
     def _publish(self, eventtime: float) -> float:

@@ -11,13 +11,12 @@ which were taken on hardware or in simulavr, stand beside them.
 
 from __future__ import annotations
 
+import harness  # isort: skip
+
 import argparse
-import json
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,9 +32,7 @@ QUICK_STEPS = 20000
 
 def memory(chip: Firmware) -> dict[str, int]:
     """Flash and static RAM of the image, B."""
-    out = subprocess.run(
-        ["arm-none-eabi-size", str(chip.image)], capture_output=True, text=True, check=True
-    ).stdout.splitlines()[1]
+    out = harness.run("arm-none-eabi-size", chip.image).output.splitlines()[1]
     text, data, bss = (int(word) for word in out.split()[:3])
     return {"flash_bytes": text + data, "static_ram_bytes": data + bss}
 
@@ -112,83 +109,81 @@ def speed(bench: rates.Bench, steps: int) -> dict[str, Any]:
     return result
 
 
-def line(text: str, value: object, note: str = "") -> None:
-    print(f"  {text:<46} {value!s:>12}  {note}")
+# What a row says: figure, how it is written, what stands beside it.
+SAMPLING_ROWS = (
+    ("flash, B", "{flash_bytes}", "of 57344 allowed"),
+    ("static RAM, B", "{static_ram_bytes}", "the rest up to 11264 is objects, moves and stack"),
+    ("stack used, B", "{stack_used_bytes}", "of {stack_bytes}"),
+    ("samples", "{samples}", "in {seconds:g} s, {samples_lost} lost"),
+    ("steps beside it", "{steps_made}", "of {steps_asked} asked for, 50,000 a second"),
+    ("instructions a sample", "{sampling_instructions_per_sample}", "whole interrupt, blocks and guard"),
+    ("longest sampling interrupt, us", "{longest_sampling_interrupt_us}", ""),
+    ("longest timer interrupt, us", "{longest_timer_interrupt_us}", "with what preempts it: nothing"),
+    ("longest wait of an interrupt, us", "{longest_wait_of_an_interrupt_us}", ""),
+    ("processor awake, %", "{processor_awake_percent}", ""),
+    ("emulator, times real: asleep", "{emulator_idle_times_real}", ""),
+    ("emulator, times real: this load", "{emulator_times_real}", ""),
+)
+PRINT_ROWS = (
+    ("samples lost", "{print_samples_lost}", "{print_blocks_exact} blocks, every sum exact"),
+    ("changes of phase as commanded", "{print_phases_as_commanded}", "by the compare registers"),
+    ("longest interrupt, us", "{print_longest_interrupt_us}", ""),
+    ("stack used, B", "{print_stack_used_bytes}", ""),
+)
 
 
-def report_sampling(f: dict[str, Any]) -> None:
-    print("STM32F334 image on the emulator, bridge sampled (2 cycles an instruction assumed for all times)")
-    line("flash, B", f["flash_bytes"], "of 57344 allowed")
-    line("static RAM, B", f["static_ram_bytes"], "the rest up to 11264 is objects, moves and stack")
-    line("stack used, B", f["stack_used_bytes"], f"of {f['stack_bytes']}")
-    line("samples", f["samples"], f"in {f['seconds']:g} s, {f['samples_lost']} lost")
-    line("steps beside it", f["steps_made"], f"of {f['steps_asked']} asked for, 50,000 a second")
-    line("instructions a sample", f["sampling_instructions_per_sample"], "whole interrupt, blocks and guard")
-    line("longest sampling interrupt, us", f["longest_sampling_interrupt_us"])
-    line("longest timer interrupt, us", f["longest_timer_interrupt_us"], "with what preempts it: nothing")
-    line("longest wait of an interrupt, us", f["longest_wait_of_an_interrupt_us"])
-    line("processor awake, %", f["processor_awake_percent"])
-    if "print_seconds" in f:
-        print(
-            f"  {f['print_seconds']:g} s of a print in closed loop, and an axis at 50,000 steps/s beside it"
-        )
-        line("samples lost", f["print_samples_lost"], f"{f['print_blocks_exact']} blocks, every sum exact")
-        line("changes of phase as commanded", f["print_phases_as_commanded"], "by the compare registers")
-        line("longest interrupt, us", f["print_longest_interrupt_us"])
-        line("stack used, B", f["print_stack_used_bytes"])
-    line("emulator, times real: asleep", f["emulator_idle_times_real"])
-    line("emulator, times real: this load", f["emulator_times_real"])
+def show(
+    report: harness.Report, title: str, rows: tuple[tuple[str, str, str], ...], f: dict[str, Any]
+) -> None:
+    texts = ((name, value.format(**f), note.format(**f)) for name, value, note in rows)
+    report.table(title, ("", "", ""), texts)
 
 
-def report_speed(bench: rates.Bench, f: dict[str, Any]) -> None:
+def show_speed(report: harness.Report, bench: rates.Bench, f: dict[str, Any]) -> None:
     known = bench.published
-    how = f"{bench.cycles_per_instruction} cycles an instruction assumed"
-    exact = "cycles as in the datasheet"
-    print(
-        f"{bench.name} image at {bench.clock_hz // 10**6} MHz; {how if bench.cycles_per_instruction else exact}"
-    )
+    rows = []
     for n in STEPPERS:
         many = f"{n} stepper{'s' * (n > 1)}"
-        line(f"instructions a step, {many}", f[f"step_instructions_{n}"], f"{f[f'step_cycles_{n}']} cycles")
-        there = f"{known.steps_per_s(n):,.0f} (every {known.ticks[n]})"
-        line(
-            f"steps a second, {many}",
-            f"{f[f'steps_per_s_{n}']:,}",
-            f"one every {f[f'step_interval_ticks_{n}']} ticks; Klipper, {known.chip}: {there}",
-        )
+        rows += [
+            (f"instructions a step, {many}", f"{{step_instructions_{n}}}", f"{{step_cycles_{n}}} cycles"),
+            (
+                f"steps a second, {many}",
+                f"{{steps_per_s_{n}:,}}",
+                f"one every {{step_interval_ticks_{n}}} ticks; Klipper, {known.chip}: {known.steps_per_s(n):,.0f}"
+                f" (every {known.ticks[n]})",
+            ),
+        ]
         if known.pulse_ticks:
-            pulses = f"{f[f'pulses_per_s_{n}']:,}"
-            line(f"  as pulses of {known.pulse_ticks} ticks, like Klipper's", pulses)
-    line("instructions a command", f["command_instructions"], f"{f['command_cycles']} cycles")
-    line(
-        "commands a second",
-        f"{f['commands_per_s']:,}",
-        f"computed; Klipper, {known.chip}: {known.commands_per_s:,}",
-    )
+            rows.append(
+                (f"  as pulses of {known.pulse_ticks} ticks, like Klipper's", f"{{pulses_per_s_{n}:,}}", "")
+            )
+    there = f"computed; Klipper, {known.chip}: {known.commands_per_s:,}"
+    rows += [
+        ("instructions a command", "{command_instructions}", "{command_cycles} cycles"),
+        ("commands a second", "{commands_per_s:,}", there),
+    ]
+    how = f"{bench.cycles_per_instruction} cycles an instruction assumed"
+    how = how if bench.cycles_per_instruction else "cycles as in the datasheet"
+    show(report, f"{bench.name} image at {bench.clock_hz // 10**6} MHz; {how}", tuple(rows), f)
 
 
-def main(argv: Sequence[str]) -> int:
-    parser = argparse.ArgumentParser(description="Measure the firmware on the image for a chip.")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="the figures")
-    parser.add_argument("--quick", action="store_true", help="one second instead of ten, fewer steps")
-    options = parser.parse_args(argv)
-    figures = sampling(1.0 if options.quick else 10.0)
+def bench(options: argparse.Namespace, report: harness.Report) -> None:
+    figures = report.figures
+    figures |= sampling(1.0 if options.quick else 10.0)
+    figures["emulator_idle_times_real"] = round(idle_speed(), 1)
+    title = "STM32F334 image on the emulator, bridge sampled (2 cycles an instruction assumed for all times)"
+    show(report, title, SAMPLING_ROWS, figures)
+    report.at_most("samples lost", figures["samples_lost"], 0, 0)
+    report.at_least("steps made", figures["steps_made"], figures["steps_asked"], 0)
     if not options.quick:
         figures |= printing(10.0)
-    figures["emulator_idle_times_real"] = round(idle_speed(), 1)
-    report_sampling(figures)
-    for bench in rates.BENCHES.values():
-        figures[bench.name] = speed(bench, QUICK_STEPS if options.quick else rates.STEPS)
-        report_speed(bench, figures[bench.name])
-    if options.json is not None:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(figures, indent=2) + "\n")
-    held = (
-        figures["samples_lost"] == figures.get("print_samples_lost", 0) == 0
-        and figures["steps_made"] == figures["steps_asked"]
-    )
-    return 0 if held else 1
+        title = f"{figures['print_seconds']:g} s of a print in closed loop, and an axis at 50,000 steps/s beside it"
+        show(report, title, PRINT_ROWS, figures)
+        report.at_most("samples lost in the print", figures["print_samples_lost"], 0, 0)
+    for chip in rates.BENCHES.values():
+        figures[chip.name] = speed(chip, QUICK_STEPS if options.quick else rates.STEPS)
+        show_speed(report, chip, figures[chip.name])
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(harness.main(bench, harness.options(__doc__, "one second instead of ten, fewer steps")))

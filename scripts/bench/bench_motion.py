@@ -22,57 +22,28 @@ Goals: the three ways within 20 % of each other, three times the peer's moves/s,
 
 from __future__ import annotations
 
-from bench_paths import ROOT  # isort: skip
+import harness  # isort: skip
 
 import argparse
-import json
 import math
 import os
 import shlex
 import statistics
-import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
+import batch_messages
+from harness import ROOT
 
 MAX_MEMORY_MB = 45.0
 MAX_SPREAD = 1.2  # of the slowest way to the fastest
+OUR_WAYS = ("batch", "SD", "live")
 CHORD_MM = 0.5
 FILAMENT_PER_MM = 0.0333  # 0.4 x 0.2 mm lines of 1.75 mm filament
-CLOCK_HZ = 20_000_000
-
-COMMANDS = (
-    "allocate_oids count=%c", "finalize_config crc=%u", "get_config", "get_clock", "get_uptime", "emergency_stop",
-    "clear_shutdown", "identify offset=%u count=%c", "debug_nop", "config_reset", "reset",
-    "config_stepper oid=%c step_pin=%c dir_pin=%c invert_step=%c step_pulse_ticks=%u",
-    "queue_step oid=%c interval=%u count=%hu add=%hi", "set_next_step_dir oid=%c dir=%c",
-    "reset_step_clock oid=%c clock=%u", "stepper_get_position oid=%c", "stepper_stop_on_trigger oid=%c trsync_oid=%c",
-    "config_endstop oid=%c pin=%c pull_up=%c", "endstop_query_state oid=%c",
-    "endstop_home oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u pin_value=%c trsync_oid=%c"
-    " trigger_reason=%c",
-    "config_trsync oid=%c", "trsync_start oid=%c report_clock=%u report_ticks=%u expire_reason=%c",
-    "trsync_set_timeout oid=%c clock=%u", "trsync_trigger oid=%c reason=%c",
-    "config_digital_out oid=%c pin=%u value=%c default_value=%c max_duration=%u",
-    "set_digital_out_pwm_cycle oid=%c cycle_ticks=%u", "queue_digital_out oid=%c clock=%u on_ticks=%u",
-    "update_digital_out oid=%c value=%c", "set_digital_out pin=%u value=%c",
-    "config_pwm_out oid=%c pin=%u cycle_ticks=%u value=%hu default_value=%hu max_duration=%u",
-    "queue_pwm_out oid=%c clock=%u value=%hu", "config_analog_in oid=%c pin=%u",
-    "query_analog_in oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u bytes_per_report=%c"
-    " min_value=%hu max_value=%hu range_check_count=%c",
-)  # fmt: skip
-RESPONSES = (
-    "identify_response offset=%u data=%.*s", "stats count=%u sum=%u sumsq=%u", "clock clock=%u",
-    "uptime high=%u clock=%u", "config is_config=%c crc=%u is_shutdown=%c move_count=%hu", "starting",
-    "shutdown clock=%u static_string_id=%hu", "is_shutdown static_string_id=%hu",
-    "stepper_position oid=%c pos=%i", "endstop_state oid=%c homing=%c next_clock=%u pin_value=%c",
-    "trsync_state oid=%c can_trigger=%c trigger_reason=%c clock=%u", "analog_in_state oid=%c next_clock=%u values=%*s",
-)  # fmt: skip
+DICTIONARY = batch_messages.dictionary(20e6, STEPPER_STEP_BOTH_EDGE=1, PWM_MAX=255)
 
 RAIL = """[stepper_{axis}]
 step_pin: P{port}1
@@ -144,38 +115,6 @@ class Case:
         ) + (SHAPER if self.smooth else "")  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True)
-class Cost:
-    """What one process took; memory is its peak resident set in MB (1e6 bytes)."""
-
-    time_s: float
-    peak_mb: float
-
-
-class BenchError(Exception):
-    """A run did not come to its end; the text says why."""
-
-
-def dictionary() -> dict[str, object]:
-    """What an ordinary MCU would say about itself; message ids are ours."""
-    numbers = {"identify offset=%u count=%c": 1, "identify_response offset=%u data=%.*s": 0}
-    free = iter(range(2, 200))
-
-    def numbered(formats: Sequence[str]) -> dict[str, int]:
-        return {text: numbers[text] if text in numbers else next(free) for text in formats}
-
-    pins = {f"P{port}0": [16 * index, 16] for index, port in enumerate("ABCDEFGH")}
-    return {
-        "app": "Bench", "license": "none", "version": "bench", "build_versions": "none",
-        "commands": numbered(COMMANDS), "responses": numbered(RESPONSES),
-        "enumerations": {"pin": pins, "static_string_id": {"Timer too close": 2}},
-        "config": {
-            "MCU": "bench", "CLOCK_FREQ": CLOCK_HZ, "ADC_MAX": 4095, "PWM_MAX": 255, "STATS_SUMSQ_BASE": 256,
-            "STEPPER_STEP_BOTH_EDGE": 1,
-        },
-    }  # fmt: skip
-
-
 def ring(x: float, y: float, radius: float) -> Iterator[str]:
     """A round perimeter of chords, with its travel and retract."""
     yield f"G1 X{x + radius:.3f} Y{y:.3f} F12000"
@@ -230,22 +169,6 @@ def write_gcode(path: Path, moves: int) -> None:
                 return
 
 
-def run(command: Sequence[str], by_clock: bool) -> Cost:
-    """Run a process to its end and measure it: its processor time, or by the clock."""
-    begin = time.monotonic()
-    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-    assert process.stderr is not None
-    complaint = process.stderr.read().decode("utf-8", "replace")
-    _pid, status, usage = os.wait4(process.pid, 0)
-    wall_s = time.monotonic() - begin
-    process.returncode = os.waitstatus_to_exitcode(status)
-    if process.returncode:
-        raise BenchError(
-            f"{shlex.join(command)} ended with status {process.returncode}:\n{complaint[-2000:]}"
-        )
-    return Cost(wall_s if by_clock else usage.ru_utime + usage.ru_stime, usage.ru_maxrss * 1024 / 1e6)
-
-
 class Bench:
     """Files and commands of one bench run."""
 
@@ -262,19 +185,20 @@ class Bench:
         }
         if peer:
             self.ways["peer"] = shlex.split(peer)
-        (folder / "bench.dict").write_text(json.dumps(dictionary()))
+        (folder / "bench.dict").write_bytes(DICTIONARY)
         write_gcode(folder / "moves.gcode", moves)
         write_gcode(folder / "home.gcode", 0)
 
-    def cost(self, way: str, case: Case, gcode: str) -> Cost:
-        """One run of a host."""
+    def cost(self, way: str, case: Case, gcode: str) -> tuple[float, float]:
+        """(seconds, peak MB) of one run of a host."""
         path = self.folder / "printer.cfg"
         path.write_text(case.config() + f"[virtual_sdcard]\npath: {self.folder}\n")
         values = {
             "CONFIG": str(path), "GCODE": str(self.folder / f"{gcode}.gcode"), "OUT": os.devnull,
             "DICT": str(self.folder / "bench.dict"),
         }  # fmt: skip
-        return run([values.get(word, word) for word in self.ways[way]], self.by_clock)
+        done = harness.run(*(values.get(word, word) for word in self.ways[way]))
+        return done.wall_s if self.by_clock else done.cpu_s, done.peak_mb
 
     def measure(self, case: Case, repeat: int) -> tuple[dict[str, float], float]:
         """(moves/s by way, our peak MB): the best of some runs in turn, start-up and homing taken off."""
@@ -283,11 +207,11 @@ class Bench:
         # the first start of a host reads files that no cache holds: one more than is asked for
         for turn in range(repeat + 1):
             for way in self.ways:
-                idle[way] = min(idle[way], self.cost(way, case, "home").time_s)
+                idle[way] = min(idle[way], self.cost(way, case, "home")[0])
                 if turn:
-                    cost = self.cost(way, case, "moves")
-                    busy[way] = min(busy[way], cost.time_s)
-                    peak_mb = max(peak_mb, cost.peak_mb if way != "peer" else 0.0)
+                    took_s, took_mb = self.cost(way, case, "moves")
+                    busy[way] = min(busy[way], took_s)
+                    peak_mb = max(peak_mb, took_mb if way != "peer" else 0.0)
         return {way: self.moves / (busy[way] - idle[way]) for way in self.ways}, peak_mb
 
 
@@ -301,52 +225,44 @@ def cases(quick: bool) -> list[Case]:
     return everything[:1] if quick else everything
 
 
-def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(description="Throughput of G-code lines to queued steps.")
+def bench(options: argparse.Namespace, report: harness.Report) -> None:
+    rows: dict[str, dict[str, float]] = {}
+    with tempfile.TemporaryDirectory() as scratch:
+        folder = options.keep or Path(scratch)
+        folder.mkdir(parents=True, exist_ok=True)
+        work = Bench(folder, options.moves, options.peer, options.wall)
+        for case in cases(options.quick):
+            if options.only not in case.title:
+                continue
+            rates, peak_mb = work.measure(case, options.repeat)
+            own = [rates[way] for way in OUR_WAYS]
+            row = {**rates, "spread": max(own) / min(own), "peak MB": peak_mb}
+            if "peer" in rates:
+                row["live / peer"] = rates["live"] / rates["peer"]
+            rows[case.title] = row
+            report.at_most(f"{case.title}: slowest to fastest way", row["spread"], MAX_SPREAD)
+            report.at_most(f"{case.title}: MB", peak_mb, MAX_MEMORY_MB, 1)
+    report.figures["moves_per_s"] = rows
+    heads = list(next(iter(rows.values()), {}))
+    texts = (
+        [title, *(f"{row[head]:,.{2 if row[head] < 20 else 0}f}" for head in heads)]
+        for title, row in rows.items()
+    )
+    report.table(f"{options.moves} moves, moves/s", ["case", *heads], texts)
+    if ratios := [row["live / peer"] for row in rows.values() if "live / peer" in row]:
+        print(f"live / peer: median {statistics.median(ratios):.2f}, lowest {min(ratios):.2f}")
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = harness.options(__doc__, "the first case only")
     parser.add_argument("--moves", type=int, default=300_000)
     parser.add_argument("--repeat", type=int, default=2, help="best of so many runs")
-    parser.add_argument("--quick", action="store_true", help="the first case only")
     parser.add_argument("--only", default="", metavar="TEXT", help="the cases whose title has this")
     parser.add_argument("--wall", action="store_true", help="measure by the clock, not by processor time")
     parser.add_argument("--peer", help="command of another host; CONFIG GCODE OUT DICT are replaced")
     parser.add_argument("--keep", type=Path, help="folder for the files, kept")
-    options = parser.parse_args(argv)
-    table = Table(title=f"{options.moves} moves, moves/s")
-    for heading in ("case", "batch", "SD", "live", "spread", "peak MB", "peer", "live / peer"):
-        table.add_column(heading, justify="left" if heading == "case" else "right")
-    highest_mb = 0.0
-    spreads: list[float] = []
-    ratios: list[float] = []
-    with tempfile.TemporaryDirectory() as scratch:
-        folder = options.keep or Path(scratch)
-        folder.mkdir(parents=True, exist_ok=True)
-        bench = Bench(folder, options.moves, options.peer, options.wall)
-        try:
-            for case in cases(options.quick):
-                if options.only not in case.title:
-                    continue
-                rates, peak_mb = bench.measure(case, options.repeat)
-                own = [rates[way] for way in ("batch", "SD", "live")]
-                spreads.append(max(own) / min(own))
-                highest_mb = max(highest_mb, peak_mb)
-                row = [case.title, *(f"{rate:,.0f}" for rate in own), f"{spreads[-1]:.2f}", f"{peak_mb:.0f}"]
-                if "peer" in rates:
-                    ratios.append(rates["live"] / rates["peer"])
-                    row += [f"{rates['peer']:,.0f}", f"{ratios[-1]:.2f}"]
-                table.add_row(*row)
-        except BenchError as problem:
-            print(f"bench_motion: {problem}", file=sys.stderr)
-            return 1
-    Console(width=130).print(table)
-    if ratios:
-        print(f"live / peer: median {statistics.median(ratios):.2f}, lowest {min(ratios):.2f}")
-    problems = [f"more than {MAX_MEMORY_MB:.0f} MB"] if highest_mb > MAX_MEMORY_MB else []
-    if spreads and max(spreads) > MAX_SPREAD:
-        problems.append(f"the ways differ by more than {100 * (MAX_SPREAD - 1):.0f} %")
-    for text in problems:
-        print(f"bench_motion: {text}", file=sys.stderr)
-    return int(bool(problems))
+    return parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(harness.main(bench, parser()))

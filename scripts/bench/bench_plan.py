@@ -20,16 +20,13 @@ follows the flow of single corners.
 
 from __future__ import annotations
 
-from bench_paths import ROOT  # isort: skip
+import harness  # isort: skip
 
 import argparse
-import json
 import math
 import re
-import subprocess
 import sys
-from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -89,7 +86,7 @@ def offline(
     settings = temperature_plan.read_settings(config)
     nozzle = plan_temperature.limits_of("induction", config, settings)
     printer = path.with_suffix(".cfg")
-    printer.write_text(f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n{bench_plan_cost.WIDER}")
+    printer.write_text(bench_plan_cost.WIDE_CONFIG)
 
     def run(settings: temperature_plan.Settings) -> plan_offline.OfflinePlan:
         return plan_offline.OfflineRun(settings, nozzle, base_c).run(printer, path)
@@ -108,12 +105,8 @@ def simulate(
     section = "[temperature_plan]\n" + "".join(f"{k}: {v}\n" for k, v in {**SECTION, **options}.items())
     record = folder / f"{name}-plan.csv"
     config, trace = folder / f"{name}.cfg", folder / f"{name}.csv"
-    text = f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n{bench_plan_cost.WIDER}"
-    config.write_text(f"{text}{section}record: {record}\n{more}")
-    command = [ROOT / "scripts" / "simulate.py", config, gcode, "--trace", trace, "--until", seconds]
-    done = subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True, check=False)
-    if done.returncode:
-        raise SystemExit(f"bench_plan: {name}: {done.stderr}")
+    config.write_text(f"{bench_plan_cost.WIDE_CONFIG}{section}record: {record}\n{more}")
+    harness.program("scripts/simulate.py", config, gcode, "--trace", trace, "--until", seconds)
     read = [np.genfromtxt(path, delimiter=",", names=True) for path in (trace, record)]
     return {"trace": read[0], "plan": read[1]}
 
@@ -143,15 +136,15 @@ def tracking(run: Table, plan: Any, offset_s: float, fixed_c: float | None = Non
     times = trace["t_s"] + offset_s
     row = np.searchsorted(plan["start_s"], times, side="right") - 1
     flow = trace["flow_mm3_s"]
-    laid = (row >= 0) & (flow > MIN_FLOW_MM3_S)
+    flowing = (row >= 0) & (flow > MIN_FLOW_MM3_S)
     row = np.clip(row, 0, None)
-    laid &= times < plan["end_s"][row]
-    row, weight, melt = row[laid], flow[laid], trace["melt_c"][laid]
+    flowing &= times < plan["end_s"][row]
+    row, weight, melt = row[flowing], flow[flowing], trace["melt_c"][flowing]
     if fixed_c is not None:
         melt = INLET_C - (fixed_c - INLET_C) * np.expm1(-UA_W_K / (1e-3 * HEAT_MJ_M3K * weight))
     share = -np.expm1(-UA_W_K / (1e-3 * HEAT_MJ_M3K * weight))
     against_plan = melt - (INLET_C + (plan["wall_c"][row] - INLET_C) * share)
-    slot = np.floor(times[laid] / AVERAGE_S).astype(int)
+    slot = np.floor(times[flowing] / AVERAGE_S).astype(int)
     slot -= slot[0]
     volume = np.bincount(slot, weight)
     held = volume > 0.0
@@ -239,14 +232,13 @@ def step_plants() -> dict[str, dict[str, float]]:
 def calibrated(folder: Path, plant: str) -> tuple[dict[str, str], float]:
     """(options that MODEL_CALIBRATE finds on a machine with this plant, seconds it takes)."""
     config, gcode, log = folder / "calibrate.cfg", folder / "calibrate.gcode", folder / "calibrate.log"
-    config.write_text(f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n{plant}")
+    config.write_text(f"[include {harness.SAMPLE_CONFIG}]\n{plant}")
     gcode.write_text(CALIBRATE)
-    command = [ROOT / "scripts" / "simulate.py", config, gcode, "--log", log]
-    done = subprocess.run([sys.executable, *map(str, command)], capture_output=True, text=True, check=False)
+    done = harness.program("scripts/simulate.py", config, gcode, "--log", log)
     found = dict(re.findall(r"save_config: set \[induction_heater nozzle\] (\w+) = (.*)", log.read_text()))
-    if done.returncode or "melt_exchange" not in found:
-        raise SystemExit(f"bench_plan: MODEL_CALIBRATE found nothing:\n{plant}\n{done.stderr}")
-    took = re.search(r"([0-9.]+) s simulated", done.stdout + done.stderr)
+    if "melt_exchange" not in found:
+        raise harness.BenchError(f"MODEL_CALIBRATE found nothing:\n{plant}\n{done.errors}")
+    took = re.search(r"([0-9.]+) s simulated", done.output + done.errors)
     return found, float(took[1]) if took else math.nan
 
 
@@ -266,11 +258,11 @@ def step_pair(folder: Path, seconds: float, more: str) -> dict[str, tuple[float,
     }
 
 
-def step_table(folder: Path, seconds: float) -> Table:
+def measure_steps(folder: Path, seconds: float, report: harness.Report) -> None:
     """The steps on nozzles and filaments unlike the config, as configured and calibrated."""
     (folder / "steps.gcode").write_text(steps_gcode())
-    print("\n15 C every 1.5 s, rms (mean, about the mean)    planned              at the border        ratio")
     table: Table = {}
+    rows, ratios = [], []
     for name, plant in step_plants().items():
         nozzle = "[simulator nozzle nozzle]\n" + "".join(f"{k}: {v:.6g}\n" for k, v in plant.items())
         found, took_s = calibrated(folder, nozzle)
@@ -280,73 +272,81 @@ def step_table(folder: Path, seconds: float) -> Table:
             pair = step_pair(folder, seconds, more)
             ratio = pair["planned"][0] / pair["border"][0]
             table[name][when] = {**pair, "ratio": ratio}
-            shown = "   ".join(f"{r:5.2f} ({m:+6.2f}, {s:4.2f})" for r, m, s in pair.values())
-            print(f"{name:<28} {when:<12} {shown}   {ratio:5.2f}", flush=True)
-    ratios = [row["after"]["ratio"] for row in table.values()]
+            rows.append(
+                (name, when, *(f"{value:.2f}" for three in pair.values() for value in three), f"{ratio:.2f}")
+            )
+        ratios.append(ratio)
+    ours, border = (f"{way}: {{}}".format for way in ("planned", "border"))
+    names = ("rms", "mean", "about it")
+    heads = ("15 C every 1.5 s", "calibration", *map(ours, names), *map(border, names), "ratio")
+    report.table("Error of the melt, C", heads, rows, 2)
+    report.figures["15 C every 1.5 s"] = table
     print(
         f"after calibration: {sum(r < 0.5 for r in ratios)} of {len(ratios)} below 0.5, largest {max(ratios):.2f}"
     )
-    return table
 
 
-OFFLINE_HEAD = (
-    "whole files, offline             interface 5..95 %, spread     fixed, spread        ratio  below bonding: plan,"
-    " fixed   slowest  longer  us/move"
-)
-
-
-def offline_row(kind: str, found: Table, us: float) -> str:
+def offline_row(kind: str, found: Table, us: float) -> tuple[str, ...]:
     low, _, high = found["interface_5_50_95_c"]
     low_fixed, _, high_fixed = found["interface_5_50_95_fixed_c"]
-    longer = found["duration_s"] / found["duration_fixed_s"] - 1.0
     return (
-        f"{kind:<32} {low:5.0f}..{high:3.0f} C {found['spread_c']:5.1f}"
-        f"         {low_fixed:5.0f}..{high_fixed:3.0f} C {found['spread_fixed_c']:5.1f}"
-        f"   {found['spread_c'] / found['spread_fixed_c']:6.2f}"
-        f"     {1 - found['bonded_share']:8.3%} {1 - found['bonded_share_fixed']:8.3%}"
-        f"   {found['min_speed_factor']:6.2f} {longer:7.1%} {us:7.1f}"
+        kind,
+        f"{low:.0f}..{high:.0f}",
+        f"{found['spread_c']:.1f}",
+        f"{low_fixed:.0f}..{high_fixed:.0f}",
+        f"{found['spread_fixed_c']:.1f}",
+        f"{found['spread_c'] / found['spread_fixed_c']:.2f}",
+        *(f"{1 - found[key]:.3%}" for key in ("bonded_share", "bonded_share_fixed")),
+        f"{found['min_speed_factor']:.2f}",
+        f"{found['duration_s'] / found['duration_fixed_s'] - 1.0:.1%}",
+        f"{us:.1f}",
     )
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seconds", type=float, default=450.0, help="printed in closed loop of each file")
-    parser.add_argument("--out", type=Path, default=ROOT / "out" / "bench" / "plan")
-    parser.add_argument("--steps", action="store_true", help="nothing but the steps")
-    options = parser.parse_args(argv)
-    folder = options.out
-    folder.mkdir(parents=True, exist_ok=True)
-    if options.steps:
-        step_table(folder, options.seconds)
-        return 0
-    table: Table = {}
-    print(OFFLINE_HEAD)
+OFFLINE_HEADS = (
+    "whole file, offline", "interface 5..95 %, C", "spread", "fixed, C", "spread", "ratio", "below bonding", "fixed",
+    "slowest", "longer", "us/move",
+)  # fmt: skip
+TRACKING_HEADS = ("closed loop", "run", "rms to plan, C", "<= 3 C", "rms to wanted, C", "<= 3 C")
+
+
+def measure_files(folder: Path, seconds: float, report: harness.Report) -> None:
+    """Each file offline and in closed loop."""
+    rows = []
     for kind, name in FILES.items():
         path = with_targets(bench_plan_cost.data_file(name), folder, NOZZLE_C)
         _, figures, us = offline(path, SECTION, NOZZLE_C)
         hard = with_targets(bench_plan_cost.data_file(name), folder / "pc", HARD_NOZZLE_C)
         _, hard_figures, _ = offline(hard, HARD_SECTION, HARD_NOZZLE_C)
-        table[kind] = {"offline": figures, "planning_us": us, "offline, PC": hard_figures}
-        print(
-            offline_row(f"{kind}, ABS", figures, us), offline_row(f"{kind}, PC", hard_figures, us), sep="\n"
-        )
-    print("\nclosed loop                  run                 melt against plan     against wanted")
+        report.figures[kind] = {"offline": figures, "planning_us": us, "offline, PC": hard_figures}
+        rows += [offline_row(f"{kind}, ABS", figures, us), offline_row(f"{kind}, PC", hard_figures, us)]
+    report.table("", OFFLINE_HEADS, rows)
+    rows = []
     for kind, name in FILES.items():
         path = folder / name
-        extra = {"interface_temp": str(table[kind]["offline"]["interface_wanted_c"])}
-        found_by_run = compare(path, folder, path.stem, options.seconds, extra, NOZZLE_C)
-        table[kind]["closed loop"] = {k: asdict(v) for k, v in found_by_run.items()}
-        for run, t in found_by_run.items():
-            print(
-                f"{kind:<28} {run:<18} rms {t.rms_plan_c:5.2f} C {t.within_3_plan:6.1%} <= 3 C"
-                f"   rms {t.rms_wanted_c:5.2f} C {t.within_3_wanted:6.1%} <= 3 C"
-            )
-    table["15 C every 1.5 s"] = step_table(folder, options.seconds)
-    (folder / "plan.json").write_text(json.dumps(table, indent=2) + "\n", encoding="utf-8")
-    return 0
+        extra = {"interface_temp": str(report.figures[kind]["offline"]["interface_wanted_c"])}
+        runs = compare(path, folder, path.stem, seconds, extra, NOZZLE_C)
+        report.figures[kind]["closed loop"] = runs
+        for run, t in runs.items():
+            to_plan = f"{t.rms_plan_c:.2f}", f"{t.within_3_plan:.1%}"
+            rows.append((kind, run, *to_plan, f"{t.rms_wanted_c:.2f}", f"{t.within_3_wanted:.1%}"))
+    report.table("Extruded melt", TRACKING_HEADS, rows, 2)
+
+
+def bench(options: argparse.Namespace, report: harness.Report) -> None:
+    options.out.mkdir(parents=True, exist_ok=True)
+    if not options.steps:
+        measure_files(options.out, options.seconds, report)
+    measure_steps(options.out, options.seconds, report)
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = harness.options(__doc__)
+    parser.add_argument("--seconds", type=float, default=450.0, help="printed in closed loop of each file")
+    parser.add_argument("--out", type=Path, default=harness.ROOT / "out" / "bench" / "plan")
+    parser.add_argument("--steps", action="store_true", help="nothing but the steps")
+    return parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(harness.main(bench, parser()))

@@ -4,8 +4,8 @@
     scripts/bench/bench_plan_cost.py [--moves 50000] [--instructions] [--memory] [FILE ...]
 
 The section's own code (extras/temperature_plan/__init__.py) is run as the printer does it: the look-ahead hands it
-moves, its timer plans again 2 s behind, marks of layers and features come by; the pace of hot layers is off. Counted
-is what [temperature_plan] adds: the copy in the look-ahead, the timer, the books, and the list of corners that it
+moves, its timer plans again 2 s behind, marks of layers and features come by; the minimum layer time is off. Counted
+is what [temperature_plan] adds: the copy in the look-ahead, the timer, the records, and the list of corners that it
 hands to the heater. Not counted are look-ahead and reading of the file, which are there without it as well.
 
     --instructions   counts instructions with valgrind, with the plan less without: as exact as time is noisy
@@ -17,19 +17,16 @@ hands to the heater. Not counted are look-ahead and reading of the file, which a
 
 from __future__ import annotations
 
-from bench_paths import ROOT  # isort: skip
+import harness  # isort: skip
 
 import argparse
 import itertools
-import os
 import re
-import resource
 import statistics
-import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -47,7 +44,8 @@ from thermal.plan.requests import Requests, read_comment
 AHEAD_S = 2.0  # toolhead.BUFFER_FULL_S
 NOZZLE_C = 245.0
 SECTION = {"material": "ABS", "bed_temp": "100", "chamber_temp": "40", "minimum_speed_factor": "1"}
-WIDER = "[stepper_x]\nposition_max: 200\n"  # the flat part reaches X 190
+# The flat part reaches X 190.
+WIDE_CONFIG = f"[include {harness.SAMPLE_CONFIG}]\n[stepper_x]\nposition_max: 200\n"
 FILES = ("benchy.gcode", "cubhelix.gcode", "brace.gcode")
 INSTRUCTION_MOVES = 3000
 MEMORY_MOVES = (100_000, 1_000_000)
@@ -56,7 +54,7 @@ Planned = tuple[Any, Requests]  # Move of the look-ahead, what holds for it
 
 def sample_config(section: dict[str, str]) -> ConfigWrapper:
     """[temperature_plan] with these options in the sample printer's config."""
-    data, _ = configtext.read_main(str(ROOT / "config" / "sim-induction.cfg"))
+    data, _ = configtext.read_main(str(harness.SAMPLE_CONFIG))
     for name, value in section.items():
         data.set("temperature_plan", name, value, configtext.Origin("bench", 0))
     return ConfigWrapper(None, data, {}, "temperature_plan")
@@ -84,7 +82,7 @@ class Printer:
         self.toolhead = SimpleNamespace(
             get_extruder=lambda: extruder,
             register_move_listener=_nothing,
-            register_lookahead_callback=lambda tell: self.marks.append(tell),  # noqa: PLW0108  # the list changes
+            register_lookahead_callback=lambda callback: self.marks.append(callback),  # noqa: PLW0108  # the list changes
         )
         self.marks: list[Callable[[float], None]] = []
         heaters = SimpleNamespace(lookup_heater=lambda name: self.heater)
@@ -128,7 +126,7 @@ class Section(temperature_plan.TemperaturePlanner):
         self._on_ready()
 
     def set_speed(self, factor: float) -> None:
-        """The pace is off."""
+        """The minimum layer time is off."""
 
     def moves(self, row: Any, count: int, time_s: float) -> None:
         self._on_moves(row, count, time_s)
@@ -162,13 +160,13 @@ def replay(moves: Iterable[Planned], planned: bool) -> tuple[int, float]:
     section = Section(printer)
     queue = LookAheadQueue()
     count, time_s, state, watch = 0, 1.0, Requests(), Watch(planned)
-    for move, wishes in moves:
+    for move, requests in moves:
         count += 1
-        if planned and wishes is not state:
+        if planned and requests is not state:
             watch.start()
-            section.mark(wishes)
+            section.mark(requests)
             watch.stop()
-            state = wishes
+            state = requests
         if not queue.add_move(move, move.toolhead.extruder):
             continue
         ready, row = queue.plan(lazy=True), queue.row
@@ -180,10 +178,10 @@ def replay(moves: Iterable[Planned], planned: bool) -> tuple[int, float]:
             record = row.ring[at & row.mask]
             time_s += record.accel_t + record.cruise_t + record.decel_t
         queue.take(ready)
-        told, printer.marks = printer.marks, []
+        callbacks, printer.marks = printer.marks, []
         watch.start()
-        for tell in told:
-            tell(time_s)
+        for callback in callbacks:
+            callback(time_s)
         while planned and (printer.woken or printer.next_s <= time_s - AHEAD_S):
             printer.time_s = max(printer.time_s, time_s - AHEAD_S if printer.woken else printer.next_s)
             printer.woken = False
@@ -222,7 +220,7 @@ def moves_of(path: Path, folder: Path) -> list[Planned]:
     text = path.read_text(encoding="utf-8", errors="replace")
     plain, config = folder / path.name, folder / "path.cfg"
     plain.write_text(re.sub(r"(?m)^M1[0-9]{2}\b.*", "", text), encoding="utf-8")
-    config.write_text(f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n{WIDER}", encoding="utf-8")
+    config.write_text(WIDE_CONFIG, encoding="utf-8")
     reader = Collector()
     PathHost(config, plain).run(reader)
     return reader.moves
@@ -246,32 +244,21 @@ def cost_us(path: Path, count: int = 50_000) -> float:
     return 1e6 * spent_s / max(1, moves)
 
 
-def again_and_again(path: Path, folder: Path) -> Iterator[Planned]:
-    """A print without end: the file over and over."""
-    return itertools.cycle(moves_of(path, folder))
-
-
-def peak_mb() -> float:
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
-
-
-def child(path: Path, *options: object) -> str:
-    """What this program prints with other options."""
-    command = [sys.executable, __file__, str(path), *map(str, options)]
-    return subprocess.run(command, capture_output=True, text=True, check=True).stdout
+def child(path: Path, how: str, moves: int, *before: str, endless: bool = False) -> harness.Run:
+    """This program again, for one run of replay()."""
+    more = ["--endless"] if endless else []
+    return harness.run(*before, sys.executable, __file__, path, how, "--moves", moves, *more)
 
 
 def instructions(path: Path, count: int) -> float:
     """Instructions that planning takes a move: a run with the plan less one without, of the same moves."""
     totals = []
+    valgrind = ("valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null")
     for how in ("--replay", "--replay-without"):
-        command = ["valgrind", "--tool=callgrind", "--callgrind-out-file=/dev/null", sys.executable, __file__]
-        done = subprocess.run(
-            [*command, str(path), "--moves", str(count), how], capture_output=True, text=True, check=True
-        )
-        found = re.search(r"Collected : (\d+)", done.stderr)
-        assert found is not None, done.stderr
-        totals.append((int(found[1]), int(done.stdout.split()[0])))
+        done = child(path, how, count, *valgrind)
+        found = re.search(r"Collected : (\d+)", done.errors)
+        assert found is not None, done.errors
+        totals.append((int(found[1]), int(done.output)))
     (planned, moves), (without, _) = totals
     return (planned - without) / moves
 
@@ -288,90 +275,70 @@ def lines_of_chords(seconds: float) -> str:
     return "\n".join([*lines, ""])
 
 
-def processor_s(pid: int) -> float:
-    """Processor time a process has used."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-def in_real_time(section: str, seconds: float) -> str:
-    """A print in real time, as a line of text."""
+def in_real_time(section: str, seconds: float) -> tuple[bench_steady.Steadiness, float]:
+    """(how steady, share of a core that the host takes) of a print in real time."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        config = folder / "printer.cfg"
-        config.write_text(
-            f"[include {ROOT / 'config' / 'sim-induction.cfg'}]\n[mcu]\nserial: {folder}/tty\n"
-            f"[virtual_sdcard]\npath: {folder}\n{section}"
-        )
+        config = f"[include {harness.SAMPLE_CONFIG}]\n[virtual_sdcard]\npath: {folder}\n{section}"
         (folder / "part.gcode").write_text(lines_of_chords(2.0 * seconds))
-        machine = [sys.executable, ROOT / "scripts" / "run_simulator.py", config, "--pty", folder / "tty"]
-        host = [
-            sys.executable,
-            ROOT / "klippy" / "klippy.py",
-            config,
-            "-a",
-            folder / "sock",
-            "-l",
-            folder / "log",
-        ]
-        processes = [subprocess.Popen(list(map(str, machine)), stdout=subprocess.DEVNULL)]
-        try:
-            time.sleep(2.0)
-            processes.append(subprocess.Popen(list(map(str, host)), stdout=subprocess.DEVNULL))
-            client = bench_steady.bench_api.connect(folder / "sock")
-            client.sock.settimeout(60.0)
+        with harness.printer(folder, config) as (client, pid):
             client.ask("gcode/script", script="SDCARD_PRINT_FILE FILENAME=part.gcode")
             time.sleep(15.0)  # homing, heating
-            before_s = processor_s(processes[1].pid)
+            before_s = harness.cpu_s(pid)
             found = bench_steady.watch(client, seconds)
-            used_s = processor_s(processes[1].pid) - before_s
-        finally:
-            for process in reversed(processes):
-                process.terminate()
-                process.wait()
-    faults = "".join(f"; {fault}" for fault in found.faults)
-    return (
-        f"ahead by {found.min_ahead_s:.2f} s at least, {found.stalls} stalls,"
-        f" host busy for {100.0 * used_s / seconds:.1f} % of a core{faults}"
-    )
+            return found, (harness.cpu_s(pid) - before_s) / seconds
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
+def measure_real_time(seconds: float, report: harness.Report) -> None:
+    section = "[temperature_plan]\n" + "".join(f"{name}: {value}\n" for name, value in SECTION.items())
+    rows = []
+    for name, text in (("without the plan", ""), ("with it", section)):
+        found, share = in_real_time(text, seconds)
+        report.missed += found.faults
+        report.figures[name] = {"print": found, "host_share": share}
+        rows.append((name, f"{found.min_ahead_s:.2f}", found.stalls, f"{100.0 * share:.1f}"))
+    report.table("", ("real time", "plan ahead min, s", "stalls", "host, % of a core"), rows)
+
+
+def measure_files(options: argparse.Namespace, report: harness.Report) -> None:
+    heads = ["file", "us a move"]
+    heads += ["instructions a move"] * options.instructions
+    heads += [f"{n:,} moves: peak MB" for n in MEMORY_MOVES] * options.memory
+    rows = []
+    for path in map(data_file, options.files):
+        row = [cost_us(path, options.moves)]
+        if options.instructions:
+            row.append(instructions(path, min(options.moves, INSTRUCTION_MOVES)))
+        if options.memory:
+            row += [child(path, "--replay", n, endless=True).peak_mb for n in MEMORY_MOVES]
+        report.figures[path.name] = dict(zip(heads[1:], row, strict=True))
+        rows.append((path.name, *(f"{value:.1f}" for value in row)))
+    report.table("", heads, rows)
+
+
+def bench(options: argparse.Namespace, report: harness.Report) -> None:
+    if options.replay or options.replay_without:
+        with tempfile.TemporaryDirectory() as folder:
+            moves = moves_of(data_file(options.files[0]), Path(folder))
+            endless = itertools.cycle(moves) if options.endless else moves
+            print(replay(itertools.islice(endless, options.moves), options.replay)[0])
+    elif options.real_time:
+        measure_real_time(options.real_time, report)
+    else:
+        measure_files(options, report)
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = harness.options(__doc__)
     parser.add_argument("files", nargs="*", default=FILES, help="G-code files")
     parser.add_argument("--moves", type=int, default=50_000, help="so many of each file at most")
     parser.add_argument("--instructions", action="store_true")
     parser.add_argument("--memory", action="store_true")
     parser.add_argument("--real-time", type=float, metavar="S")
-    parser.add_argument("--replay", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--replay-without", action="store_true", help=argparse.SUPPRESS)
-    parser.add_argument("--endless", action="store_true", help=argparse.SUPPRESS)
-    options = parser.parse_args(argv)
-    if options.real_time:
-        section = "[temperature_plan]\n" + "".join(f"{name}: {value}\n" for name, value in SECTION.items())
-        print("without the plan: ", in_real_time("", options.real_time), flush=True)
-        print("with it:          ", in_real_time(section, options.real_time))
-        return 0
-    paths = [data_file(name) for name in options.files]
-    if options.replay or options.replay_without:
-        with tempfile.TemporaryDirectory() as folder:
-            source = (again_and_again if options.endless else moves_of)(paths[0], Path(folder))
-            done = replay(itertools.islice(source, options.moves), options.replay)
-        print(done[0], f"{peak_mb():.1f}")
-        return 0
-    for path in paths:
-        text = f"{path.name:<16} {cost_us(path, options.moves):5.1f} us a move"
-        if options.instructions:
-            count = min(options.moves, INSTRUCTION_MOVES)
-            text += f"  {instructions(path, count):8.0f} instructions a move"
-        if options.memory:
-            runs = [child(path, "--replay", "--endless", "--moves", n).split() for n in MEMORY_MOVES]
-            text += "  " + ", ".join(f"{moves} moves: peak {mb} MB" for moves, mb in runs)
-        print(text, flush=True)
-    return 0
+    for hidden in ("--replay", "--replay-without", "--endless"):
+        parser.add_argument(hidden, action="store_true", help=argparse.SUPPRESS)
+    return parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(harness.main(bench, parser()))

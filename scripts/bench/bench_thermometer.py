@@ -7,21 +7,19 @@ The closed loop (scripts/bench/rigs/induction_rig.py: the C plant, block sums, l
 temperature while extrusion goes on and off and the phase changes with every control step. Laws are fitted to a sweep
 of the same plant, as INDUCTION_CALIBRATE does. The rig's link is a bad one, 3 to 8 ms one way. How old a value is on
 the host is therefore measured a second time where the product's own link is: in a simulated print through 250 kBaud,
-bytes one after the other beside the stepper commands. Exit status 1 if a figure misses its limit.
+bytes one after the other beside the stepper commands.
 """
 
 from __future__ import annotations
 
-from bench_paths import ROOT  # isort: skip
+import harness  # isort: skip
 
 import argparse
 import csv
-import json
 import math
-import subprocess
 import sys
 import tempfile
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -155,7 +153,7 @@ START_LINES = 10  # of half a second: more than the look-ahead queue holds
 
 
 def stack_latency_ms(seconds: float) -> tuple[float, float]:
-    """(mean, greatest) age of a block's centre when the host takes it, ms, in a print on config/sim-induction.cfg.
+    """(mean, max) age of a block's centre when the host takes it, ms, in a print on config/sim-induction.cfg.
 
     The dump begins when the look-ahead queue is full, so that the print is under way.
     """
@@ -170,65 +168,51 @@ def stack_latency_ms(seconds: float) -> tuple[float, float]:
         dump, part = Path(folder) / "dump.csv", Path(folder) / "part.gcode"
         words = {"start": "\n".join(start), "lines": "\n".join(lines)}
         part.write_text(STACK_GCODE.format(dump=dump.name, seconds=seconds, **words))
-        program, config = ROOT / "scripts" / "simulate.py", ROOT / "config" / "sim-induction.cfg"
-        command = [program, config, part, "--log", Path(folder) / "log"]  # dumps lie beside the log
-        subprocess.run([sys.executable, *map(str, command)], check=True, capture_output=True)
+        # dumps lie beside the log
+        harness.program("scripts/simulate.py", harness.SAMPLE_CONFIG, part, "--log", Path(folder) / "log")
         with dump.open(newline="") as stream:
             ages = [1e3 * float(row["latency"]) for row in csv.DictReader(stream)]
     return sum(ages) / len(ages), max(ages)
 
 
-def verdict(rows: list[Figures]) -> list[str]:
-    """What misses its limit, in words."""
-    missed = []
-    for row in rows:
-        if row.chain != "ferrite":
-            continue
-        rms, worst = LIMITS[row.units_per_lsb]
-        checks = (
-            ("rms", row.rms_c, rms),
-            ("max", row.max_c, worst),
-            ("interval ms", row.interval_ms, 1e3 * INTERVAL_MAX_S),
-        )
-        missed += [
-            f"{name} {value:.2f} > {limit:.2f} at {row.units_per_lsb} units/LSB"
-            for name, value, limit in checks
-            if value > limit
-        ]
-    return missed
+def judge(row: Figures, report: harness.Report) -> None:
+    """The limits of our chain."""
+    rms_c, max_c = LIMITS[row.units_per_lsb]
+    at = f"at {row.units_per_lsb} units/LSB:"
+    report.at_most(f"{at} rms", row.rms_c, rms_c)
+    report.at_most(f"{at} max", row.max_c, max_c)
+    report.at_most(f"{at} interval ms", row.interval_ms, 1e3 * INTERVAL_MAX_S)
 
 
-def main(argv: list[str] | None = None) -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seconds", type=float, default=6.0, help="simulated time per LSB size")
-    parser.add_argument("--json", type=Path, metavar="OUT", help="write the figures")
-    options = parser.parse_args(argv)
+def bench(options: argparse.Namespace, report: harness.Report) -> None:
+    options.seconds /= 3.0 if options.quick else 1.0
     rows = [row for units in LIMITS for row in run(units, options.seconds)]
-    print("chain                  units/LSB  rms C   max C  every ms  latency ms (max)  power %")
+    report.figures["accuracy"] = rows
     for row in rows:
-        print(
-            f"{row.chain:<22} {row.units_per_lsb:9.1f} {row.rms_c:6.2f} {row.max_c:7.2f} {row.interval_ms:9.2f}"
-            f" {row.latency_ms:11.2f} ({row.latency_max_ms:.1f}) {row.power_percent:8.1f}"
+        if row.chain == "ferrite":
+            judge(row, report)
+    heads = ("chain", "units/LSB", "rms C", "max C", "every ms", "latency ms", "max", "power %")
+    texts = (
+        (
+            row.chain,
+            row.units_per_lsb,
+            *(f"{value:.2f}" for value in (row.rms_c, row.max_c, row.interval_ms, row.latency_ms)),
+            *(f"{value:.1f}" for value in (row.latency_max_ms, row.power_percent)),
         )
-    print("published: +-3 C in 20 ms (Oskolkov 2021, abstract)")
-    mean_ms, worst_ms = stack_latency_ms(options.seconds)
-    print(f"latency in a print through 250 kBaud: mean {mean_ms:.1f} ms, greatest {worst_ms:.1f} ms")
-    missed = verdict(rows)
-    if worst_ms > 1e3 * LATENCY_MAX_S:
-        missed.append(f"latency ms {worst_ms:.1f} > {1e3 * LATENCY_MAX_S:.0f} in a print")
-    for text in missed:
-        print(f"MISSED: {text}")
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        found = {
-            "accuracy": [asdict(row) for row in rows],
-            "print_latency_ms": {"mean": mean_ms, "max": worst_ms},
-        }
-        options.json.write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-    return 1 if missed else 0
+        for row in rows
+    )
+    report.table("published: +-3 C in 20 ms (Oskolkov 2021, abstract)", heads, texts)
+    mean_ms, max_ms = stack_latency_ms(options.seconds)
+    report.figures["print_latency_ms"] = {"mean": mean_ms, "max": max_ms}
+    print(f"latency in a print through 250 kBaud: mean {mean_ms:.1f} ms, max {max_ms:.1f} ms")
+    report.at_most("latency ms in a print", max_ms, 1e3 * LATENCY_MAX_S, 1)
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = harness.options(__doc__, "a third of the time")
+    parser.add_argument("--seconds", type=float, default=6.0, help="simulated time per LSB size")
+    return parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(harness.main(bench, parser()))

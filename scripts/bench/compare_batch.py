@@ -4,7 +4,7 @@
     .venv/bin/python klippy/klippy.py printer.cfg -i part.gcode -o A -d DICT
     scripts/bench/compare_batch.py A.dict A B.dict B
 
-Steppers are told apart by their step pins. "Same" as batch mode means it: as many steps, ending in the same place, the
+A stepper's name is its step pin. "Same" as batch mode means it: as many steps, ending in the same place, the
 last step at the same time, and every step within the tolerance of the other's; the grouping into commands may differ.
 With --from-first times count from the first step of each output: a different lead before it does not matter.
 
@@ -12,6 +12,8 @@ Exit status 0 the same, 1 not, 2 bad input.
 """
 
 from __future__ import annotations
+
+import harness  # noqa: F401  # isort: skip
 
 import argparse
 import math

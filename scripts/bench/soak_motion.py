@@ -1,3 +1,4 @@
+#!/usr/bin/env python3
 """Random lists of moves on every machine for as long as you like: each step against the analytic path, every limit.
 
 The short form is test/unit/motion/test_motion_properties.py. A fault names machine and seed:
@@ -5,6 +6,8 @@ The short form is test/unit/motion/test_motion_properties.py. A fault names mach
 """
 
 from __future__ import annotations
+
+import harness  # isort: skip
 
 import argparse
 import sys
@@ -33,37 +36,35 @@ def check(name: str, seed: int) -> tuple[Any, list[str]]:
     return tally, faults
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--seconds", type=float, default=600.0, help="stop after this time (default: 600)")
-    parser.add_argument(
-        "--runs", type=int, default=0, help=f"stop after so many runs of {LISTS_PER_RUN} lists"
-    )
-    parser.add_argument("--machine", action="append", help="only this one; may be given again")
-    parser.add_argument("--seed", type=int, default=1000, help="of the first round")
-    args = parser.parse_args()
-    names = args.machine or list(motion_lists.BOXES)
-    end, total, runs, bad = time.monotonic() + args.seconds, motion_oracle.Tally(), 0, 0
-    while time.monotonic() < end and not (args.runs and runs >= args.runs):
-        name, seed = names[runs % len(names)], args.seed + runs // len(names)
+def bench(options: argparse.Namespace, report: harness.Report) -> None:
+    names = options.machine or list(motion_lists.BOXES)
+    end, total, runs = time.monotonic() + options.seconds, motion_oracle.Tally(), 0
+    while time.monotonic() < end and not (options.runs and runs >= options.runs):
+        name, seed = names[runs % len(names)], options.seed + runs // len(names)
         try:
             tally, faults = check(name, seed)
             total.add(tally)
         except AssertionError as problem:
             faults = [f"refused: {problem}"]
         runs += 1
-        if faults:
-            bad += 1
-            print(f"{name}, seed {seed}:", *faults[:5], sep="\n    ", flush=True)
+        report.missed += [f"{name}, seed {seed}: {fault}" for fault in faults[:5]]
     print(
-        f"{runs * LISTS_PER_RUN} lists on {len(names)} machines, {total.moves} moves, {total.steps} steps: "
-        f"{bad} runs with faults; a step at most {total.earliest_s * 1e6:.3f} us before its time, "
-        f"{total.latest_s * 1e6:.3f} us after (clock ticks)"
+        f"{runs * LISTS_PER_RUN} lists on {len(names)} machines, {total.moves} moves, {total.steps} steps;"
+        f" a step at most {total.earliest_s * 1e6:.3f} us before its time, {total.latest_s * 1e6:.3f} us after"
+        " (clock ticks)"
     )
-    return 1 if bad else 0
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = harness.options(__doc__)
+    parser.add_argument("--seconds", type=float, default=600.0, help="stop after this time (default: 600)")
+    parser.add_argument(
+        "--runs", type=int, default=0, help=f"stop after so many runs of {LISTS_PER_RUN} lists"
+    )
+    parser.add_argument("--machine", action="append", help="only this one; may be given again")
+    parser.add_argument("--seed", type=int, default=1000, help="of the first round")
+    return parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(harness.main(bench, parser()))

@@ -4,13 +4,11 @@
 Host, firmware, heaters and the world share one process and simulated time, so its resident memory is that of the host
 and of the models. It is noted once in STEP simulated minutes; what it grows by an hour after the first WARM_UP_S is the
 result, and the Python objects that became more are named.
-
-Exit status 0: no growth worth the name; 1: it leaks; 2: the print did not last.
 """
 
 from __future__ import annotations
 
-from bench_paths import ROOT  # isort: skip
+import harness  # isort: skip
 
 import argparse
 import collections
@@ -49,12 +47,6 @@ def part(hours: float) -> Iterator[str]:
             yield f"G1 X{x:.3f} Y{y:.3f} E{0.03 * chord_mm:.4f} F{60.0 * SPEED_MM_S:.0f}\n"
 
 
-def resident_mb() -> float:
-    """Of this process, now."""
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * 4096 / 1e6
-
-
 class Soak:
     """Looks at the memory while the print goes on."""
 
@@ -81,7 +73,7 @@ class Soak:
         self.end = self._count()
         if now_s >= WARM_UP_S and not self.begin:
             self.begin = self.end
-        self.rows.append((now_s, resident_mb()))
+        self.rows.append((now_s, harness.resident_mb()))
         wall_s = time.monotonic() - self._wall_s
         print(f"{now_s / 3600.0:7.2f} h  {self.rows[-1][1]:7.2f} MB  {sum(self.end.values())} objects"
               f"  ({now_s / wall_s:.0f} x real time)", flush=True)  # fmt: skip
@@ -95,13 +87,7 @@ class Soak:
         return sum((t - mean_t) * (mb - mean_mb) for t, mb in rows) / sum((t - mean_t) ** 2 for t, _ in rows)
 
 
-def main() -> int:
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--config", type=Path, default=ROOT / "config" / "sim-induction.cfg")
-    parser.add_argument("--hours", type=float, default=10.0, help="of simulated time (default: 10)")
-    options = parser.parse_args()
+def bench(options: argparse.Namespace, report: harness.Report) -> None:
     soak = Soak()
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "part.gcode"
@@ -110,14 +96,21 @@ def main() -> int:
         until_s = options.hours * 3600.0
         outcome = Simulation(RunOptions(options.config, path, until_s=until_s, on_progress=soak.look)).run()
     if outcome.status != PRINTED:
-        print(f"the print ended: {outcome.reason}")
-        return 2
-    growth = soak.growth_mb_per_h()
+        raise harness.BenchError(f"the print ended: {outcome.reason}")
     more = (soak.end - soak.begin).most_common(NAMED)
     print("objects that became more: " + (", ".join(f"{name} +{n}" for name, n in more) or "none"))
-    print(f"{growth:+.3f} MB per simulated hour (at most {GROWTH_MAX_MB_PER_H:g})")
-    return 0 if growth <= GROWTH_MAX_MB_PER_H else 1
+    growth = soak.growth_mb_per_h()
+    print(f"{growth:+.3f} MB per simulated hour")
+    report.at_most("MB per simulated hour", growth, GROWTH_MAX_MB_PER_H, 3)
+    report.figures |= {"growth_mb_per_h": growth, "memory_mb": soak.rows}
+
+
+def parser() -> argparse.ArgumentParser:
+    parser = harness.options(__doc__)
+    parser.add_argument("--config", type=Path, default=harness.SAMPLE_CONFIG)
+    parser.add_argument("--hours", type=float, default=10.0, help="of simulated time (default: 10)")
+    return parser
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(harness.main(bench, parser()))

@@ -86,7 +86,7 @@ class Module:
                     yield target.id, text
 
     def text_of(self, node: ast.expr) -> str | None:
-        """The string an expression gives, with 0 for every value filled in; None if it cannot be told."""
+        """The string an expression gives, with 0 for every value filled in; None if it is not known."""
         text: str | None = None
         match node:
             case ast.Constant(value=str(literal)):
@@ -174,7 +174,7 @@ class Dictionary:
         self.responses = {text.split()[0]: text for text in content["responses"]}
 
     def complaint(self, ask: Ask) -> str | None:
-        """What is wrong with an ask, None if it is met."""
+        """What is wrong with a request, None if it is met."""
         if ask.text is None or not ask.text.strip():
             return f"the {ask.kind.value} asked for here is not a text that can be checked"
         name = ask.text.split()[0]

@@ -4,8 +4,8 @@
 Python: a file of klippy/ imports only from its own layer or a lower one, so that what decides can be tested
 without what acts. Within klippy/thermal/ the same holds for its rooms. No two files import each other, not even in a
 function or for type checking. Nothing outside test/ imports test/. C: the pure files know no board, nothing but a
-port knows that port, and src/ does not know klippy/. The rules are the tables below; an offence is printed as
-file:line and the exit status is 1.
+port knows that port, and src/ does not know klippy/. Folders: none holds too many files. The rules are the tables
+below; an offence is printed as file:line and the exit status is 1.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import ast
 import re
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,6 +60,11 @@ FORBIDDEN_IN_PURE_C = re.compile(r"^(board/|sched\.h$|command\.h$|basecmd\.h$)")
 PORTS = ("atmega2560", "stm32f334", "simulator", "template")
 # What the simulated world and the emulators may take from src/.
 WORLD_MAY_INCLUDE = "sim_mcu.h"
+
+# How many files a folder may hold, its folders apart. A file of src/ or extras/ has the name of what it declares;
+# recorded runs are data.
+FILES_MAX = 25
+LARGE_FOLDERS = frozenset({"src", "klippy/extras", "test/data/runs"})
 
 INCLUDE = re.compile(r'^\s*#\s*include\s*(["<])([^">]+)[">]')
 
@@ -270,18 +276,26 @@ def check_tables() -> Iterator[Offence]:
             yield Offence(here, 1, f"src/ has no {name}")
 
 
+def project_files(root: Path) -> list[str]:
+    """What git would commit, relative to `root`."""
+    command = ["git", "ls-files", "-co", "--exclude-standard"]
+    listed = subprocess.run(command, cwd=root, capture_output=True, text=True, check=True)
+    return [name for name in listed.stdout.splitlines() if (root / name).exists()]
+
+
 def check_every_c_file_is_built(root: Path, built: Iterable[str]) -> Iterator[Offence]:
     """C files under git that no build rule names. `built`: the files that the rules name, relative to `root`."""
-    tracked = subprocess.run(
-        ["git", "ls-files", "-co", "--exclude-standard", "*.c"],
-        cwd=root,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    for name in sorted({*tracked.stdout.split()} - {*built}):
-        if not name.startswith("test/") and (root / name).exists():
+    for name in sorted({*project_files(root)} - {*built}):
+        if name.endswith(".c") and not name.startswith("test/"):
             yield Offence(Path(name), 1, "no build rule names this file")
+
+
+def check_folders(names: Iterable[str]) -> Iterator[Offence]:
+    """Folders that hold too many files of their own. `names`: all files of the project."""
+    counts = Counter(Path(name).parent for name in names)
+    for folder, count in sorted(counts.items()):
+        if count > FILES_MAX and folder.as_posix() not in LARGE_FOLDERS:
+            yield Offence(folder, 1, f"holds {count} files, more than {FILES_MAX}: part it by subject")
 
 
 def main(arguments: list[str]) -> int:
@@ -292,6 +306,7 @@ def main(arguments: list[str]) -> int:
         *check_c(ROOT / "src"),
         *check_world(ROOT / "klippy" / "simulation", ROOT / "src"),
         *check_tables(),
+        *check_folders(project_files(ROOT)),
         *(check_every_c_file_is_built(ROOT, arguments) if arguments else ()),
     ]
     for offence in offences:

@@ -99,7 +99,7 @@ INTERRUPTS = {
 }
 
 DISAGREEMENTS = {
-    "SYSCFG_CFGR2_LOCKUP_LOCK": "the SVD file spells it LOCUP_LOCK; RM0364: LOCKUP_LOCK, bit 0",
+    "SYSCFG_CFGR2_LOCKUP_LOCK": "the SVD file has LOCUP_LOCK; RM0364: LOCKUP_LOCK, bit 0",
     "ADC_CR_ADVREGEN": "the SVD file has one bit and beside it DEEPPWD, which this chip lacks; RM0364 has two bits",
     "HRTIM_IER_SYSFLTIE": "the SVD file calls it SYSFLTE; RM0364 has SYSFLTIE, bit 5",
     "IRQ_HRTIM1_FLT": "the SVD file has no interrupts of HRTIM; RM0364 has position 73",

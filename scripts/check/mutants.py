@@ -66,7 +66,7 @@ class Bench:
         if not self._passes(part, 600.0):
             sys.exit(f"mutants: {' '.join(part.tests)} fail without any change")
         self.limits_s[part] = max(PATIENCE_MIN_S, PATIENCE * (time.monotonic() - since))
-        self.objects[part] = self._object(part)
+        self.objects[part] = self._object(part) if part.is_c else None
 
     def judge(self, part: Part, mutation: Mutation) -> str:
         source = self.tree / part.source

@@ -28,7 +28,7 @@ reset_watchdog_off(void)
 int
 main(void)
 {
-    PRR0 = 1 << PRTWI;                                  /* peripherals nobody uses stand still */
+    PRR0 = 1 << PRTWI;                                  /* unused peripherals stand still */
     PRR1 = 1 << PRUSART1 | 1 << PRUSART2 | 1 << PRUSART3;
     ACSR = 1 << ACD;
     set_sleep_mode(SLEEP_MODE_IDLE);

@@ -6,8 +6,8 @@ enum i2c_status {
     I2C_SUCCESS,
     I2C_NACK,             /* a data byte was not acknowledged */
     I2C_TIMEOUT,          /* the clock line was held low too long, or the bus never became free */
-    I2C_START_NACK,       /* nobody answers to the address */
-    I2C_START_READ_NACK,  /* nobody answers to the address in the reading half */
+    I2C_START_NACK,       /* no device answers to the address */
+    I2C_START_READ_NACK,  /* no device answers to the address in the reading half */
 };
 
 #endif

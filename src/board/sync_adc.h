@@ -13,7 +13,7 @@
  *                      clock on.  Half buffer k holds samples k * half_len ...; if position runs more than
  *                      2 * half_len ahead of what `ready` has been given, samples were lost.
  *
- * half_len is the caller's choice, PORT_SYNC_HALF_LEN if the port defines it (an interrupt's cost is shared by so many).
+ * half_len is the caller's choice, PORT_SYNC_HALF_LEN if the port defines it (they share an interrupt's cost).
  */
 #ifndef BOARD_SYNC_ADC_H
 #define BOARD_SYNC_ADC_H

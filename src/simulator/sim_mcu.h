@@ -33,14 +33,14 @@ struct sim_board {
     uint16_t (*adc_read)(void *ctx, uint32_t pin, uint64_t clock);
     /* In force from `clock` on: a period edge, or any clock when the firmware switches off at once. */
     void (*bridge_set)(void *ctx, uint16_t phase, uint64_t clock);
-    /* `count` samples at first_clock, first_clock + period_ticks, ...; all lie under the phase last told, and after
-     * all samples asked for before. */
+    /* `count` samples at first_clock, first_clock + period_ticks, ...; all lie under the phase last set, and after
+     * all samples read before. */
     void (*sync_adc_read)(void *ctx, uint16_t *samples, uint32_t count, uint64_t first_clock, uint32_t period_ticks);
     void (*console_send)(void *ctx, const uint8_t *data, uint32_t len, uint64_t clock);
-    /* Devices on hardware buses; either may be NULL: nothing is connected.  What comes back takes the place of `data`; which
-     * chip is selected has been told by pin_write. */
+    /* Devices on hardware buses; either may be NULL: nothing is connected.  What comes back takes the place of `data`;
+     * pin_write has selected the chip before. */
     void (*spi_exchange)(void *ctx, uint32_t bus, uint8_t mode, uint8_t *data, uint32_t len, uint64_t clock);
-    /* Returns an enum i2c_status (src/board/i2c_status.h): 0 done, 3 nobody has this address, ... */
+    /* Returns an enum i2c_status (src/board/i2c_status.h): 0 done, 3 no device has this address, ... */
     uint8_t (*i2c_exchange)(void *ctx, uint32_t bus, uint8_t address, const uint8_t *write, uint32_t write_len,
                             uint8_t *read, uint32_t read_len, uint64_t clock);
 };

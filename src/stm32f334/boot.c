@@ -1,7 +1,7 @@
 /* main(): the order in which the chip is brought up, and what it remembers of how it was found.
  *
- * A reset that was a dip of the supply is told from switching on by the memory: SRAM that still holds the mark a running
- * firmware has left, after a power-on reset, was never really without power.  Such a chip has stopped in the middle of
+ * The memory shows whether a power-on reset was only a dip of the supply: SRAM that still holds the mark of a running
+ * firmware was never really without power.  Such a chip has stopped in the middle of
  * something, on a supply that does not hold; the bridge is refused until the host resets the chip once more by command.
  */
 #include "board/irq.h"
@@ -135,7 +135,7 @@ main(void)
     if (!peripherals_start())
         findings |= BOOT_NO_CLOCK;
     while (!peripherals_can_talk())
-        ; /* nobody could be told; no pin is an output yet */
+        ; /* no report could be sent; no pin is an output yet */
     watch_supply();
     if (was_brown_out())
         findings |= BOOT_BROWN_OUT;

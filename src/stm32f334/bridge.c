@@ -8,7 +8,7 @@
  * at the period's edge, where leg B is low in any case (it is also reset by PER): the new phase begins with a whole pulse.
  *
  * Three ways to stop.  Fault line, low supply, dead crystal: hardware, into the fault state, outputs inactive; an interrupt
- * then only tells.  bridge_pwm_off: ODISR.  Anything the processor trips over: stop_handler, ODISR.  All end with four
+ * then only reports.  bridge_pwm_off: ODISR.  Anything the processor trips over: stop_handler, ODISR.  All end with four
  * switches open.
  *
  * Refusing.  bridge_pwm_setup() shuts down with the reason if anything it set up does not read back, and
@@ -27,7 +27,7 @@ enum {
     STEPS_PER_TICK = 64,        /* 4.608 GHz / 72 MHz */
     PERIOD_TICKS_MIN = 300, PERIOD_TICKS_MAX = 1000, /* 240 to 72 kHz; the registers hold 1 to 1023 */
     LAG_MIN_STEPS = 192,        /* 6 periods of 144 MHz: compare values start at 3, and reset and set need 2 apart */
-    SAMPLE_STEPS = 128,         /* ADC trigger after the edge: the least multiple of a 72 MHz cycle that is allowed */
+    SAMPLE_STEPS = 128,         /* ADC trigger after the edge: the smallest allowed multiple of a 72 MHz cycle */
     SPIN_LIMIT = 20000,         /* the delay line needs 14 us */
     PIN_FAULT = PIN_A + 12, FUNCTION_HRTIM = 13,
     FAULT_INACTIVE = 2,         /* OUTR.FAULTx: outputs inactive */
@@ -133,7 +133,7 @@ objection_inside(void)
         return SHUTDOWN_BRIDGE_REGISTERS;
     if (!counts(LEG_A) || !counts(LEG_B))
         return SHUTDOWN_BRIDGE_CLOCK;
-    HRTIM_ICR = HRTIM_ICR_FLT1C | HRTIM_ICR_SYSFLTC; /* one that has passed has been told; one that has not comes again */
+    HRTIM_ICR = HRTIM_ICR_FLT1C | HRTIM_ICR_SYSFLTC; /* a fault that is over has been reported; another comes again */
     if (HRTIM_ISR & FAULTS || pin_level(PIN_FAULT) == CONFIG_FAULT_ACTIVE_HIGH)
         return SHUTDOWN_BRIDGE_FAULT_AT_START;
     return SHUTDOWN_NONE;
@@ -255,7 +255,7 @@ switch_on(void)
     refuse(objection_to_clock());
     refuse(objection_inside());
     refuse(sync_adc_objection());
-    HRTIM_IER = HRTIM_IER_FLT1IE | HRTIM_IER_SYSFLTIE; /* the fault before, if there was one, has been told */
+    HRTIM_IER = HRTIM_IER_FLT1IE | HRTIM_IER_SYSFLTIE; /* a fault before has been reported */
     HRTIM_TIM_SET1(LEG_A) = HRTIM_TIM_SET1_PER;
     HRTIM_TIM_SET1(LEG_B) = HRTIM_TIM_SET1_CMP1;
     HRTIM_OENR = OUTPUTS;
@@ -320,7 +320,7 @@ report_fault(void *unused)
     uint32_t flags = HRTIM_ISR;
     bridge_pwm_off((struct bridge_pwm){ 0 });
     HRTIM_ICR = HRTIM_ICR_FLT1C | HRTIM_ICR_SYSFLTC;
-    HRTIM_IER = 0; /* told once; a line that stays active would come again for ever.  Outputs stay guarded by hardware */
+    HRTIM_IER = 0; /* one report; a line that stays active would come again for ever.  Outputs stay guarded by hardware */
     try_shutdown(flags & HRTIM_ISR_SYSFLT ? SHUTDOWN_BRIDGE_SYSTEM_FAULT : SHUTDOWN_BRIDGE_FAULT);
 }
 
@@ -331,7 +331,7 @@ bridge_fault_irq(void)
 }
 
 /* Only the clock security raises it: the crystal has stopped, the chip runs on at 8 MHz from its own oscillator, time is lost
- * and the console's rate wrong.  Everything off; the watchdog resets the chip, which then comes up at 64 MHz and tells. */
+ * and the console's rate wrong.  Everything off; the watchdog resets the chip, which then comes up at 64 MHz and reports. */
 void
 nmi_handler(void)
 {

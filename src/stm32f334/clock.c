@@ -5,7 +5,7 @@
  *                       │             └─► /1 APB2 72 MHz ─► SPI1, TIM15..17
  *                       └─ x2 ─► 144 MHz ─► HRTIM, x32 by its delay lines: 4.608 GHz equivalent
  *
- * Without the outside clock the chip runs at 64 MHz from its own oscillator, so that it can still tell the host what is
+ * Without the outside clock the chip runs at 64 MHz from its own oscillator, so that it can still report to the host what is
  * wrong; the bridge, whose frequency is the thermometer's scale, is then refused.
  */
 #include "internal.h"

@@ -18,7 +18,7 @@ uint8_t clock_start(void);     /* clock.c: 1 if the chip runs at 72 MHz from its
 uint8_t clock_verify(void);    /* is it still so, by the registers? */
 uint8_t peripherals_start(void);     /* clock.c: on with the clocks that always run; 1 if all of them are */
 uint8_t peripherals_verify(void);    /* are they still? */
-uint8_t peripherals_can_talk(void);  /* at least those without which nothing can be told */
+uint8_t peripherals_can_talk(void);  /* at least those without which no report can be sent */
 uint8_t supervision_runs(void);      /* voltage detector and its way to the bridge */
 uint32_t clock_hz(void);       /* of processor and timers, whatever was found */
 uint8_t supply_is_low(void);

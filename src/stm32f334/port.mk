@@ -6,7 +6,7 @@ PORT_PACKAGES := gcc-arm-none-eabi libnewlib-arm-none-eabi
 
 PORT_FIRMWARE := $(FIRMWARE_SOURCES) $(FIRMWARE_EXTRAS)
 F334 := src/stm32f334
-# boot.c last: its DECL_INIT may shut down, when everything else is ready to tell of it.
+# boot.c last: its DECL_INIT may shut down, when everything else is ready to report it.
 PORT_SOURCES := $(F334)/startup.c $(F334)/clock.c $(F334)/timer.c $(F334)/gpio.c $(F334)/console.c $(F334)/seal.c \
 	$(F334)/watchdog.c $(F334)/bridge.c $(F334)/sync_adc.c \
 	$(F334)/adc.c $(F334)/pwm.c $(F334)/spi.c $(F334)/i2c.c $(F334)/boot.c
@@ -26,5 +26,5 @@ PORT_LINK_INPUTS := $(F334)/link.ld
 PORT_LDFLAGS := -nostartfiles -specs=nano.specs -T $(F334)/link.ld \
 	-Wl,--defsym=STACK_SIZE=$(F334_STACK) -Wl,--defsym=RAM_BUDGET=$(F334_RAM_BUDGET)
 PORT_IMAGES := ferrite.bin
-PORT_SEAL := $(PORT_PYTHON) scripts/seal_firmware.py
+PORT_SEAL := $(PORT_PYTHON) scripts/build/seal_firmware.py
 PORT_FLASH_CMD = openocd -f board/st_nucleo_f3.cfg -c "program $(PORT_ELF) verify reset exit"

@@ -16,8 +16,8 @@
 /* 20 us for the tasks, if timers leave them none; that is about once a millisecond. */
 #define PORT_TIMER_PAUSE_TICKS 1440
 
-/* Samples in a half of the bridge ADC's buffer, two blocks of the usual length: what an interrupt costs is shared by so many.
- * Fewer make it shorter (steps wait for it) and dearer; the figures are in docs/reference/STM32F334.md. */
+/* Samples in a half of the bridge ADC's buffer, two blocks of the usual length: they share an interrupt's cost.
+ * Fewer make it shorter (steps wait for it) but cost more in total; the figures are in docs/reference/STM32F334.md. */
 #define PORT_SYNC_HALF_LEN 384
 
 #define PORT_WIRE_CRC16 /* wire_crc16() is the chip's: seal.c */

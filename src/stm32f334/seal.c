@@ -1,6 +1,6 @@
 /* The chip's CRC unit: is the image in flash the one that was built, and are a message's bytes those that were sent?
  *
- * The image:  scripts/seal_firmware.py puts the length and the checksum of all that comes
+ * The image:  scripts/build/seal_firmware.py puts the length and the checksum of all that comes
  * before it into the section .seal; here it is computed again (CRC-32, polynomial 0x04c11db7, start 0xffffffff, words, nothing
  * reversed).  At boot, before the other use begins.
  *

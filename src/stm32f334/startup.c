@@ -32,7 +32,7 @@ reset_handler(void)
     main();
 }
 
-/* Hard fault and every interrupt nobody asked for.  The bridge goes off at once; the other outputs when the watchdog, which
+/* Hard fault and every unexpected interrupt.  The bridge goes off at once; the other outputs when the watchdog, which
  * is no longer fed, has reset the chip. */
 static void
 stop_handler(void)

@@ -1,6 +1,6 @@
 /* The independent watchdog, on the 40 kHz oscillator of its own (30 to 50 kHz by DS9994): 1250 counts of 16 are 0.5 s, 0.4 at
  * the fastest.  A chip whose PLL does not start is nine times as slow, and so are its wake-ups: 1250 counts of 128 are 4 s
- * (it only tells the host what is wrong). */
+ * (it only reports to the host what is wrong). */
 #include "board/watchdog.h"
 #include "internal.h"
 

@@ -1,4 +1,4 @@
-/* A port to no chip: every function of the board contract (src/board/, whose headers say what each must do) with the least
+/* A port to no chip: every function of the board contract (src/board/, whose headers say what each must do) with the shortest
  * body that is right.  What is simulated here by a variable is a register on a chip.  `make compile-check` compiles it
  * with all compilers, so it cannot fall behind the contract.  docs/reference/Porting.md says in which order to fill it in.
  */

@@ -1,4 +1,4 @@
-"""src/guard.c: limits at their boundaries, latching, off until told, dead host."""
+"""src/guard.c: limits at their boundaries, latching, off until enabled, dead host."""
 
 from __future__ import annotations
 
@@ -117,7 +117,7 @@ def test_a_full_table_refuses_more():
 @pytest.mark.parametrize("fed", [0, 123456, 2**32 - 1000])
 def test_silence_trips_exactly_at_max_duration(fed):
     g = guard(max_duration=7200)
-    lib.guard_fed(g, fed, 1)  # the least phase is power, too
+    lib.guard_fed(g, fed, 1)  # the smallest phase is power, too
     assert lib.guard_deadline(g) == (fed + 7200) & 0xFFFFFFFF
     assert lib.guard_check_deadline(g, (fed + 7199) & 0xFFFFFFFF) == NONE
     assert lib.guard_check_deadline(g, (fed + 7200) & 0xFFFFFFFF) == TIMEOUT

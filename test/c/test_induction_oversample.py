@@ -151,9 +151,18 @@ def test_blocks_equal_the_reference_whatever_comes(y, settle, shift, length, sta
             reference.gap(count)
             index, lost = index + count, lost + count
     assert fast.blocks == reference.blocks
-    told = sum(block.count + block.discarded + block.lost for block in fast.blocks)
+    reported = sum(block.count + block.discarded + block.lost for block in fast.blocks)
     held = fast.c.count + fast.c.discarded + fast.c.lost
-    assert told + held == seen + lost, "every sample is accounted for"
+    assert reported + held == seen + lost, "every sample is accounted for"
+
+
+@pytest.mark.parametrize("counts", [(65535,), (65535, 1), (65534, 1), (70_000, 1000), (1, 65535)])
+def test_more_lost_samples_than_a_block_can_count_are_its_maximum(counts):
+    fast = Fast(3, 0, 0)
+    for count in counts:
+        fast.gap(count)
+    fast.feed([5] * 64, 100_000)
+    assert [block.lost for block in fast.blocks] == [65535]
 
 
 @settings(max_examples=50, deadline=None)

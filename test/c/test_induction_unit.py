@@ -70,7 +70,7 @@ class Unit:
         return clock
 
     def hold(self, phase: int, seconds: float) -> None:
-        """Keep telling the same phase, as a live host does."""
+        """Keep sending the same phase, as a live host does."""
         end = self.mcu.now + round(seconds * FREQ)
         while self.mcu.now < end:
             self.phase(phase)
@@ -95,7 +95,7 @@ class Unit:
 
 
 def test_blocks_follow_one_another_without_a_hole():
-    unit = Unit()
+    unit = Unit(block=(1024, 2))
     unit.report()
     unit.mcu.run(0.2)
     records = unit.records()
@@ -109,7 +109,7 @@ def test_blocks_follow_one_another_without_a_hole():
 
 
 def test_records_go_out_in_pairs_unless_that_would_take_too_long():
-    pairs = Unit()
+    pairs = Unit(block=(1024, 2))
     pairs.report()
     pairs.mcu.run(0.1)
     assert [r.message for r in pairs.records()][:6] == [0, 0, 1, 1, 2, 2]
@@ -230,9 +230,9 @@ def test_queued_phases_are_applied_in_order():
     unit = Unit()
     clocks = [unit.phase(1000 * (i + 1), 0.001 * (i + 1)) for i in range(20)]
     unit.mcu.run(0.03)
-    told = [(at, phase) for at, phase in unit.mcu.bridge_sets if phase]
-    assert [phase for _, phase in told] == [1000 * (i + 1) for i in range(20)]
-    assert all(0 < at - clock <= PERIOD for (at, _), clock in zip(told, clocks, strict=True))
+    sent = [(at, phase) for at, phase in unit.mcu.bridge_sets if phase]
+    assert [phase for _, phase in sent] == [1000 * (i + 1) for i in range(20)]
+    assert all(0 < at - clock <= PERIOD for (at, _), clock in zip(sent, clocks, strict=True))
 
 
 def plan(unit: Unit, delay_s: float, *steps: tuple[int, int]) -> int:
@@ -250,8 +250,8 @@ def test_a_plan_takes_the_place_of_what_was_pending_from_its_clock_on():
     plan(unit, 0.002, (0, 1000), (240, 2000), (240, 3000), (240, 4000))  # 2, 4, 6, 8 ms
     plan(unit, 0.005, (0, 5000), (480, 0))  # 5, 9 ms
     unit.mcu.run(0.015)
-    told = [(round((at - start) / 72e3), phase) for at, phase in unit.mcu.bridge_sets if at > start]
-    assert told == [(2, 1000), (4, 2000), (5, 5000), (9, 0)]
+    sent = [(round((at - start) / 72e3), phase) for at, phase in unit.mcu.bridge_sets if at > start]
+    assert sent == [(2, 1000), (4, 2000), (5, 5000), (9, 0)]
 
 
 def test_a_plan_that_comes_late_goes_on_where_it_should_be_now():
@@ -334,10 +334,10 @@ def test_shutdown_switches_off_at_once_and_forgets_what_was_queued():
     now = unit.mcu.now
     unit.mcu.send("emergency_stop")
     assert unit.mcu.bridge_sets[-1] == (now, 0)
-    told = len(unit.records())
+    sent = len(unit.records())
     unit.mcu.run(0.1)
     assert unit.mcu.bridge_sets[-1][1] == 0
-    assert len(unit.records()) == told, "no reports to a host that is not listening"
+    assert len(unit.records()) == sent, "no reports to a host that is not listening"
     assert unit.state()["phase"] == 0
 
 
@@ -434,12 +434,12 @@ def test_a_stalled_reader_is_reported_what_it_missed():
     unit.report()
     unit.mcu.run(0.05)
     unit.report(0)
-    told = len(unit.records())
+    sent = len(unit.records())
     unit.mcu.run(0.05)
-    assert len(unit.records()) == told
+    assert len(unit.records()) == sent
     unit.report()
     unit.mcu.run(0.05)
-    assert unit.records()[told].number == 0
+    assert unit.records()[sent].number == 0
 
 
 def test_the_plants_temperature_comes_through_the_whole_chain():

@@ -48,9 +48,9 @@ def test_a_phase_comes_into_force_at_the_next_period_edge(mcu: Mcu) -> None:
     for clock, phase in zip(asked, (9000, 12000), strict=True):
         mcu.send("queue_induction_plan", oid=0, clock=clock, steps=one_step(phase))
     mcu.run(0.002)
-    told = [(clock, phase) for clock, phase in mcu.bridge_sets if phase]
-    assert [phase for _, phase in told] == [9000, 12000]
-    for (clock, _), request in zip(told, asked, strict=True):
+    sent = [(clock, phase) for clock, phase in mcu.bridge_sets if phase]
+    assert [phase for _, phase in sent] == [9000, 12000]
+    for (clock, _), request in zip(sent, asked, strict=True):
         assert (clock - origin) % PERIOD == 0 and request < clock <= request + PERIOD
 
 
@@ -76,7 +76,7 @@ def test_samples_before_an_edge_are_read_before_the_world_hears_of_the_new_phase
 
 
 class LoggedList(list):  # type: ignore[type-arg]
-    """A list that also tells a common log what is appended to it."""
+    """A list that also puts into a common log what is appended to it."""
 
     def __init__(self, log: list[tuple[str, int, int]], kind: str) -> None:
         super().__init__()

@@ -43,7 +43,7 @@ def after(mcu: Mcu, sensor: Thermistor, code: int) -> int:
     return level(mcu)
 
 
-def test_it_is_off_until_told_and_then_switches_at_the_reading() -> None:
+def test_it_is_off_until_commanded_and_then_switches_at_the_reading() -> None:
     mcu, sensor = machine()
     assert after(mcu, sensor, 3000) == 0
     mcu.send("set_onoff", **ON)

@@ -127,6 +127,49 @@ def test_immediate_update_is_guarded_too_and_refused_while_updates_wait() -> Non
     assert mcu.shutdown_reason() == "update_digital_out not valid with active queue"
 
 
+def test_each_immediate_update_begins_the_guarded_time_anew() -> None:
+    limit = 72_000
+    mcu = digital(limit)
+    mcu.send("update_digital_out", oid=0, value=1)
+    mcu.run_to(mcu.now + limit // 2)
+    mcu.send("update_digital_out", oid=0, value=1)
+    again = mcu.now
+    mcu.run_to(again + limit - 1)
+    assert mcu.shutdown_reason() is None
+    mcu.run_to(again + limit)
+    assert mcu.shutdown_reason() == MISSED
+    mcu = digital(limit)
+    mcu.send("update_digital_out", oid=0, value=1)
+    mcu.send("update_digital_out", oid=0, value=0)
+    mcu.run(0.01)
+    assert mcu.shutdown_reason() is None and mcu.edges(PIN)[-1][1] == 0
+
+
+def test_an_update_gives_its_place_in_the_move_queue_back() -> None:
+    mcu = digital()
+    places = mcu.ask("get_config")["move_count"]
+    for i in range(places + 10):
+        queue(mcu, (mcu.now + 2000, i % 2))
+        mcu.run_to(mcu.now + 3000)
+    assert mcu.shutdown_reason() is None
+    assert len(mcu.edges(PIN)) > places
+
+
+@pytest.mark.parametrize("cycle", [0, 7200])
+def test_what_was_going_on_in_a_shutdown_is_over_when_it_is_cleared(cycle: int) -> None:
+    limit = 72_000
+    mcu = digital(limit, cycle=cycle)
+    queue(mcu, (mcu.now + 1000, 1000), (mcu.now + 70_000, 1000))
+    mcu.run_to(mcu.now + 5000)
+    mcu.send("emergency_stop")
+    mcu.run(0.01)
+    mcu.send("clear_shutdown")
+    seen, start = len(mcu.edges(PIN)), mcu.now + 2 * limit
+    queue(mcu, (start, 10_000), (start + 100, 0))
+    mcu.run_to(start + 2 * limit)
+    assert mcu.edges(PIN)[seen:] == [(start, 1), (start + 100, 0)]
+
+
 def test_set_digital_out_works_without_configuration() -> None:
     mcu = Mcu()
     mcu.send("set_digital_out", pin=99, value=1)

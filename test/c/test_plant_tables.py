@@ -158,7 +158,7 @@ def test_fan_adds_its_conductance():
     assert tables.hold(blown, 250) - tables.hold(still, 250) == pytest.approx(1.15, abs=0.02)
 
 
-def test_heating_fades_above_the_curie_point_when_asked():
+def test_heating_falls_above_the_curie_point_when_asked():
     plant = Plant("strong", start_c=900, curie_drop=0.6)
     plant.phase(45000)
     assert plant.read().power_w == pytest.approx(0.4 * 282, rel=0.01)

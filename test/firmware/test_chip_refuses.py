@@ -90,7 +90,7 @@ def test_a_mutated_peripheral_is_named_and_the_bridge_stays_off(
 
 @pytest.mark.parametrize("gate", ["DMA", "CRC", "GPIOA", "TIM2", "USART2"])
 def test_a_chip_that_cannot_speak_does_nothing(gate: str) -> None:
-    """Without these clocks nothing could be told: it stops before any pin is an output, and asks no dead block."""
+    """Without these clocks no report could be sent: it stops before any pin is an output, and asks no dead block."""
     chip = Firmware(settle_s=0.0, mutations=())
     chip.chip.mutate("clock_stuck", CLOCKS[gate])
     chip.run(1.0)

@@ -57,9 +57,9 @@ def test_steps_keep_their_time_beside_the_sampling(run: Sampling) -> None:
 
 def test_the_phases_in_the_compare_registers_are_those_commanded(run: Sampling) -> None:
     assert len({asked for asked, _, _ in run.phases}) > 20
-    for asked, told, lag in run.phases:
+    for asked, reported, lag in run.phases:
         assert lag == (asked * 19200 + 22500) // 45000  # 180 degrees are half of 38400 steps
-        assert abs(told - asked) <= 2  # a step is 2.3 units of the phase
+        assert abs(reported - asked) <= 2  # a step is 2.3 units of the phase
 
 
 def test_a_sample_costs_few_instructions(run: Sampling) -> None:
@@ -67,11 +67,11 @@ def test_a_sample_costs_few_instructions(run: Sampling) -> None:
     assert run.spent(SAMPLES_IRQ) / run.samples <= MAX_PER_SAMPLE
 
 
-@pytest.mark.parametrize(("block", "most"), [((1024, 2), 4.0), ((192, 2), 6.1)])
-def test_a_sample_costs_few_instructions_all_told(block: tuple[int, int], most: float) -> None:
+@pytest.mark.parametrize(("block", "limit"), [((1024, 2), 4.0), ((192, 2), 6.1)])
+def test_a_sample_costs_few_instructions_in_total(block: tuple[int, int], limit: float) -> None:
     """With the task that writes records, the checksum and the sending: 3.5 for blocks of 4^5 samples. For the short
     ones of the control loop, five times as many records, it is 5.6: the bound is that and a tenth."""
-    assert 2.0 < everything_cost(block) < most
+    assert 2.0 < everything_cost(block) < limit
 
 
 def test_no_interrupt_takes_a_tenth_of_a_millisecond(run: Sampling) -> None:

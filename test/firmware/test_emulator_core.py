@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from chip_rig import FREQ, Tiny
+from chip_rig import FREQ
+from tiny_chip import Tiny
 
 
 def run(tmp_path: Path, program: str, before: str = "", seconds: float = 0.01) -> Tiny:

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from chip_rig import Tiny, make_emulator
 from simulation import world as world_module
 from simulation.builds import SIMULATOR, Build
 from simulation.world import World, WorldError
+from tiny_chip import Tiny, make_emulator
 
 READY = "clock_72(); clocks_on();"
 SENSOR_ON = "adc_regulator(); R(ADC + 0x308) |= 1 << 23; adc_start(); wait(2000);"
@@ -150,7 +150,7 @@ def test_a_fault_says_where(tmp_path: Path) -> None:
 
 
 def test_the_lag_of_the_legs_is_the_phase(tmp_path: Path) -> None:
-    """9600 of 19200 steps are 90 degrees; a change is told at a period edge, 600 ticks apart."""
+    """9600 of 19200 steps are 90 degrees; a change is reported at a period edge, 600 ticks apart."""
     tiny = Tiny(
         tmp_path,
         READY + "dll_on(); legs(9600); R(HRTIM_COMMON + 0x14) = 15; wait(5000); R(HRTIM + 0x1c) = 4800;"

@@ -29,7 +29,7 @@ def test_every_block_is_the_exact_sum_of_the_samples_injected(load: Load) -> Non
     assert check_blocks(load) == len(load.blocks) > 500 * SECONDS
 
 
-def test_no_sample_is_lost_and_none_told_twice(load: Load) -> None:
+def test_no_sample_is_lost_and_none_sent_twice(load: Load) -> None:
     check_continuity(load)
 
 

@@ -15,13 +15,10 @@ from pathlib import Path
 
 import pytest
 
+import flash_firmware
 from boot_loader import BootLoader
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-
-import flash_firmware  # noqa: E402
-
 PORTS = sorted(path.parent.name for path in ROOT.glob("src/*/port.mk"))
 # The command line of each port's tool, as the tool's manual has it.
 TOOLS = {
@@ -84,7 +81,7 @@ def test_a_menu_without_a_terminal_is_answered_in_a_sentence(term: str | None, w
     ours, theirs = pty.openpty()
     environment = {name: value for name, value in os.environ.items() if name != "TERM"}
     environment |= {"srctree": "src"} | ({} if term is None else {"TERM": term})
-    command = [sys.executable, "scripts/run_menuconfig.py", "Kconfig"]
+    command = [sys.executable, "scripts/build/run_menuconfig.py", "Kconfig"]
     for terminal, wanted in ((theirs, words), (subprocess.DEVNULL, "must be a terminal")):
         run = subprocess.run(
             command, cwd=ROOT, env=environment, stdin=terminal, stdout=terminal, stderr=subprocess.PIPE, text=True,

@@ -31,7 +31,7 @@ def test_steps_come_at_their_clocks_and_never_drift() -> None:
         assert min(delays) >= 0 and max(delays) < LATENESS + before * 200
 
 
-def test_alarms_before_at_and_after_the_counter_s_wrap_are_heard() -> None:
+def test_alarms_before_at_and_after_the_counter_s_wrap_arrive() -> None:
     # compare values all over the counter, then just before the overflow, at it, and a whole round away
     mega = stepping(1)
     clock = (mega.clock_in(0.1) + 0xFFFF & ~0xFFFF & 0xFFFFFFFF) - 40
@@ -174,10 +174,10 @@ def test_silent_host_leaves_no_heater_on() -> None:
     assert (on, off) == (1, 0)
 
 
-@pytest.mark.parametrize(("wished", "made"), [(1, 510), (2000, 510), (50000, 510 * 64), (10**9, 510 * 1024)])
-def test_hardware_pwm_takes_the_nearest_period(wished: int, made: int) -> None:
+@pytest.mark.parametrize(("wanted", "made"), [(1, 510), (2000, 510), (50000, 510 * 64), (10**9, 510 * 1024)])
+def test_hardware_pwm_takes_the_nearest_period(wanted: int, made: int) -> None:
     mega = Mega()
-    fan = {"oid": 0, "pin": PE4, "cycle_ticks": wished, "value": 0, "default_value": 0, "max_duration": 0}
+    fan = {"oid": 0, "pin": PE4, "cycle_ticks": wanted, "value": 0, "default_value": 0, "max_duration": 0}
     mega.configure(1, ("config_pwm_out", fan))
     clock = mega.clock_in(0.02)
     mega.send("queue_pwm_out", oid=0, clock=clock, value=99)
@@ -362,9 +362,9 @@ def test_i2c_is_as_fast_as_asked_for_and_no_faster_than_the_chip(rate: int) -> N
 def test_a_device_that_is_not_there_is_reported_and_the_bus_goes_on() -> None:
     mega = i2c_device()
     mega.i2c_reply = lambda address, wrote, count: (3, bytes(count))
-    for wrote, reading, told in ((b"\x01", 1, "START_NACK"), (b"", 3, "START_READ_NACK")):
+    for wrote, reading, status in ((b"\x01", 1, "START_NACK"), (b"", 3, "START_READ_NACK")):
         answer = mega.ask("i2c_transfer", oid=0, write=wrote, read_len=reading)
-        assert (i2c_status(mega, answer["i2c_bus_status"]), answer["response"]) == (told, b"")
+        assert (i2c_status(mega, answer["i2c_bus_status"]), answer["response"]) == (status, b"")
     mega.i2c_reply = lambda address, wrote, count: (0, b"\x2a" * count)
     assert mega.ask("i2c_transfer", oid=0, write=b"\x01", read_len=1)["response"] == b"\x2a"
 

@@ -17,7 +17,7 @@ def test_part_is_printed_held_and_a_broken_sensor_ends_it(tmp_path: Path) -> Non
     assert story.crashed == 0 and abs(story.extruded_mm3 - 27.94) < 0.1
     assert max(abs(t - 210.0) for t in story.held_c) < 2.0
     # an open thermistor: out of range within its checks (4 groups of 0.3 s; the chip says at once what the
-    # host tells in the end), and no energy from there on
+    # host reports in the end), and no energy from there on
     assert "ADC out of range" in " ".join([*story.outcome.summary["faults"], story.outcome.reason])
     assert story.shutdown_s - story.fault_s < 3.5
     # (what the four groups and the last look before the end have cost; holding on would be 13 W for 30 s)

@@ -13,17 +13,15 @@ from pathlib import Path
 
 import pytest
 
+import check_registers
 import chip_rig
-from chip_rig import Firmware, Tiny
+import firmware_size
+import seal_firmware
+from chip_rig import Firmware
 from simulation.builds import Build, make_build
+from tiny_chip import Tiny
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(ROOT / "scripts"))
-
-import check_registers  # noqa: E402
-import firmware_size  # noqa: E402
-import seal_firmware  # noqa: E402
-
 KIB = 1024
 
 

@@ -1,4 +1,4 @@
-"""Every .test file of this folder, and the runner itself: it must see what is wrong."""
+"""Every .test file here, and the runner itself: it must see what is wrong."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 from test_klippy import TestError, read_cases, run_case, run_file
 
 FOLDER = Path(__file__).resolve().parent
-FILES = sorted(path.name for path in FOLDER.glob("*.test"))
+FILES = sorted(path.relative_to(FOLDER).as_posix() for path in FOLDER.rglob("*.test"))
 
 
 @pytest.mark.parametrize("name", FILES)

@@ -15,7 +15,7 @@ from simulation.runner import PRINTED
 
 ONE_SAMPLE = ("probe", "samples", "1")
 FAST = [("bed_mesh", "speed", "300"), ("bed_mesh", "horizontal_move_z", "3.5"), ("probe", "speed", "8")]
-# a look at the probe comes up to one step's time after the trigger, and whole steps are told; the same at the reference
+# a look at the probe comes up to one step's time after the trigger, and reports whole steps; the same at the reference
 SEEN_MM = 4 * STEP_MM
 
 

@@ -68,7 +68,7 @@ def test_a_pin_that_does_not_come_out_stops_homing(tmp_path: Path) -> None:
 
 
 def test_the_commands_do_what_the_vendor_says(tmp_path: Path) -> None:
-    """Up in touch mode is told as a touch, out is not."""
+    """Up in touch mode is reported as a touch, out is not."""
     result = touch(
         tmp_path,
         "G28\nBLTOUCH_DEBUG COMMAND=pin_up\nQUERY_PROBE\nBLTOUCH_DEBUG COMMAND=touch_mode\nQUERY_PROBE\n"

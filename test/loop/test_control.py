@@ -56,9 +56,9 @@ def test_model_beats_the_designs_the_field_ships(peer: str) -> None:
 
 
 def test_the_planned_flow_is_what_makes_the_difference_in_flow() -> None:
-    told, untold = measured("model", "reference"), bench.run("model", "reference", planned=False)
-    assert told.flow_deviation_c < 0.5 * untold.flow_deviation_c
-    assert untold.flow_deviation_c < 1.0  # 4.8 W unknown: 10 K/s until the filter has seen it
+    planned, unplanned = measured("model", "reference"), bench.run("model", "reference", planned=False)
+    assert planned.flow_deviation_c < 0.5 * unplanned.flow_deviation_c
+    assert unplanned.flow_deviation_c < 1.0  # 4.8 W unknown: 10 K/s until the filter has seen it
 
 
 @pytest.mark.parametrize("plant", ["hotend", "hotend mass x0.8", "hotend sensor x1.3"])
@@ -126,7 +126,7 @@ def test_a_plan_does_not_turn_a_heater_on_that_is_off() -> None:
 
 
 def test_a_silent_host_is_carried_through_by_the_plan_it_sent() -> None:
-    """The host stops in the middle of the climb: the MCU goes on as told and does not run through the target."""
+    """The host stops in the middle of the climb: the MCU goes on as commanded and does not run through the target."""
     rig = nozzle()
     rig.set_target(250.0)
     rig.run(0.10)  # about 235 degC at full power, 14 ms of it decided
@@ -146,14 +146,14 @@ def test_a_drifted_thermometer_neither_runs_away_nor_hunts() -> None:
     rig.run(2.0)
     trace = rig.trace.arrays()
     late = trace["skin_c"][trace["t_s"] > start_s]
-    assert np.ptp(late) < 0.2  # measured: 0.07; 1.5 where the reading is believed at any drive
+    assert np.ptp(late) < 0.2  # measured: 0.07; 1.5 where the reading is trusted at any drive
     assert abs(late.mean() - 236.0) < 3.0  # off by what the thermometer is, not more
     assert trace["skin_c"].max() < 245.0
 
 
 @pytest.mark.parametrize("sent_lsb", [0.0, 1.0])
 def test_an_adc_without_noise_does_not_make_the_loop_hunt(sent_lsb: float) -> None:
-    """A code is 1.25 degC wide and says the same from one end to the other: believed to 0.1 it rippled by 2.4."""
+    """A code is 1.25 degC wide and says the same from one end to the other: trusted to 0.1 it rippled by 2.4."""
     front = FeatureParameters(noise_lsb=sent_lsb)
     rig = Rig(Plant(5, noise_lsb=0.0), default_parameters(law=true_law(), front=front), 5)
     rig.run(0.6)

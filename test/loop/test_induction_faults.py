@@ -1,4 +1,4 @@
-"""What is wrong with a sensing coil is told by name; the supply's voltage is put right when it is measured."""
+"""What is wrong with a sensing coil is reported by name; the supply's voltage is put right when it is measured."""
 
 from __future__ import annotations
 
@@ -75,7 +75,8 @@ def test_a_nozzle_of_another_material_is_named_before_it_is_heated(changes: dict
 
 
 @pytest.mark.parametrize("volt", [20.0, 26.0])
-def test_a_measured_supply_keeps_the_reading_true(volt: float) -> None:
+def test_a_supply_measured_or_not_leaves_the_reading_true(volt: float) -> None:
+    """Not measured it is found by the looks at the sensing phase, where it does not matter."""
     errors = {}
     for supply_v, sent_v in ((24.0, 24.0), (volt, 24.0), (volt, volt)):
         rig = Rig(Plant(3, supply_v=supply_v), default_parameters(law=TANK), 5)
@@ -83,13 +84,13 @@ def test_a_measured_supply_keeps_the_reading_true(volt: float) -> None:
         induction_supply.set_supply(heater, sent_v)
         hold(rig, 3.0)
         rig.plant.set_inputs(20.0, 0.0)  # melt to heat: 4 % power, where the field matters
-        rig.run(1.5)
+        rig.run(4.0)
         trace = rig.trace.arrays()
         late = trace["t_s"] > 4.0
         errors[supply_v, sent_v] = float(np.mean((trace["estimate_c"] - trace["skin_c"])[late]))
     usual = errors[24.0, 24.0]  # what the rounded coefficients above leave
     assert errors[volt, volt] == pytest.approx(usual, abs=0.1)
-    assert abs(errors[volt, 24.0] - usual) > 0.3
+    assert errors[volt, 24.0] == pytest.approx(usual, abs=0.2)
 
 
 def test_the_supply_sensor_ignores_a_lead_that_came_off() -> None:

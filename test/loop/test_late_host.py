@@ -1,4 +1,4 @@
-"""The model law under a host that is late by up to 50 ms at random, over a line of 250 kBaud."""
+"""Predictive control under a host that is late by up to 50 ms at random, over a line of 250 kBaud."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import control_bench as bench
 
 
 def test_a_host_late_by_up_to_50_ms_costs_less_than_half_as_much_again() -> None:
-    """As means over runs: a figure is the largest of some noise, of which one run tells little."""
+    """As means over runs: a figure is the largest of some noise, of which one run says little."""
     seeds = range(5, 9)
     on_time = [bench.run("model", "reference", bench.GOOD, seed) for seed in seeds]
     late = [bench.run("model", "reference", bench.JITTERY, seed) for seed in seeds]
@@ -34,7 +34,7 @@ VARIED = [
 
 
 @pytest.mark.parametrize(("preset", "factors"), VARIED)
-def test_a_late_host_on_a_plant_it_was_not_told_of(
+def test_a_late_host_on_a_plant_other_than_its_model(
     preset: str, factors: list[float], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Mass, losses, efficiency, bore lag and the sensor's way each off by up to 30 %, and late by up to 50 ms."""

@@ -13,7 +13,7 @@ from simulation.runner import BAD_INPUT, PRINTED, RunOptions, Simulation
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config" / "sim-induction.cfg"
 
-# how the switch is really connected, whatever the host believes
+# how the switch is really connected, whatever the host assumes
 WIRED_X = ("simulator axis x", "endstop_pin", "PA4")
 
 
@@ -81,7 +81,7 @@ def test_an_endstop_that_stays_triggered_is_noticed(sim) -> None:
 
 
 def test_a_shaped_machine_homes_to_the_same_place(sim) -> None:
-    """The trigger halts copies of the motion that are still to come; the place is told by the steps made."""
+    """The trigger halts copies of the motion that are still to come; the place is known from the steps made."""
     shaper = [("input_shaper", f"shaper_freq_{axis}", "40") for axis in "xy"]
     status, reason, summary = sim("G28\nG1 X50 Y60 Z5 F6000\nG28 X\nG1 X80\nM400\n", *shaper)
     assert status == PRINTED, reason
@@ -91,19 +91,19 @@ def test_a_shaped_machine_homes_to_the_same_place(sim) -> None:
 
 
 def test_homing_survives_four_lost_reports_in_a_row(sim, monkeypatch) -> None:
-    """Every fifth report is heard, 0.2 s after the one before; the board stops by itself after 0.25 s."""
-    heard, taken = mcu_homing.MCU_trsync._on_state, [0, 0]  # by the board, by the host
+    """Every fifth report arrives, 0.2 s after the one before; the board stops by itself after 0.25 s."""
+    on_state, taken = mcu_homing.MCU_trsync._on_state, [0, 0]  # by the board, by the host
 
     def mostly_deaf(trsync: mcu_homing.MCU_trsync, params: dict[str, Any]) -> None:
         taken[0] += 1
         if not params["can_trigger"] or taken[0] % 5 == 0:
             taken[1] += 1
-            heard(trsync, params)
+            on_state(trsync, params)
 
     monkeypatch.setattr(mcu_homing.MCU_trsync, "_on_state", mostly_deaf)
     status, reason, _ = sim("G28\n")
     assert status == PRINTED, reason
-    assert taken[0] - taken[1] > 60  # not heard
+    assert taken[0] - taken[1] > 60  # lost
 
 
 def test_homing_survives_a_line_that_drops_one_byte_in_three_hundred(sim) -> None:

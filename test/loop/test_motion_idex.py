@@ -31,7 +31,7 @@ FEEDER = [
     *section("simulator axis feeder", section="manual_stepper feeder", position_min=-20, position_max=120),
     *section("simulator axis feeder", endstop_position=0, start_position=40),
 ]
-# how the switch is really connected, whatever the host believes
+# how the switch is really connected, whatever the host assumes
 WIRED_X = ("simulator axis x", "endstop_pin", "PA4")
 TMC = [
     *section("tmc2209 stepper_x", uart_pin="PG5", diag_pin="PA4", run_current=0.8, driver_sgthrs=90),

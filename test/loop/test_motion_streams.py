@@ -1,4 +1,4 @@
-"""motion_report's streams tell the motion that was: planned and stepped agree. And the picture of it."""
+"""motion_report's streams report the motion that was: planned and stepped agree. And the picture of it."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def test_headers_are_the_documented_ones(streamed: StreamedSimulation) -> None:
 
 def test_messages_join_without_gap(streamed: StreamedSimulation) -> None:
     messages = sorted_streams(streamed).motors["stepper_x"]
-    # homing halts the motor among steps that were told already; what comes after it joins
+    # homing halts the motor among steps that were reported already; what comes after it joins
     printed = [m for m in messages if m["first_time"] > messages[-1]["last_time"] - PRINTED_S]
     assert len(printed) >= 3
     for before, after in itertools.pairwise(printed):

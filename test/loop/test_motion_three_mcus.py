@@ -59,7 +59,7 @@ class StreamedSimulation(WatchedSimulation):
             hooks.get_callback(method)(hooks_request(self.client, method, params))
         return True
 
-    def told(self, kind: str, name: str) -> list[dict[str, Any]]:
+    def sent(self, kind: str, name: str) -> list[dict[str, Any]]:
         return [m["params"] for m in self.client.messages if m["source"] == kind and m["of"] == name]
 
 
@@ -105,12 +105,12 @@ def _steps(messages: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
 def test_each_board_steps_when_the_plan_is_there(printed: StreamedSimulation, name: str) -> None:
     axis = 1 if name == "stepper_y" else 0
     plan = motion_plot.Plan()
-    for message in printed.told("trapq", "extruder" if name == "extruder" else "toolhead"):
+    for message in printed.sent("trapq", "extruder" if name == "extruder" else "toolhead"):
         plan.rows += message["data"]
     # homing, which was cut short, is over half a minute before the print
     begin = plan.rows[-1][0] - 20.0
     plan.rows = [row for row in plan.rows if row[0] > begin]
-    messages = [m for m in printed.told("stepper", name) if m["first_time"] > begin]
+    messages = [m for m in printed.sent("stepper", name) if m["first_time"] > begin]
     clocks, steps = _steps(messages)
     assert len(clocks) > 2000
     print_times = _true_s(clocks, MOTORS[name]) * (1.0 + CLOCK_PPM["mcu"] * 1e-6)

@@ -74,7 +74,7 @@ def test_a_switch_on_the_other_board_homes_exactly(tmp_path: Path, seed: int) ->
     outcome: Outcome = sim.run()
     assert outcome.status == PRINTED, outcome.reason
     axis = outcome.summary["axes"]["x"]
-    # wherever it stopped, the place is told from the time of the trigger: good to a step of 0.0125 mm, the 60 us
+    # wherever it stopped, the place is known from the time of the trigger: good to a step of 0.0125 mm, the 60 us
     # between looks at the switch, and the first seconds' difference of the clocks, at 5 mm/s in the second approach
     assert axis["position_mm"] == pytest.approx(50.0, abs=0.03)
     assert axis["steps_lost"] == 0

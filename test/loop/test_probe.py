@@ -9,7 +9,7 @@ import pytest
 from probe_rig import FLAT, STEP_MM, bed, run
 from simulation.runner import BAD_INPUT, PRINTED
 
-# A trigger is seen up to one look (a step's time, 0.5 ms at 5 mm/s) after it happened, and told in whole steps.
+# A trigger is seen up to one look (a step's time, 0.5 ms at 5 mm/s) after it happened, and reported in whole steps.
 SEEN_MM = 2 * STEP_MM
 
 
@@ -48,9 +48,9 @@ def test_noise_is_what_probe_accuracy_says(tmp_path: Path) -> None:
 def test_the_median_of_several_samples_is_nearer(tmp_path: Path) -> None:
     result = run(tmp_path, "G28\nPROBE SAMPLES=9 SAMPLES_TOLERANCE=1\n", *bed(noise=0.01))
     heights = [z for _, _, z in result.found()]
-    told = float(result.text.rpartition("Result is z=")[2].split()[0])
-    assert told == pytest.approx(sorted(heights)[4], abs=1e-6)
-    assert result.status_of("probe")["last_z_result"] == pytest.approx(told, abs=1e-6)
+    reported = float(result.text.rpartition("Result is z=")[2].split()[0])
+    assert reported == pytest.approx(sorted(heights)[4], abs=1e-6)
+    assert result.status_of("probe")["last_z_result"] == pytest.approx(reported, abs=1e-6)
 
 
 def test_samples_too_far_apart_are_taken_again_and_then_refused(tmp_path: Path) -> None:
@@ -81,7 +81,7 @@ def test_a_probe_that_is_triggered_already_is_reported(tmp_path: Path) -> None:
 
 
 def test_the_probe_may_be_on_another_board(tmp_path: Path) -> None:
-    """The motors stop by way of the host, some milliseconds late; the trigger is told from its own clock."""
+    """The motors stop by way of the host, some milliseconds late; the trigger's place comes from its own clock."""
     config = tmp_path / "two.cfg"
     config.write_text(
         f"[include {Path(__file__).resolve().parents[2] / 'config' / 'sim-probe.cfg'}]\n[mcu head]\nserial: /tmp/head\n"

@@ -1,6 +1,6 @@
 """The calibrated law on the C plant at points it has not seen, beside the paper's and the four-parameter law.
 
-The plant's phasor tank and the tank law share their physics, so the figures below tell what noise and a rich sweep
+The plant's phasor tank and the tank law share their physics, so the figures below show what noise and a rich sweep
 cost. `signal_model=1` is a plant of another form (Table 1's exponential): there the law has to bend.
 """
 

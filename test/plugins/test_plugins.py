@@ -41,7 +41,7 @@ PLAIN VALUE=1.5
 
 
 def run_host(tmp_path: Path, klippy: Path, config: str, script: str) -> tuple[int, str]:
-    """The host in batch mode on the simulated printer's config; exit status and what it told the user."""
+    """The host in batch mode on the simulated printer's config; exit status and its messages to the user."""
     world_module.build()
     (tmp_path / "printer.cfg").write_text(config)
     (tmp_path / "in.gcode").write_text(script)

@@ -9,10 +9,16 @@ from dataclasses import dataclass, field
 from thermal.control import bridge_driver
 from thermal.control.actuator import ActuatorParameters
 from thermal.control.timeline import Timing
+from thermal.models.heat_loss import HeatCapacity
 from thermal.records import PhaseCommand, Planned
 
 TIME_SLACK_S = 1e-7
 KEEP_S = 0.4
+LOOK_SHARE = 0.05  # of full power: a weaker drive is read without looks
+# From look to look the nozzle rises by this much, within these times. A look of 0.3 ms each 18 ms costs 1.7 % of power.
+LOOK_C, LOOK_MIN_S, LOOK_MAX_S = 6.0, 0.018, 0.100
+LOOK_RARE_S = 0.050  # so far apart they may be long
+LOOK_DOUBT_C = 20.0  # more doubt about full drive than this: a look at each command
 NOT_COMMANDED = PhaseCommand(-math.inf, 0, 0.0)
 
 
@@ -104,6 +110,7 @@ class ActuatorState:
     owed_j: float = 0.0  # asked minus delivered
     last_excited_s: float = -math.inf  # end of the last pulse or continuous drive
     driving: bool = False  # continuous drive (phase above the smallest) since last_s
+    look_s: float = -math.inf  # start of the newest look at the sensing phase
 
 
 def _account(parameters: ActuatorParameters, state: ActuatorState, time_s: float) -> None:
@@ -177,6 +184,31 @@ def ahead(
     return commands
 
 
+def with_look(
+    parameters: ActuatorParameters,
+    state: ActuatorState,
+    commands: list[PhaseCommand],
+    rate_k_s: float,
+    doubt_c: float,
+) -> list[PhaseCommand]:
+    """A strong drive begins with a look at the sensing phase, if one is due: where the reading is true. It shows by how
+    much that of the strong drive is off (thermal/sensing/drive_offset.h).
+
+    `rate_k_s`: heating rate of the commands; `doubt_c`: 1 sigma of what full drive adds to the reading.
+    """
+    first = commands[0]
+    strong = (first.phase_ticks / parameters.law.phase_max_ticks) ** 2 >= LOOK_SHARE
+    if not strong or not parameters.look_s:
+        return commands
+    apart_s = min(LOOK_MAX_S, max(LOOK_MIN_S, LOOK_C / max(1e-3, rate_k_s)))
+    if 0.0 < first.time_s - state.look_s < (0.0 if doubt_c > LOOK_DOUBT_C else apart_s):
+        return commands
+    state.look_s = first.time_s
+    after_s = first.time_s + (parameters.long_look_s if apart_s >= LOOK_RARE_S else parameters.look_s)
+    look = PhaseCommand(first.time_s, parameters.phase_low_ticks, parameters.power_low_w)
+    return [look, first._replace(time_s=after_s), *(c for c in commands[1:] if c.time_s > after_s)]
+
+
 @dataclass(frozen=True, slots=True)
 class Request:
     """What the bridge shall do, and what is known now."""
@@ -186,6 +218,7 @@ class Request:
     target_c: float
     power_w: float
     estimate_s: float
+    estimate_c: float
     horizon: tuple[Planned, ...] = ()
 
 
@@ -197,6 +230,8 @@ class Bridge:
     actuator: ActuatorParameters
     power_max_w: float
     plans: bool
+    heat: HeatCapacity | None = None  # of a calibrated sensing law
+    doubt_c: float = 0.0  # about full drive
     line: Timeline = field(default_factory=Timeline)
     owed: ActuatorState = field(default_factory=ActuatorState)
 
@@ -239,5 +274,11 @@ class Bridge:
         commands = actuate(actuator, self.owed, power_w, at_s, is_on, idle)
         if len(commands) == 1 and horizon:
             commands += ahead(actuator, commands[0], horizon)
+        if commands and self.heat is not None:
+            rate_k_s = power_w / self.heat.at(request.estimate_c)
+            looked = with_look(actuator, self.owed, commands, rate_k_s, self.doubt_c)
+            self.line.note(looked, now_s)
+            self.line.head = commands[0]
+            return looked
         self.line.note(commands, now_s)
         return commands

@@ -1,7 +1,7 @@
 """The chain of a coil's blocks written out in Python, as an independent reference for the one in C.
 
-Block messages to blocks, blocks to error units, those to a temperature by each of the three laws, the watch's counting,
-the filter, the model law's samples: straight from the equations in the docstrings of klippy/thermal.
+Block messages to blocks, blocks to signal units, those to a temperature by each of the three laws, the watch's
+counting, the filter, the samples of predictive control: from the equations in the docstrings of klippy/thermal.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ NO_READING = (NAN, NAN)
 def convert(
     rows: list[block_codec.Row], index: int, clock: int, oversample: int, period_ticks: int, clock_hz: float
 ) -> list[SampleBlock]:
-    """Records that have been told their offset, the first at the message's clock."""
+    """Records with their offset, the first at the message's clock."""
     period_s = period_ticks / clock_hz
     out = []
     for n, row in enumerate(rows):
@@ -140,23 +140,33 @@ class Chain:
     x: list[float] = field(default_factory=lambda: [NAN, 0.0])  # degC, K/s
     cov: list[list[float]] = field(default_factory=lambda: [[0.0, 0.0], [0.0, 0.0]])
     outliers: int = 0
+    offset: tuple[float, float] = (
+        0.0,
+        60.0**2,
+    )  # what full drive adds to the reading, degC, and its variance
+    last: tuple[TempEstimate, float, float, float, float] | None = (
+        None  # reading, degC, h, W, half its duration
+    )
+    strong: float = 0.0  # h of the newest strong drive
     noise_lsb: float = field(init=False)
 
     def __post_init__(self) -> None:
         self.noise_lsb = self.front.noise_lsb
 
     def begin_message(self) -> None:
-        """What the blocks so far tell of the noise counts for those of this message."""
+        """The noise of the blocks so far counts for those of this message."""
         if len(self.spans) >= features.NOISE_BLOCKS // 4:
             self.noise_lsb = self.span_lsb() / 5.46
 
     def take(self, block: SampleBlock) -> tuple[TempEstimate, TempEstimate | None, Sample]:
         own = estimate(self.estimator, replace(self.front, noise_lsb=self.noise_lsb), block)
         end_s = block.time_s + block.duration_s
-        self._watch(own, end_s)
         sine = math.sin(math.pi / 2 * block.phase_ticks / self.drive.phase_max_ticks)
         heat_w = self.drive.power_max_w * sine**self.drive.exponent
         self.heat_j += heat_w * block.duration_s * (1 + block.discarded / block.count)
+        if self.supervise.calibrated and own.valid:
+            own = self._without_drive(block, own, heat_w)
+        self._watch(own, end_s)
         if block.phase_ticks and block.count >= features.SPAN_SAMPLES // 2:
             longer = math.sqrt(math.log(features.SPAN_SAMPLES) / math.log(block.count))
             self.spans.append((block.max_raw - block.min_raw) * longer)
@@ -185,6 +195,37 @@ class Chain:
         self.beyond = 0 if within else self.beyond + 1
         if self.beyond >= self.supervise.limit_blocks:
             self.tripped_c = own.temp_c
+
+    def _without_drive(self, block: SampleBlock, own: TempEstimate, heat_w: float) -> TempEstimate:
+        """A step of the reading with the drive, but for what the heat balance explains, is the drive's."""
+        h = (block.phase_ticks / self.front.phase_max_ticks) ** 2.6
+        k, variance = self.offset
+        if self.last is not None and own.time_s > self.last[0].time_s:
+            before, temp_c, h_before, before_w, half_s = self.last
+            dt, p = own.time_s - before.time_s, self.filter
+            other = abs(h - self.strong) if h > 0.02 else 0.0
+            walk = dt / 16 + 0.49 * abs(own.temp_c - k * h - temp_c) + 100.0 * other
+            variance = min(3600.0, variance + walk)
+            first = min(half_s, dt)
+            kelvin, air = temp_c + 273.15, p.loss.ambient_c + 273.15
+            lost_w = p.loss.conductance_w_k * (kelvin - air)
+            lost_w += heat_loss.STEFAN_BOLTZMANN * p.loss.radiation_m2 * (kelvin**4 - air**4)
+            heat_j = before_w * first + heat_w * (dt - first) - max(0.0, lost_w) * dt
+            rise_c = heat_j / p.heat.at(temp_c) + self.x[1] * dt
+            step = h - h_before
+            if dt < 0.006 and abs(step) > 0.02:
+                off_c = own.temp_c - before.temp_c - rise_c - k * step
+                noise = own.sigma_noise_c**2 + before.sigma_noise_c**2 + (0.15 * rise_c) ** 2
+                total = step**2 * variance + noise
+                if off_c**2 <= 25 * total:
+                    k += variance * step / total * off_c
+                    variance *= 1 - step**2 * variance / total
+        self.offset = k, variance
+        self.strong = h if h > 0.02 else self.strong
+        corrected = own.temp_c - k * h
+        self.last = own, corrected, h, heat_w, block.duration_s / 2
+        doubt = h * math.hypot(math.sqrt(variance), 0.15 * k * (1 - h))
+        return own._replace(temp_c=corrected, sigma_c=math.hypot(own.sigma_c, doubt))
 
     def _filter(
         self, block: SampleBlock, own: TempEstimate, heat_w: float, end_s: float
@@ -249,6 +290,8 @@ class Chain:
         away = (block.phase_ticks / self.front.phase_max_ticks) ** 2 - self.usual
         if abs(away) > 0.1:
             self.usual += away
-            return Sample(block.centre_s, end_s, own.temp_c, own.sigma_c, heat_w, True)
+            return Sample(
+                block.centre_s, end_s, own.temp_c, own.sigma_c, heat_w, not self.supervise.calibrated
+            )
         self.usual += away * block.duration_s / (block.duration_s + 0.1)
         return Sample(block.centre_s, end_s, own.temp_c, own.sigma_c, heat_w, False)

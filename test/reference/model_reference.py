@@ -1,6 +1,6 @@
-"""The model law written out in Python, as an independent reference for the one in C (thermal/control/predictive.c).
+"""Predictive control written out in Python, as an independent reference for the one in C.
 
-Straight from the docstring of model_control; plant and filter are model_reference_filter.py's.
+From the docstring of thermal/control/predictive.py; plant and filter are model_reference_filter.py's.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from thermal.control.control_api import ControlInput, ControlOutput
 from thermal.models.heater_model import ModelParameters, Nodes
 from thermal.records import Planned, Sample
 
-SAME_SHARE = 0.004  # outputs nearer than this (of the most) are one and the same step
+SAME_SHARE = 0.004  # outputs nearer than this (of full output) are one and the same step
 SETTLED_C = 0.25  # nearer than this to the reference, and not about to change: no horizon is worth sending
 SINGLE_STEPS = 6  # of the plan; the later ones are twice as long
 PIECE_S = 0.02  # flow and fan are looked at so often
@@ -35,15 +35,15 @@ def _wanted(inputs: ControlInput, time_s: float) -> float:
     return inputs.reference_c if inputs.reference is None else reference_at(inputs.reference, time_s)
 
 
-def _aim(
-    p: ModelParameters, inputs: ControlInput, temp_c: float, time_s: float, dt_s: float, fade: float
+def _target(
+    p: ModelParameters, inputs: ControlInput, temp_c: float, time_s: float, dt_s: float, remaining: float
 ) -> float:
-    """Temperature in degC the controlled node shall have at `time_s + dt_s`; `fade`: what is left by then."""
+    """Temperature in degC the controlled node shall have at `time_s + dt_s`; `remaining`: what is left by then."""
     if inputs.reference is None:
         now_c = then_c = inputs.reference_c
     else:
         now_c, then_c = reference_at(inputs.reference, time_s), reference_at(inputs.reference, time_s + dt_s)
-    return then_c - min(p.knee_c, max(-p.knee_c, now_c - temp_c)) * fade
+    return then_c - min(p.band_c, max(-p.band_c, now_c - temp_c)) * remaining
 
 
 class _Future:
@@ -54,7 +54,7 @@ class _Future:
         self.gain, self.disturbance_w = state.gain, state.disturbance_w
         self.nodes: Nodes = state.nodes
         self.time_s = time_s
-        self.without = self.reached = self.nodes  # one horizon on, with no output and with the most
+        self.without = self.reached = self.nodes  # one horizon on, with no output and with full output
 
     def run(self, nodes: Nodes, output: float, start_s: float, dt_s: float) -> Nodes:
         """The nodes after `dt_s` of one output. Surroundings are taken at the middle of each piece."""
@@ -84,14 +84,14 @@ class _Future:
             self.nodes = self.run(self.nodes, output, self.time_s, dt_s)
             self.time_s += dt_s
 
-    def choose(self, most: float) -> float:
+    def choose(self, full: float) -> float:
         """Unlimited output from now on."""
         p = self.p
-        aim_c = _aim(p, self.inputs, self.nodes.temp_c, self.time_s, p.aim_s, p.fade)
-        self.without = self.run(self.nodes, 0.0, self.time_s, p.aim_s)
-        self.reached = self.run(self.nodes, most, self.time_s, p.aim_s)
+        target_c = _target(p, self.inputs, self.nodes.temp_c, self.time_s, p.prediction_s, p.remaining)
+        self.without = self.run(self.nodes, 0.0, self.time_s, p.prediction_s)
+        self.reached = self.run(self.nodes, full, self.time_s, p.prediction_s)
         reach_c = self.reached.temp_c - self.without.temp_c
-        return most * (aim_c - self.without.temp_c) / reach_c if reach_c > 1e-9 else 0.0
+        return full * (target_c - self.without.temp_c) / reach_c if reach_c > 1e-9 else 0.0
 
 
 def _limited(p: ModelParameters, inputs: ControlInput, value: float, before: float, hold_s: float) -> float:
@@ -104,16 +104,16 @@ def _limited(p: ModelParameters, inputs: ControlInput, value: float, before: flo
 def _plan(p: ModelParameters, future: _Future, first: float) -> tuple[Planned, ...]:
     """What follows the first output, as far as it differs; ends holding the wanted temperature."""
     inputs, horizon, output, said = future.inputs, [], first, first
-    same, most = SAME_SHARE * p.output_high, p.output_high
-    added = [(b - a) / most for a, b in zip(future.without, future.reached, strict=True)]
+    same, full = SAME_SHARE * p.output_high, p.output_high
+    added = [(b - a) / full for a, b in zip(future.without, future.reached, strict=True)]
     reach_c = max(added[TEMP], 1e-12)
-    future.hold(output, p.aim_s)
+    future.hold(output, p.prediction_s)
     for steps in _lengths(p.ahead):
-        start_s, start_c, dt_s = future.time_s, future.nodes.temp_c, steps * p.aim_s
-        aim_c = _aim(p, inputs, start_c, start_s, dt_s, p.fade**steps)
+        start_s, start_c, dt_s = future.time_s, future.nodes.temp_c, steps * p.prediction_s
+        target_c = _target(p, inputs, start_c, start_s, dt_s, p.remaining**steps)
         future.hold(output, dt_s)
-        wanted = output + (aim_c - future.nodes.temp_c) / (steps * reach_c)
-        change = _limited(p, inputs, wanted, output, p.aim_s) - output
+        wanted = output + (target_c - future.nodes.temp_c) / (steps * reach_c)
+        change = _limited(p, inputs, wanted, output, p.prediction_s) - output
         if change:
             output += change
             change *= steps
@@ -128,13 +128,13 @@ def _plan(p: ModelParameters, future: _Future, first: float) -> tuple[Planned, .
         - future.disturbance_w
     )
     holding = max(0.0, power_w / (heat_per_output_w(p, wanted_c) * future.gain))
-    if said > holding + 0.05 * most:
+    if said > holding + 0.05 * full:
         horizon.append(Planned(end_s, min(holding, said)))
     return tuple(horizon)
 
 
 def _lengths(ahead: int) -> tuple[int, ...]:
-    """Of the steps of a plan in strides, `ahead` of them in all: what comes later will most likely be said anew."""
+    """Of the steps of a plan in strides, `ahead` of them in all: the later ones are likely to be replaced."""
     doubles = max(0, ahead - SINGLE_STEPS + 1) // 2
     return (1,) * (ahead - 2 * doubles) + (2,) * doubles
 
@@ -142,7 +142,7 @@ def _lengths(ahead: int) -> tuple[int, ...]:
 def _is_unchanging(p: ModelParameters, future: _Future) -> bool:
     """Nothing is going to happen within the horizon that a single output does not do."""
     inputs = future.inputs
-    now_s, end_s = future.time_s, future.time_s + (p.ahead + 1) * p.aim_s
+    now_s, end_s = future.time_s, future.time_s + (p.ahead + 1) * p.prediction_s
     if abs(_wanted(inputs, now_s) - future.nodes.temp_c) >= SETTLED_C:
         return False
     if inputs.reference is not None and not is_flat(inputs.reference, now_s, end_s):
@@ -199,8 +199,8 @@ def model_step(
     at = future.nodes
     unlimited = future.choose(p.output_high)
     value = _limited(p, inputs, unlimited, state.output, p.hold_s)
-    calm = not p.ahead or _is_unchanging(p, future)
-    horizon = () if calm else _plan(p, future, value)
+    steady = not p.ahead or _is_unchanging(p, future)
+    horizon = () if steady else _plan(p, future, value)
     per_output_w = heat_per_output_w(p, at.temp_c) * state.gain
     flow, fan = schedule_at(inputs.flow_mm3_s, apply_s), schedule_at(inputs.fan, apply_s)
     loss = hold_w(p, at.temp_c, flow, fan) / per_output_w

@@ -1,7 +1,7 @@
-"""The model law's plant and filter written out in Python, as an independent reference for those in C (chelper/).
+"""Plant and filter of predictive control written out in Python, as an independent reference for those in C.
 
-Straight from the equations in the docstrings of model_plant and model_filter; figures that tune the filter are repeated
-here, so that one changed by mistake shows. Parameters are klippy's own.
+Straight from the equations in the docstrings of heater_model and predictive_filter. Figures that tune the filter are
+repeated here, so that one changed by mistake shows. Parameters are klippy's own.
 """
 
 from __future__ import annotations
@@ -136,7 +136,7 @@ GAIN_MIN, GAIN_MAX = 0.1, 10.0
 TOGETHER_MAX = 7  # samples of one innovation
 SURPRISE = 14.0  # innovation squared over its variance beyond which the disturbance is taken to have changed
 SURPRISED_W = 3.0  # by about this much at once
-# Innovations that lean one way: their sum, each in its own sigma and fading so fast a message, is 1.5 by chance.
+# Innovations that lean one way: their sum, each in its own sigma and decaying so fast a message, is 1.5 by chance.
 LEAN_KEEP, LEAN_MAX = 0.75, 4.0  # nearly three times that: the disturbance moves ...
 LEAN_SHARE = 0.5  # ... by about this much of disturbance_start_w a message
 JUMP_C, JUMP_SIGMA = 3.0, 6.0  # farther off than this within a message no heat goes: the thermometer jumped
@@ -162,7 +162,7 @@ UNKNOWN = Nodes(math.nan, math.nan, math.nan, math.nan, math.nan, 0.0)
 
 
 class ModelState(NamedTuple):
-    """Memory of the model law. A tuple: one is made at every step."""
+    """Memory of predictive control. A tuple: one is made at every step."""
 
     time_s: float = math.nan  # what the nodes belong to; NaN: nothing known yet
     nodes: Nodes = UNKNOWN
@@ -175,10 +175,10 @@ class ModelState(NamedTuple):
     driven: float = 0.0  # output in force at the newest measurement
     offset_c: float = 0.0  # taken off the readings ...
     offset_output: float = 0.0  # ... since the output stepped to this
-    lean: float = 0.0  # fading sum of innovations, each over its sigma
+    lean: float = 0.0  # decaying sum of innovations, each over its sigma
     slant_c: float = 0.0  # what full drive by itself adds to the reading
     usual: float = 0.0  # share of full drive at which the reading is taken for the truth
-    sent: tuple[Planned, ...] = ()  # own outputs, where the caller does not tell what is pending
+    sent: tuple[Planned, ...] = ()  # own outputs, where the caller gives none that are pending
 
     @property
     def known(self) -> bool:
@@ -251,7 +251,7 @@ def begin(p: ModelParameters, temp_c: float, time_s: float, before: ModelState |
 
 
 def taken_over(p: ModelParameters, state: ModelState, disturbance_w: float) -> ModelState:
-    """A state just begun, told the disturbance: what was doubt about it, gain and second mass is mostly in it."""
+    """A state just begun, with a given disturbance, which holds the doubt about gain and second mass, too."""
     places = layout(p)
     doubts = {
         places.temp: TAKEN_C,

@@ -34,7 +34,7 @@ class BarePrinter(Printer):
 
 
 class Session:
-    """One run of a printer; `lines` collects what the user is told."""
+    """One run of a printer; `lines` collects the messages to the user."""
 
     def __init__(self, tmp_path: Path, config: str, time_source: Any = None, **start_args: Any) -> None:
         self.config_path = tmp_path / "printer.cfg"

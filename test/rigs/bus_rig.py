@@ -32,7 +32,7 @@ def build_dictionary() -> bytes:
 
 
 class RigPin:
-    """A digital_out, pwm or adc pin; `log` is what it was told, (print time, value)."""
+    """A digital_out, pwm or adc pin; `log` is what it was set to, (print time, value)."""
 
     def __init__(self, chip: Any, kind: str, invert: int) -> None:
         self.chip, self.kind, self.invert = chip, kind, invert
@@ -114,7 +114,7 @@ class Chip:
             for command in commands:
                 self.parser.create_command(command)
 
-    def tell(self, name: str, oid: int, **params: Any) -> None:
+    def report(self, name: str, oid: int, **params: Any) -> None:
         """A message of the board."""
         self.handlers[name, oid]({"#receive_time": self.printer.get_reactor().monotonic(), **params})
 

@@ -39,7 +39,7 @@ def new_chain(
     return made
 
 
-def told(made: pipeline.Chain) -> Any:
+def c_params(made: pipeline.Chain) -> Any:
     """C's struct chain_params."""
     return made._parameters
 
@@ -52,7 +52,7 @@ def estimate(
     one.count = 1
     raw = one.raw[0]
     raw.signal_units, raw.noise_units, raw.phase_ticks = error, noise, phase
-    LIB.chain_estimate(told(new_chain(read=parameters)), one.raw)
+    LIB.chain_estimate(c_params(new_chain(read=parameters)), one.raw)
     return one.estimate(0)
 
 

@@ -52,7 +52,7 @@ class FakeMcu:
         self.init: list[str] = []
         self.sent: list[list[int]] = []
         self.response: Callable[[dict[str, Any]], None] | None = None
-        self.lot: Callable[[Any, int], None] = lambda messages, count: None
+        self.on_batch: Callable[[Any, int], None] = lambda messages, count: None
         self.batch_max = 0
         self._callbacks: list[Callable[[], None]] = []
 
@@ -73,9 +73,9 @@ class FakeMcu:
         self.response = callback
 
     def register_batch(
-        self, callback: Callable[[Any, int], None], msgformat: str, seconds: float = 0.0, most: int = 0
+        self, callback: Callable[[Any, int], None], msgformat: str, seconds: float = 0.0, batch_max: int = 0
     ) -> None:
-        self.lot, self.batch_max = callback, most
+        self.on_batch, self.batch_max = callback, batch_max
 
     def add_config_cmd(self, cmd: str, is_init: bool = False) -> None:
         (self.init if is_init else self.config).append(cmd)

@@ -66,7 +66,7 @@ class LinkSession:
         even_failed: bool = False,
         **start_args: Any,
     ) -> tuple[str, str]:
-        """Start a host, run `body(printer)` once it is ready (or failed, if told so). Returns state, message."""
+        """Start a host, run `body(printer)` once it is ready (or failed, if `even_failed`). Returns state, message."""
         path = self.tmp_path / "printer.cfg"
         path.write_text(self.config() if config is None else config)
         args = {

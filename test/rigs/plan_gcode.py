@@ -98,7 +98,7 @@ class Writer:
         low, high = (165, 300) if command == "M104" else (205, 235)  # far ones take long to wait for
         self.put(f"{command} S{self.rng.randint(low, high)}")
 
-    def wish(self) -> None:
+    def request(self) -> None:
         temp = self.rng.choice((0, 160, 200, 228, 260, 320))
         self.put(
             self.rng.choice(
@@ -161,7 +161,7 @@ class Writer:
         """So many random things to do, as a file."""
         kinds: list[tuple[Callable[[], None], int]] = [
             (self.road, 12), (self.infill, 8), (self.arc, 3), (self.travel, 3), (self.layer, 4), (self.retract, 3),
-            (self.target, 3), (self.wish, 8), (self.comment, 8), (self.part, 4), (self.factor, 3), (self.rest, 2),
+            (self.target, 3), (self.request, 8), (self.comment, 8), (self.part, 4), (self.factor, 3), (self.rest, 2),
             (self.pause, 1), (self.plan, 3),
         ]  # fmt: skip
         self.put(START.format(base=self.rng.choice((190, 215, 240))))

@@ -106,9 +106,9 @@ def _watch_planner(watched: Watched, patch: pytest.MonkeyPatch) -> None:
 
 
 def _roads(move: Any) -> Iterator[Road]:
-    """Its phases; the extruder alone lays nothing."""
-    lays = move.is_kinematic_move and move.axes_d[3] > 0.0
-    mm3_per_mm = move.axes_d[3] / move.move_d * FILAMENT_MM2 if lays else 0.0
+    """Its phases; the extruder alone deposits nothing."""
+    deposits = move.is_kinematic_move and move.axes_d[3] > 0.0
+    mm3_per_mm = move.axes_d[3] / move.move_d * FILAMENT_MM2 if deposits else 0.0
     time_s = move.print_time
     for duration_s, speed in (
         (move.accel_t, 0.5 * (move.start_v + move.cruise_v)),

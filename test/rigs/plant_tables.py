@@ -15,7 +15,7 @@ SIGNAL_AVERAGE = 4096  # samples: leaves 1/64 of the ADC's noise
 
 
 def table1_errors(**changes: float) -> tuple[np.ndarray, np.ndarray]:
-    """(plant, table): error units, one row a temperature, one column a power."""
+    """(plant, table): signal units, one row a temperature, one column a power."""
     table = TABLES["table1"]
     plant_errors = np.zeros_like(np.array(table["error"], dtype=float))
     for i, temp_c in enumerate(table["T_degC"]):

@@ -1,4 +1,4 @@
-"""One story, told to every build of the firmware: identify, configure, home, heat, print, hold, a fault, shutdown.
+"""One story, played on every build of the firmware: identify, configure, home, heat, print, hold, a fault, shutdown.
 
 The host is the product's own, unchanged; the plant is the same for every build; what differs is the library behind the
 MCU. A case names the machine's config, the build, how hot, and what breaks at the end; `play` gives what came of it.
@@ -125,7 +125,7 @@ class Play(Simulation):
 
 
 def play(case: Case, folder: Path, seed: int = 1, trace: Path | None = None) -> Story:
-    """Tell the story to one build."""
+    """Play the story on one build."""
     run = Play(case, folder, seed, trace)
     outcome = run.run()
     run.story.outcome = outcome

@@ -1,7 +1,7 @@
 """A serialqueue and a reference MCU at the two ends of a bad line, in virtual time.
 
 The MCU end is written from the protocol's description with msgproto's blocks; it executes what arrives in order, acks,
-naks, and may answer. The line delays, and damages bytes or whole writes as it is told to.
+naks, and may answer. The line delays, and damages bytes or whole writes as configured.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ def build_fake(folder: Path) -> Path:
 
 
 class Rig:
-    """One world, its MCUs on lines that take no time unless told otherwise."""
+    """One world, its MCUs on lines that take no time by default."""
 
     def __init__(self, library: Path, seed: int = 1, mcus: int = 1, **link: float) -> None:
         self.world = World(seed)

@@ -62,7 +62,7 @@ def test_a_nozzle_changes_its_law_while_it_holds_and_goes_on_holding(
     true = run.column("true_c")
     assert run.log.read_text().count("works with profile") == 2
     assert true[-1] == pytest.approx(200.0, abs=0.5)
-    # it goes on at the power it had: 0.33 degC seen, of which the soft PID's own noise is most
+    # it goes on at the power it had: 0.33 degC seen, mainly the soft PID's own noise
     assert all(abs(t - 200.0) < 0.6 for t in true[-800:])
 
 

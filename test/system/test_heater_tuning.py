@@ -53,7 +53,7 @@ def test_a_bed_finds_its_model(simulate: Simulate, tmp_path: Path) -> None:
     within_three_sigma(text, "loss, W/K", 1.2)
 
 
-def told(text: str, label: str) -> tuple[float, float]:
+def reported(text: str, label: str) -> tuple[float, float]:
     """(value, printed 1 sigma) of the line of MODEL_CALIBRATE's report that begins so."""
     match = re.search(rf"{re.escape(label)} +([0-9.e+-]+) \+- ([0-9.e+-]+)", text)
     assert match is not None, text[-2000:]
@@ -61,7 +61,7 @@ def told(text: str, label: str) -> tuple[float, float]:
 
 
 def within_three_sigma(text: str, label: str, true: float) -> None:
-    value, sigma = told(text, label)
+    value, sigma = reported(text, label)
     assert abs(value - true) < 3.0 * sigma, (label, value, sigma)
     assert sigma < 0.03 * true, (label, sigma)  # and the doubt is not so wide that it says nothing
 
@@ -143,26 +143,26 @@ def test_a_nozzles_status_can_be_asked_for_during_its_calibration(simulate: Simu
     assert "driven by calibration, unexplained None" in text
 
 
-TELL = """
-[gcode_macro TELL]
+SHOW = """
+[gcode_macro SHOW_POWER]
 gcode:
   { action_respond_info("power %.4f" % printer.heater_bed.power) }
 """
 
 
 def test_the_mcu_switches_a_bed_by_itself(simulate: Simulate, tmp_path: Path) -> None:
-    """The true bed stays near its target, and the power the host tells is what the losses take."""
-    more = LIGHT + "[heater_bed]\ncontrol: mcu_onoff\n" + TELL
-    gcode = "M190 S60\nG4 P60000\n" + "G4 P1000\nTELL\n" * 40
+    """The true bed stays near its target, and the power the host reports is what the losses take."""
+    more = LIGHT + "[heater_bed]\ncontrol: mcu_onoff\n" + SHOW
+    gcode = "M190 S60\nG4 P60000\n" + "G4 P1000\nSHOW_POWER\n" * 40
     run = simulate(gcode, config=machine(tmp_path, more))
     assert run.status == 0, run.stderr
     held = run.column("bed_c")[-4000:]
     # 200 W into 100 J/K behind a sensor of 3 s: it swings by what goes in while the sensor lags
     assert all(abs(c - 60.0) < 6.0 for c in held)
-    told = [float(p) for p in re.findall(r"power ([0-9.]+)", run.log.read_text())]
+    powers = [float(p) for p in re.findall(r"power ([0-9.]+)", run.log.read_text())]
     mean_c = sum(held) / len(held)
     true = (0.8 + 0.4) * (mean_c - 22.5) / 200.0  # both paths of loss, of 200 W
-    assert sum(told[-40:]) / 40 == pytest.approx(true, rel=0.15)  # 40 looks at an average over 10 s
+    assert sum(powers[-40:]) / 40 == pytest.approx(true, rel=0.15)  # 40 looks at an average over 10 s
 
 
 def test_a_hotend_finds_heat_losses_and_fan_in_minutes(simulate: Simulate, tmp_path: Path) -> None:

@@ -188,7 +188,7 @@ def test_turning_the_heaters_off_ends_a_calibration(simulate: Simulate, tmp_path
 
 
 def test_commands_around_the_thermometer(simulate: Simulate, tmp_path: Path) -> None:
-    """ABORT gives the heater back at once; ZERO moves the reading; DUMP writes blocks; STATUS tells."""
+    """ABORT gives the heater back at once; ZERO moves the reading; DUMP writes blocks; STATUS reports."""
     log, dump = tmp_path / "host.log", tmp_path / "dump.csv"
     gcode = f"""
 INDUCTION_CALIBRATE HEATER=nozzle REFERENCE=reference

@@ -35,7 +35,7 @@ def test_the_melt_is_as_hot_as_planned_on_a_nozzle_nobody_configured(
     text = run.log.read_text()
     assert run.status == 0, text[-800:]
     found = dict(re.findall(r"set \[induction_heater nozzle\] (\w+) = ([0-9.]+)", text))
-    # power is told 1/0.9 too high, and with it heat and exchange; what the melt's temperature hangs on is their ratio
+    # power is reported 1/0.9 too high, and with it heat and exchange; the melt's temperature depends on their ratio
     ratio = float(found["melt_exchange"]) / float(found["melt_heat"])
     assert ratio == pytest.approx(0.0225 / 2.4, rel=0.015)
     assert float(found["melt_inlet_temp"]) == pytest.approx(31.0, abs=6.0)
@@ -44,7 +44,7 @@ def test_the_melt_is_as_hot_as_planned_on_a_nozzle_nobody_configured(
     times, flow, melt = (run.column(name) for name in ("t_s", "flow_mm3_s", "melt_c"))
     assert max(t for t, f in zip(times, flow, strict=True) if f > 14.0) < 60.0  # under the heater's own steps
     fed = sum(f * 0.01 for t, f in zip(times, flow, strict=True) if t < 110.0) / 2.405
-    assert fed == pytest.approx(int(feeds[1]), abs=1.5)  # what was told is what was used
+    assert fed == pytest.approx(int(feeds[1]), abs=1.5)  # the length announced is the length used
     end_s = max(t for t, f in zip(times, flow, strict=True) if f > 4.5)
     road = [m for t, f, m in zip(times, flow, melt, strict=True) if end_s - 2.5 < t < end_s - 0.3 and f > 4.5]
     assert sum(road) / len(road) == pytest.approx(MELT_C, abs=1.0)  # at once, before any SAVE_CONFIG

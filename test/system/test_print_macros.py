@@ -18,7 +18,7 @@ TARGET_C = 210.0
 PLACE_MM = (80.0, 60.0)  # where the path is when the pause comes
 LIFT_MM = 5.0
 
-# Two lines with a pause at the end of the first. What is to happen during the pause is told to a delayed_gcode.
+# Two lines with a pause at the end of the first. A delayed_gcode does what is to happen during the pause.
 PRINT = f"""
 M104 S{TARGET_C:.0f}
 G28

@@ -164,6 +164,20 @@ def test_only_the_levels_of_browser_and_flash_ask_for_their_programs(root_comput
     assert {"avrdude", "openocd"} <= flash and "chromium" not in flash
 
 
+def test_studies_have_a_list_of_their_own_that_serves_the_demo_too(root_computer: Computer) -> None:
+    def installed() -> list[str]:
+        calls = [call for call in root_computer.calls("python") if "pip install" in call and " -r " in call]
+        return [call.split(" -r ")[-1] for call in calls]
+
+    for level, lists in (
+        ("demo", ["sim", "data"]),
+        ("study", ["sim", "data", "study", "data"]),
+        ("demo", ["sim", "data", "study", "data"]),
+    ):
+        assert root_computer.run("setup.sh", level).returncode == 0
+        assert installed() == [f"requirements-{name}.txt" for name in lists]
+
+
 # ---------------------------------------------------------------- install.sh
 
 
@@ -188,9 +202,9 @@ def refused(computer: Computer, *options: str) -> str:
 
 
 def test_install_without_sudo_names_what_root_is_to_install(anna: Computer) -> None:
-    told = refused(anna)
-    assert "there is no sudo here" in told
-    assert "run as root: apt-get install gcc" in told
+    errors = refused(anna)
+    assert "there is no sudo here" in errors
+    assert "run as root: apt-get install gcc" in errors
     assert anna.calls("apt-get") == []
 
 
@@ -202,9 +216,9 @@ def test_install_where_sudo_refuses_names_what_is_to_be_run(anna: Computer) -> N
 @pytest.mark.parametrize("options", [(), ("--no-packages",), ("--uninstall",)])
 def test_install_without_systemd_says_so(anna: Computer, options: tuple[str, ...]) -> None:
     (anna.bin / "systemctl").unlink()
-    told = refused(anna, *options)
-    assert "there is no systemd here" in told
-    assert "--no-start" in told
+    errors = refused(anna, *options)
+    assert "there is no systemd here" in errors
+    assert "--no-start" in errors
 
 
 def test_install_without_a_login_that_systemd_knows_says_so(anna: Computer) -> None:

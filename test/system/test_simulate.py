@@ -54,7 +54,7 @@ def test_the_same_seed_gives_the_same_trace_and_another_seed_other_noise(simulat
     assert first != other
 
 
-def test_it_stops_when_told_to(simulate: Simulate) -> None:
+def test_it_stops_at_the_time_given(simulate: Simulate) -> None:
     run = simulate(square(100), more=["--until", "8"])
     assert run.status == 0
     assert run.summary["simulated_s"] == pytest.approx(8.0, abs=0.5)

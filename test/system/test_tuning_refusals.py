@@ -1,4 +1,4 @@
-"""Commands that tune heaters: a wrong word is told and harms nothing; a dead sensor is not heated."""
+"""Commands that tune heaters: a wrong word is reported and harms nothing; a dead sensor is not heated."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ gcode: { action_respond_info("works with %s" % printer["induction_heater nozzle"
 """
 
 
-def test_a_nozzle_with_the_model_law_keeps_it_and_says_how_to_change_that(
+def test_a_nozzle_with_predictive_control_keeps_it_and_says_how_to_change_that(
     simulate: Simulate, tmp_path: Path
 ) -> None:
     status, text, _ = play(simulate, tmp_path, "PID_CALIBRATE HEATER=extruder TARGET=220\nLAW\n", LAW)

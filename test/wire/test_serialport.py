@@ -139,23 +139,23 @@ def test_board_is_identified_and_answers(board_path: str) -> None:
 
 
 @pytest.mark.parametrize("board_path", ["pty"], indirect=True)
-def test_messages_of_a_lot_wake_the_host_together(board_path: str) -> None:
+def test_messages_of_a_batch_wake_the_host_together(board_path: str) -> None:
     def body(reactor: Reactor, serial: serialhdl.SerialReader) -> None:
         serial.connect(board_path, 250000)
-        lots: list[list[int]] = []
+        batches: list[list[int]] = []
 
         def wait_for(count: int, seconds: float) -> int:
             end = reactor.monotonic() + seconds
-            while len(lots) < count and reactor.monotonic() < end:
+            while len(batches) < count and reactor.monotonic() < end:
                 reactor.pause(reactor.monotonic() + 0.01)
-            return len(lots)
+            return len(batches)
 
-        def expect(seconds: float, most: int) -> None:
+        def expect(seconds: float, batch_max: int) -> None:
             serial.register_batch(
-                lambda messages, count: lots.append([messages[i].data[2] for i in range(count)]),
+                lambda messages, count: batches.append([messages[i].data[2] for i in range(count)]),
                 "pong data=%*s",
                 seconds,
-                most,
+                batch_max,
             )
 
         expect(60.0, 2)
@@ -172,7 +172,10 @@ def test_messages_of_a_lot_wake_the_host_together(board_path: str) -> None:
         expect(0.0, 0)  # patience is over
         serial.send("ping data=05")
         wait_for(4, 1.0)
-        assert lots[:2] == [[1, 2], [3]] and [number for lot in lots[2:] for number in lot] == [4, 5]
+        assert batches[:2] == [[1, 2], [3]] and [number for batch in batches[2:] for number in batch] == [
+            4,
+            5,
+        ]
         with pytest.raises(msgproto.error, match="format mismatch"):
             serial.register_batch(lambda messages, count: None, "pong oid=%c")
 

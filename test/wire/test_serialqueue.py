@@ -26,7 +26,7 @@ def make_rig(
 
 
 def numbered(count: int, length: int = 8) -> list[bytes]:
-    """Commands of equal length that tell their number: none can be lost, doubled or swapped unnoticed."""
+    """Commands of equal length that carry their number: none can be lost, doubled or swapped unnoticed."""
     return [n.to_bytes(4, "big") + bytes(length - 4) for n in range(count)]
 
 
@@ -338,7 +338,7 @@ def test_late_acknowledgement_is_not_taken_for_one_of_a_whole_window() -> None:
     assert len(rig.mcu.executed) == 32
 
 
-def test_acknowledgements_lost_in_a_row_are_believed_after_the_next_retransmission() -> None:
+def test_acknowledgements_lost_in_a_row_are_accepted_after_the_next_retransmission() -> None:
     rig = make_rig()
     greet(rig)
     cq = rig.queue()
@@ -501,7 +501,7 @@ def test_batches_of_step_commands_are_fast_enough_for_files() -> None:
 # --- messages that may wait for the host ---
 
 
-def test_only_a_lot_waits_and_only_for_so_many_and_so_long() -> None:
+def test_only_a_batch_waits_and_only_for_so_many_and_so_long() -> None:
     ffi, lib = chelper.get_ffi()
     sq = ffi.gc(lib.serialqueue_alloc(0), lib.serialqueue_free)
     pulled = ffi.new("struct pull_message[]", 8)
@@ -512,7 +512,7 @@ def test_only_a_lot_waits_and_only_for_so_many_and_so_long() -> None:
         block = msgproto.encode_block(1, content)
         return lib.serialqueue_receive(sq, block, len(block), now), float(lib.serialqueue_host_due(sq))
 
-    def lot(now: float) -> list[bytes]:
+    def batch(now: float) -> list[bytes]:
         count = lib.serialqueue_pull_batch(sq, pulled, 8, now)
         return [ffi.buffer(pulled[i].data, pulled[i].len)[2:] for i in range(count)]
 
@@ -520,20 +520,20 @@ def test_only_a_lot_waits_and_only_for_so_many_and_so_long() -> None:
     assert lib.serialqueue_host_due(sq) == never
     assert receive(b"\x81\x05one", 7.0) == (0, soon)
     assert receive(b"\x81\x05two", 7.005) == (0, soon)
-    assert lot(7.005) == []
+    assert batch(7.005) == []
     assert receive(b"\x81\x05three", 7.010) == (3, 0.0)  # as many as may wait
-    assert lot(7.010) == [b"one", b"two", b"three"]
+    assert batch(7.010) == [b"one", b"two", b"three"]
     assert lib.serialqueue_host_due(sq) == never
     receive(b"\x81\x05late", 7.5)
-    assert lot(7.51) == [] and lot(7.52) == [b"late"]
+    assert batch(7.51) == [] and batch(7.52) == [b"late"]
     # another message is the host's at once, and leaves what waits where it is
     assert receive(b"\x81\x05still", 8.0)[0] == 0
     assert receive(b"\x81\x06", 8.0) == (1, 0.0)
     assert lib.serialqueue_pull(sq, pulled, 8) == 1
-    assert lot(8.0) == []
+    assert batch(8.0) == []
     lib.serialqueue_set_batch(sq, b"\x81\x05", 2, 0.015, 0)  # patience is over
     assert lib.serialqueue_host_due(sq) == 0.0
-    assert lot(8.0) == [b"still"]
+    assert batch(8.0) == [b"still"]
     assert receive(b"\x81\x05now", 9.0) == (1, 0.0)
     lib.serialqueue_reset(sq, 0)  # another connection: another firmware's ids
     assert lib.serialqueue_host_due(sq) == never

@@ -21,7 +21,7 @@ struct queue_message {
     uint8_t data[MESSAGE_DATA_MAX]; // VLQ message id, then the parameters
     uint64_t min_clock;             // MCU clock: not sent before it (a move queue slot comes free then); 0 = any time
     uint64_t req_clock;             // MCU clock: the MCU needs it by then; 0 = at once
-    uint64_t notify_id;             // non-zero: tell the host when the MCU has acknowledged it
+    uint64_t notify_id;             // non-zero: notify the host when the MCU has acknowledged it
 };
 
 struct queue_message *message_alloc(void); // everything zero except `data`; aborts the program when memory is out
@@ -36,7 +36,7 @@ uint8_t *vlq_encode(uint8_t *p, int64_t value);
 enum message_kind {
     MESSAGE_UNSIGNED = 'u', // modulo 2^32
     MESSAGE_SIGNED = 'i',   // the same, read as signed
-    MESSAGE_BUFFER = 's',   // a length of one byte, then so many; value: position of the first << 8 | length
+    MESSAGE_BUFFER = 's',   // a length of one byte, then the bytes; value: position of the first << 8 | length
 };
 enum { MESSAGE_CUT_NUMBER = -1, MESSAGE_CUT_BUFFER = -2 };
 

@@ -25,7 +25,7 @@ struct portthread {
     int wake_read, wake_write;
     pthread_t thread;
     atomic_int stopping, error;
-    int has_news; // maybe for the host, who has not been told yet
+    int has_news; // the host may have messages and is not notified yet
     uint8_t out[SERIALQUEUE_TRANSMIT_MIN]; // bytes the port has not taken yet
     int out_start, out_end;
 };
@@ -83,7 +83,7 @@ write_port(struct portthread *pt)
         if (n < 0) {
             if (errno != EAGAIN && errno != EINTR)
                 fail(pt, errno);
-            return next_wake; // poll() tells when there is room
+            return next_wake; // poll() returns when there is room
         }
         pt->out_start += (int)n;
     }

@@ -1,4 +1,4 @@
-// The host's side of a serialqueue: making it, filling its command queues, asking it. serialqueue_internal.h tells how
+// The host's side of a serialqueue: create it, fill its command queues, query it. serialqueue_internal.h explains how
 // the whole works.
 
 #include "serialqueue_internal.h"

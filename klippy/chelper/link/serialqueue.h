@@ -6,8 +6,8 @@
 //   serialqueue_send ──► command_queue ─┐
 //   serialqueue_send ──► command_queue ─┼─► draft block ─► unacked blocks ──► serialqueue_transmit ──► wire
 //   steppersync      ──► command_queue ─┘                      ▲ acks                                   │
-//   serialqueue_pull ◄── received messages ◄──┐                                                         │
-//   serialqueue_pull_batch ◄── those of a lot ◄─┴────────── serialqueue_receive ◄─────────────────────────┘
+//   serialqueue_pull ◄── received messages ◄────┐                                                       │
+//   serialqueue_pull_batch ◄── those of a batch ◄─┴────────── serialqueue_receive ◄───────────────────────┘
 //
 // Every function may be called from any thread; one mutex guards the whole. Times are seconds of the one host clock
 // that the port uses (CLOCK_MONOTONIC, or virtual time). Clocks are 64-bit MCU ticks.
@@ -56,10 +56,10 @@ int serialqueue_send(struct serialqueue *sq, struct command_queue *cq, const uin
 // or -1 (and queues none of the rest) at an impossible length.
 int serialqueue_send_batch(struct serialqueue *sq, struct command_queue *cq, struct queue_message *list);
 int serialqueue_pull(struct serialqueue *sq, struct pull_message *out, int max); // returns how many were taken
-// Messages that begin with these bytes (their id, 1..4 of them) are kept apart from the others, for serialqueue_pull_batch,
-// until there are `most` of them or the oldest has waited so long; most 0: none waits. id_len 0: there are none.
-void serialqueue_set_batch(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int most);
-// Takes what was kept apart, in order, if it is due by now; returns how many.
+// Messages that begin with these bytes (their id, 1..4 of them) wait for serialqueue_pull_batch, apart from the others,
+// until there are batch_max of them or the oldest is patience_s old. batch_max 0: none waits. id_len 0: no batches.
+void serialqueue_set_batch(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int batch_max);
+// Takes the waiting batch, in order, if it is due by now; returns how many messages.
 int serialqueue_pull_batch(struct serialqueue *sq, struct pull_message *out, int max, double now);
 // Host time `conv_time` is MCU clock `conv_clock`, and the MCU does `freq` ticks a second of host time.
 // freq 0 (the start): clocks unknown, everything is sent at once.

@@ -6,7 +6,7 @@
 //
 // Sending. Each command_queue is a first-in first-out. Among the queues whose head may be sent (min_clock reached) the
 // head that is needed first (req_clock) goes into the draft block. A draft becomes a block when it is full or when its
-// most urgent command is needed within LEAD_TIME_S; so a busy line carries full blocks and an idle one is prompt.
+// earliest command is needed within LEAD_TIME_S; so a busy line carries full blocks and an idle one is prompt.
 // Blocks stay in the window until acknowledged: at most WINDOW_BLOCKS, and at most receive_window bytes.
 //
 // Sequence numbers are kept as 64 bits; the wire carries the low four:
@@ -19,7 +19,7 @@
 // back), after one sync byte that ends whatever garbage its parser is in. Silence for the RTO does the same.
 //
 // Exactly once: a block is numbered once and never changes its content, and the MCU executes a number only when it is
-// the expected one. Only before the first answer may the numbering move (the MCU's first nak tells where it stands).
+// the expected one. Only before the first answer may the numbering move (the MCU's first nak says where it stands).
 
 
 #include <pthread.h>
@@ -30,7 +30,7 @@
 #include "serialqueue.h"
 
 enum {
-    WINDOW_BLOCKS = 12, // the most the 4-bit sequence leaves room for, with distance for late duplicates
+    WINDOW_BLOCKS = 12, // as many as the 4-bit sequence leaves room for, with distance for late duplicates
     WINDOW_SLOTS = 16,
     SURE_LEAP = 8, // an acknowledgement of more blocks at once may be an old one by 16 - that many
     NOTIFY_MAX = 8, // commands in one block that want to know of their acknowledgement
@@ -50,7 +50,7 @@ struct command_queue {
 struct content {
     uint8_t data[MESSAGE_CONTENT_MAX];
     int len;
-    uint64_t req_clock; // the most urgent one inside
+    uint64_t req_clock; // the earliest one inside
     uint64_t notify[NOTIFY_MAX];
     int notify_count, message_count;
 };
@@ -97,7 +97,7 @@ struct serialqueue {
     int last_empty;        // wire sequence of the last empty block, -1 before one
     uint64_t resent_from;  // ack_seq and send_seq of the last retransmission: their duplicates
     uint64_t resent_to;    //   are echoes of what was sent before it, no news
-    int doubted_seq;         // a leap not believed yet, -1: none
+    int doubted_seq;         // a leap not accepted yet, -1: none
     uint64_t doubted_resend; //   and how often we had sent again by then
     uint64_t resends;
     double progress_time;  // of the last acknowledgement that moved ack_seq
@@ -106,7 +106,7 @@ struct serialqueue {
     // receiving
     uint8_t rx[4 * MSGBLOCK_MAX];
     int rx_len;
-    struct rx_list received, lot; // for serialqueue_pull, serialqueue_pull_batch
+    struct rx_list received, batch; // for serialqueue_pull, serialqueue_pull_batch
     uint8_t batch_id[4];
     int batch_id_len, batch_max;
     double batch_patience_s;

@@ -12,7 +12,7 @@ deliver(struct serialqueue *sq, const struct pull_message *message)
     node->next = NULL;
     int apart = sq->batch_id_len && message->len >= sq->batch_id_len
                 && !memcmp(message->data, sq->batch_id, (size_t)sq->batch_id_len);
-    struct rx_list *list = apart ? &sq->lot : &sq->received;
+    struct rx_list *list = apart ? &sq->batch : &sq->received;
     if (list->first)
         list->last->next = node;
     else
@@ -64,9 +64,9 @@ take_numbering(struct serialqueue *sq, uint64_t expected)
     sq_go_back(sq);
 }
 
-// Four bits can not tell an acknowledgement of 9..12 blocks from a late one, 7..4 blocks old. Acknowledgements come
-// one for each block, so such a leap means that many were lost, or that the line reorders. Truth is repeated after the
-// next retransmission; a stray is not.
+// In four bits an acknowledgement of 9..12 blocks looks like a late one, 7..4 blocks old. Acknowledgements come
+// one for each block, so such a leap means that many were lost, or that the line reorders. A true one is repeated
+// after the next retransmission; a late one is not.
 static int
 is_doubtful(struct serialqueue *sq, int wire_seq, uint64_t ahead)
 {
@@ -157,13 +157,13 @@ parse_rx(struct serialqueue *sq, double now)
     memmove(sq->rx, sq->rx + pos, (size_t)sq->rx_len);
 }
 
-// When the lot is the host's: 0 at once, SERIALQUEUE_NEVER while it is empty.
+// When the host gets the batch: 0 at once, SERIALQUEUE_NEVER while it is empty.
 static double
 batch_due(const struct serialqueue *sq)
 {
-    if (!sq->lot.count)
+    if (!sq->batch.count)
         return SERIALQUEUE_NEVER;
-    return sq->lot.count >= sq->batch_max ? 0.0 : sq->lot.first->message.receive_time + sq->batch_patience_s;
+    return sq->batch.count >= sq->batch_max ? 0.0 : sq->batch.first->message.receive_time + sq->batch_patience_s;
 }
 
 int
@@ -180,18 +180,18 @@ serialqueue_receive(struct serialqueue *sq, const uint8_t *data, int len, double
         len -= part;
         parse_rx(sq, now);
     }
-    int waiting = sq->received.count + (batch_due(sq) <= now ? sq->lot.count : 0);
+    int waiting = sq->received.count + (batch_due(sq) <= now ? sq->batch.count : 0);
     pthread_mutex_unlock(&sq->lock);
     return waiting;
 }
 
 void
-serialqueue_set_batch(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int most)
+serialqueue_set_batch(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int batch_max)
 {
     pthread_mutex_lock(&sq->lock);
     sq->batch_id_len = id_len > 0 && id_len <= (int)sizeof(sq->batch_id) ? id_len : 0;
     memcpy(sq->batch_id, id, (size_t)sq->batch_id_len);
-    sq->batch_max = most;
+    sq->batch_max = batch_max;
     sq->batch_patience_s = patience_s;
     pthread_mutex_unlock(&sq->lock);
 }
@@ -232,7 +232,7 @@ int
 serialqueue_pull_batch(struct serialqueue *sq, struct pull_message *out, int max, double now)
 {
     pthread_mutex_lock(&sq->lock);
-    int count = batch_due(sq) <= now ? pull(&sq->lot, out, max) : 0;
+    int count = batch_due(sq) <= now ? pull(&sq->batch, out, max) : 0;
     pthread_mutex_unlock(&sq->lock);
     return count;
 }
@@ -252,6 +252,6 @@ void
 sq_drop_received(struct serialqueue *sq)
 {
     drop(&sq->received);
-    drop(&sq->lot);
+    drop(&sq->batch);
     sq->rx_len = 0;
 }

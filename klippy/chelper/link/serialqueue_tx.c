@@ -119,7 +119,7 @@ sq_file_append(struct serialqueue *sq, const struct queue_message *m)
     if (!content_takes(&sq->draft, m))
         sq_file_end_block(sq);
     content_append(&sq->draft, m);
-    sq->draft.notify_count = 0; // nobody will ever acknowledge
+    sq->draft.notify_count = 0; // no acknowledgement will come
 }
 
 static int

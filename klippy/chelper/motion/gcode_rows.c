@@ -114,10 +114,10 @@ queue_move(void *context, const double *target, double speed)
 }
 
 void
-gcode_destination(const struct gcode_modes *modes, const struct gcode_words *words, struct gcode_destination *aim)
+gcode_destination(const struct gcode_modes *modes, const struct gcode_words *words, struct gcode_destination *dest)
 {
     const double *last = modes->last;
-    double *target = aim->target;
+    double *target = dest->target;
     for (int i = 0; i < 4; i++) {
         target[i] = last[i];
         if (!(words->given >> i & 1))
@@ -126,33 +126,33 @@ gcode_destination(const struct gcode_modes *modes, const struct gcode_words *wor
         int absolute = modes->absolute_coord != 0. && (i != WORD_E || modes->absolute_extrude != 0.);
         target[i] = value + (absolute ? modes->base[i] : target[i]);
     }
-    aim->modal_speed = words->given >> WORD_F & 1 ? words->value[WORD_F] * MM_PER_MIN : modes->speed;
+    dest->modal_speed = words->given >> WORD_F & 1 ? words->value[WORD_F] * MM_PER_MIN : modes->speed;
     double factor = modes->speed_factor;
     if (modes->plan_speed_factor != 1. && target[3] > last[3] && (target[0] != last[0] || target[1] != last[1]))
         factor *= modes->plan_speed_factor;
-    aim->speed = aim->modal_speed * factor;
+    dest->speed = dest->modal_speed * factor;
 }
 
 /* Carry out one G0/G1; 0, with nothing changed, if that is for Python to do. */
 static int
 run_words(struct row_state *s, const struct gcode_words *words)
 {
-    struct gcode_destination aim;
-    gcode_destination(&s->modes, words, &aim);
-    const double *target = aim.target;
-    if (!(aim.modal_speed > 0.) || !(aim.speed >= MIN_SPEED_MM_S)
-        || !isfinite(target[0] + target[1] + target[2] + target[3] + aim.modal_speed))
+    struct gcode_destination dest;
+    gcode_destination(&s->modes, words, &dest);
+    const double *target = dest.target;
+    if (!(dest.modal_speed > 0.) || !(dest.speed >= MIN_SPEED_MM_S)
+        || !isfinite(target[0] + target[1] + target[2] + target[3] + dest.modal_speed))
         return 0;
     const struct row_state before = *s;
     const struct lookahead queue_before = *s->lookahead;
-    if (!path_move(s->path, target, aim.speed, queue_move, s)) {        /* perhaps after a part of it */
+    if (!path_move(s->path, target, dest.speed, queue_move, s)) {        /* perhaps after a part of it */
         *s = before;
         s->lookahead->next = queue_before.next;
         s->lookahead->until_review_s = queue_before.until_review_s;
         return 0;
     }
     memcpy(s->modes.last, target, sizeof(s->modes.last));
-    s->modes.speed = aim.modal_speed;
+    s->modes.speed = dest.modal_speed;
     return 1;
 }
 

@@ -3,9 +3,9 @@
 /*
  * Rows of plain G0/G1 lines: text -> modal state -> stages between G-code and toolhead -> checked moves -> look-ahead.
  *
- * Only what needs no one's attention is done here. A line that is written in an unusual way, leaves the machine's
- * box, breaks a limit or is no G0/G1 is left alone, whole, for Python, which reads any line, knows the error texts,
- * and for the rest calls the same functions (gcode_destination, path_stage.h, move.h). mm, mm/s, mm/s^2.
+ * Only plain lines are run here. A line that is written in an unusual way, leaves the machine's box, breaks a limit
+ * or is no G0/G1 is left whole for Python. Python reads any line, knows the error texts, and otherwise calls the
+ * same functions (gcode_destination, path_stage.h, move.h). mm, mm/s, mm/s^2.
  */
 #include "move.h"
 #include "path_stage.h"
@@ -39,7 +39,7 @@ struct row_state {
     struct lookahead *lookahead;
 };
 
-void gcode_destination(const struct gcode_modes *modes, const struct gcode_words *words, struct gcode_destination *aim);
+void gcode_destination(const struct gcode_modes *modes, const struct gcode_words *words, struct gcode_destination *dest);
 /* Runs lines of text[0..len) from the front, until one is left to Python, no whole line remains, or planning is
  * due. Returns how many characters are done with; always ends behind a line end. */
 int rows_run(struct row_state *state, const char *text, int len);

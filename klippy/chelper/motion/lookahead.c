@@ -12,7 +12,7 @@ enum { INITIAL_CAPACITY = 256 };
 #define ANGLE_EPSILON 1e-9
 
 static double
-least(double a, double b)
+lesser(double a, double b)
 {
     return b < a ? b : a;
 }
@@ -77,8 +77,8 @@ lookahead_reset(struct lookahead *la)
  *
  * Next to a move of the extruder alone the head stands still: 0.
  *
- * A circle is laid into the corner, touching both lines, and run at the speed whose centripetal acceleration is
- * allowed: v^2 = a*R. With theta the angle between the lines (pi: straight on),
+ * A circle in the corner touches both lines. It is run at the speed whose centripetal acceleration is allowed:
+ * v^2 = a*R. With theta the angle between the lines (pi: straight on),
  *   - the circle that comes within junction_deviation of the corner has R = dev * s/(1-s), s = sin(theta/2);
  *   - the circle that touches the lines half a move away from the corner has R = d/2 * tan(theta/2). */
 static double
@@ -96,21 +96,21 @@ corner_v2(const struct lookahead_move *prev, const struct lookahead_move *move)
     double sin_half = sqrt(half);
     double tangent_v2 = .5 * sin_half / sqrt(1. - half);        /* per mm and unit acceleration */
     double deviation_v2 = sin_half / (1. - sin_half);
-    return least(
-        deviation_v2 * least(move->junction_deviation * move->accel, prev->junction_deviation * prev->accel),
-        tangent_v2 * least(move->move_d * move->accel, prev->move_d * prev->accel));
+    return lesser(
+        deviation_v2 * lesser(move->junction_deviation * move->accel, prev->junction_deviation * prev->accel),
+        tangent_v2 * lesser(move->move_d * move->accel, prev->move_d * prev->accel));
 }
 
 /* Set the highest entry speed of `move` after `prev`. */
 static void
 follow(struct lookahead_move *move, const struct lookahead_move *prev, double extruder_v2)
 {
-    double limit = least(prev->max_cruise_v2, move->max_cruise_v2);
-    limit = least(limit, prev->max_start_v2 + prev->delta_v2);
-    limit = least(limit, extruder_v2);
-    limit = least(limit, corner_v2(prev, move));
+    double limit = lesser(prev->max_cruise_v2, move->max_cruise_v2);
+    limit = lesser(limit, prev->max_start_v2 + prev->delta_v2);
+    limit = lesser(limit, extruder_v2);
+    limit = lesser(limit, corner_v2(prev, move));
     move->max_start_v2 = limit;
-    move->max_smoothed_v2 = least(limit, prev->max_smoothed_v2 + prev->smooth_delta_v2);
+    move->max_smoothed_v2 = lesser(limit, prev->max_smoothed_v2 + prev->smooth_delta_v2);
 }
 
 int
@@ -152,8 +152,8 @@ speed_profiles(struct lookahead *la, int count)
     la->entry[count] = la->smoothed[count] = 0.;
     for (int i = count - 1; i >= 0; i--) {
         const struct lookahead_move *m = lookahead_move_at(la, la->first + i);
-        la->entry[i] = v2 = least(v2 + m->delta_v2, m->max_start_v2);
-        la->smoothed[i] = s2 = least(s2 + m->smooth_delta_v2, m->max_smoothed_v2);
+        la->entry[i] = v2 = lesser(v2 + m->delta_v2, m->max_start_v2);
+        la->smoothed[i] = s2 = lesser(s2 + m->smooth_delta_v2, m->max_smoothed_v2);
     }
 }
 
@@ -177,8 +177,8 @@ static void
 run_downhill(struct lookahead *la, int first, int last, double cap)
 {
     for (int i = first; i <= last; i++) {
-        cap = least(cap, la->entry[i]);
-        set_speeds(lookahead_move_at(la, la->first + i), cap, cap, least(la->entry[i + 1], cap));
+        cap = lesser(cap, la->entry[i]);
+        set_speeds(lookahead_move_at(la, la->first + i), cap, cap, lesser(la->entry[i + 1], cap));
     }
 }
 
@@ -201,14 +201,14 @@ lookahead_plan(struct lookahead *la, int lazy)
             continue;
         }
         if (falling_end >= 0 || smoothed[i] + m->smooth_delta_v2 > smoothed[i + 1]) {
-            top_v2 = least(m->max_cruise_v2, .5 * (smoothed[i] + reachable));
+            top_v2 = lesser(m->max_cruise_v2, .5 * (smoothed[i] + reachable));
             if (falling_end >= 0)
                 run_downhill(la, i + 1, falling_end, top_v2);
             falling_end = -1;
         }
         double start_v2 = entry[i], end_v2 = entry[i + 1];
-        double cruise_v2 = least(least(.5 * (start_v2 + end_v2 + m->delta_v2), m->max_cruise_v2), top_v2);
-        set_speeds(m, least(start_v2, cruise_v2), cruise_v2, least(end_v2, cruise_v2));
+        double cruise_v2 = lesser(lesser(.5 * (start_v2 + end_v2 + m->delta_v2), m->max_cruise_v2), top_v2);
+        set_speeds(m, lesser(start_v2, cruise_v2), cruise_v2, lesser(end_v2, cruise_v2));
     }
     return count;
 }
@@ -230,7 +230,7 @@ lookahead_commit(struct lookahead *la, int count, double print_time, struct trap
                          m->start_pos[0], m->start_pos[1], m->start_pos[2],
                          m->axes_r[0], m->axes_r[1], m->axes_r[2], m->start_v, m->cruise_v, m->accel);
         if (m->axes_d[3] != 0. && extruder_tq) {
-            /* pressure advance acts where filament is laid down along a line */
+            /* pressure advance acts where filament is deposited along a line */
             int advances = m->axes_r[3] > 0. && (m->axes_d[0] != 0. || m->axes_d[1] != 0.);
             trapq_append(extruder_tq, print_time, m->accel_t, m->cruise_t, m->decel_t,
                          *filament_pos, 0., 0., m->axes_r[3], advances, 0., m->start_v, m->cruise_v, m->accel);

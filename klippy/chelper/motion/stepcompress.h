@@ -13,7 +13,7 @@
  *     low(k) <= I + A*x <= high(k)
  *
  * so a command is a straight line stabbing a row of vertical gates, and the best command is the one that
- * stabs the most. The slopes that can pass gates 1..n form an interval that only shrinks with n; the search
+ * stabs as many as possible. The slopes that can pass gates 1..n form an interval that only shrinks with n; the search
  * (fit_command) runs a line until a gate stops it, learns from that gate and the earlier ones which slopes
  * remain, and tries again in the middle, until no whole number is left. It ends at the true optimum in
  * typically two or three runs.

@@ -124,7 +124,7 @@ class BedMesh:
     # -- taking a mesh --
 
     def _fade_for(self, surface: surface_fit.Surface) -> surface_fit.Fade:
-        """Raises MeshError if the surface is too uneven for the way in which it shall fade."""
+        """The fade by the options. Raises MeshError if the surface is too uneven for it."""
         options = self.options
         if options.fade_end <= options.fade_start:
             return surface_fit.Fade()
@@ -145,7 +145,7 @@ class BedMesh:
         return fade
 
     def use(self, mesh: Profile | None, name: str) -> None:
-        """Follow a mesh from now on; None: none. Raises command_error; then all stays as it was."""
+        """Follow a mesh from now on; None: none. Raises command_error and changes nothing then."""
         surface, fade = None, surface_fit.Fade()
         if mesh is not None:
             surface = mesh.shape.surface(mesh.rows)
@@ -160,7 +160,7 @@ class BedMesh:
         self.printer.lookup_object("gcode_move").reset_last_position()
 
     def _set_out(self) -> None:
-        """Tell the surface how it is followed."""
+        """Pass the surface how it is followed."""
         if self.surface is not None:
             options = self.options
             self.surface.follow(self.fade, self.shift, options.check_distance, options.split_delta_z)
@@ -200,7 +200,7 @@ class BedMesh:
     # -- probing --
 
     def _object_corners(self) -> list[tuple[float, float]]:
-        """Corners of all objects the slicer has told of."""
+        """Corners of all objects the slicer has defined."""
         exclude = self.printer.lookup_object("exclude_object", None)
         objects = exclude.get_status(0.0)["objects"] if exclude is not None else []
         return [(float(x), float(y)) for known in objects for x, y in known.get("polygon", ())]

@@ -18,7 +18,7 @@ _REGION = re.compile(r"faulty_region_(\d+)_(min|max)")
 
 @dataclass(frozen=True, slots=True)
 class MeshOptions:
-    """[bed_mesh] as far as it is not the shape; mm."""
+    """[bed_mesh] without the shape of the mesh; mm."""
 
     faulty: tuple[Region, ...]
     zero_reference: tuple[float, float] | None

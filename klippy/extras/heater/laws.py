@@ -23,8 +23,8 @@ TWO_PERIOD_BUSY_C = 5.0  # its cycle does not come nearer
 MAX_DELTA_MAX_C = 50.0  # with more a watermark heater counts as arrived before it has begun
 
 # What a model controller of an ordinary heater wants: a small deviation is run down within seconds.
-MODEL_FADE_LAGS = 2.0  # of all the lags
-MODEL_MIN_FADE_S = 1.0
+MODEL_TAU_LAGS = 2.0  # of all the lags
+MODEL_TAU_MIN_S = 1.0
 MODEL_SIGMA_C = 0.1
 MODEL_GAP_S = 10.0
 MODEL_GAIN_START = 0.05  # the calibration knows the drive about so well
@@ -193,7 +193,7 @@ def model_parameters(values: dict[str, float], max_power: float) -> ModelParamet
         melt_ua_w_k=values["model_melt_w_per_k"],
         hold_s=0.3,
         horizon_s=max(1.0, 1.5 * lags_s),
-        fade_s=max(MODEL_MIN_FADE_S, MODEL_FADE_LAGS * lags_s),
+        tau_s=max(MODEL_TAU_MIN_S, MODEL_TAU_LAGS * lags_s),
         delay_s=MODEL_DELAY_S,
         sigma_c=MODEL_SIGMA_C,
         disturbance_w=MODEL_DISTURBANCE_SHARE * power_w,

@@ -96,16 +96,16 @@ class OnOffHeater(Heater):
     ) -> None:
         super().__init__(printer, settings, sensor, law, unit)
         self.unit = unit
-        self._told = (-math.inf, 0.0)  # (print time, target) of the last set_onoff
+        self._sent = (-math.inf, 0.0)  # (print time, target) of the last set_onoff
 
     def _act(self, read_time_s: float, temp_c: float, target_c: float) -> None:
         self.law.decide(read_time_s, temp_c, target_c)
-        self._tell(read_time_s, target_c)
+        self._send(read_time_s, target_c)
 
-    def _tell(self, time_s: float, target_c: float) -> None:
-        due = target_c > 0.0 and time_s >= self._told[0] + RENEW_S
-        if (due or target_c != self._told[1]) and not self._stopped:
-            self._told = time_s, target_c
+    def _send(self, time_s: float, target_c: float) -> None:
+        due = target_c > 0.0 and time_s >= self._sent[0] + RENEW_S
+        if (due or target_c != self._sent[1]) and not self._stopped:
+            self._sent = time_s, target_c
             self.unit.send(target_c, self.min_temp, self.max_temp)
         self._duty = self.unit.power
 

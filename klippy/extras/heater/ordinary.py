@@ -26,7 +26,6 @@ MAX_HEAT_TIME_S = 3.0  # the MCU turns the pin off after this long without a com
 PWM_HOLD_S = 2.0  # small PWM changes are held back this long, well inside MAX_HEAT_TIME_S
 PWM_HOLD_DELTA = 0.05  # "small"
 QUELL_STALE_S = 5.0  # a reading older than this no longer counts as the temperature
-AMBIENT_C = 25.0  # starting point of the smoothed value before the first reading
 
 
 class AnySensor(Protocol):
@@ -209,12 +208,12 @@ class Heater:
         """(smoothed temperature, target) in degC; (0, target) if readings have stopped."""
         now_s = self.pwm.get_mcu().estimated_print_time(eventtime)
         if self._read_s < now_s - QUELL_STALE_S:
-            return 0.0, self._aim_c
-        return self._smoothed_c, self._aim_c
+            return 0.0, self._shown_target_c
+        return self._smoothed_c, self._shown_target_c
 
     @property
-    def _aim_c(self) -> float:
-        """What verify_heater and people are to expect: a calibration's target while one runs."""
+    def _shown_target_c(self) -> float:
+        """The target for verify_heater and the status: a calibration's while one runs."""
         return self._target_c if self._run is None else self._run.target_c
 
     def check_busy(self, eventtime: float) -> bool:
@@ -248,7 +247,7 @@ class Heater:
     def get_status(self, eventtime: float) -> dict[str, Any]:
         return {
             "temperature": round(self._smoothed_c, 2),
-            "target": self._aim_c,
+            "target": self._shown_target_c,
             "power": self._duty,
         }
 

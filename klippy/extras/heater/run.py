@@ -100,7 +100,7 @@ class Runner:
         self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
 
     def wait(self) -> None:
-        """Until the calibration is over and fitted."""
+        """Wait until the calibration is over and fitted."""
         eventtime = self._reactor.monotonic()
         while self.active and not self.printer.is_shutdown():
             eventtime = self._reactor.pause(eventtime + WAIT_S)

@@ -29,7 +29,7 @@ class InductionDump:
         self._rows: list[tuple[Any, ...]] = []
         self._file: TextIO | None = None
         self._writer: Any = None
-        self._until_s = 0.0
+        self._from_s, self._until_s = 0.0, 0.0
         self._timer: Any = None
 
     def register(self) -> None:
@@ -58,7 +58,7 @@ class InductionDump:
         )
         if self._clients and len(self._rows) < ROWS_HELD_MAX:
             self._rows.append(row)
-        if self._file is not None:
+        if self._file is not None and block.time_s >= self._from_s:  # not the batch that was under way
             self._write(row, centre_s)
 
     def _listen(self) -> None:
@@ -106,7 +106,8 @@ class InductionDump:
         except output_file.OutputError as e:
             raise gcmd.error(f"INDUCTION_DUMP: {e}") from None
         self._writer = csv.writer(self._file)
-        self._until_s = self.heater.now_s() + duration_s
+        self._from_s = self.heater.now_s()
+        self._until_s = self._from_s + duration_s
         gcmd.respond_info(f"Writing {duration_s:.1f} s of raw blocks to {self._file.name}")
         self._write(HEADER, 0.0)
         self._listen()

@@ -24,6 +24,7 @@ from thermal.sensing import (
 from ..heater import laws as heater_laws
 from .mcu import UnitSettings
 
+LOOK_SAMPLES, LONG_LOOK_SAMPLES = 16, 64
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
 GUARD_LOW_C = -60.0  # below any workshop by more than the law's error
 ADC_MAX_12_BIT = 4095
@@ -102,7 +103,16 @@ def _timing(config: ConfigWrapper, unit: UnitSettings) -> loop.Timing:
     )
 
 
-def _drive(config: ConfigWrapper, timing: loop.Timing, frequency_hz: float) -> actuator.ActuatorParameters:
+def look_times_s(unit: UnitSettings) -> tuple[float, float]:
+    """(Short, long) look at the sensing phase: settling, and a block cut as short as the MCU sends; 0: too long."""
+    smallest = unit.block_samples // 16 + 4
+    if smallest > LONG_LOOK_SAMPLES:
+        return 0.0, 0.0
+    short, long = (unit.settle_samples + max(smallest, n) for n in (LOOK_SAMPLES, LONG_LOOK_SAMPLES))
+    return short / unit.frequency_hz, long / unit.frequency_hz
+
+
+def _drive(config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings) -> actuator.ActuatorParameters:
     vdc_v = config.getfloat("vdc", 24.0, above=0.0)
     law = DriveLaw(
         config.getfloat("power_full_w", 81.3, above=0.0),
@@ -110,13 +120,16 @@ def _drive(config: ConfigWrapper, timing: loop.Timing, frequency_hz: float) -> a
         vdc_v,
         config.getfloat("vdc_reference", 24.0, above=0.0),
     )
-    pulse_s = timing.block_s + timing.settle_s + SETTLE_MARGIN_SAMPLES / frequency_hz
+    pulse_s = timing.block_s + timing.settle_s + SETTLE_MARGIN_SAMPLES / unit.frequency_hz
+    look_s, long_look_s = look_times_s(unit)
     return actuator.ActuatorParameters(
         law,
         pulse_s,
         config.getfloat("sense_interval", 0.100, minval=2.0 * pulse_s, maxval=1.0),
         config.getfloat("idle_interval", 0.500, minval=2.0 * pulse_s, maxval=1.0),
         pulses_max=max(2, math.ceil(timing.control_s / pulse_s) + 1),
+        look_s=look_s,
+        long_look_s=long_look_s,
     )
 
 
@@ -247,7 +260,7 @@ def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParam
     temp_low_c = config.getfloat("min_temp", -10.0, minval=-20.0)
     temp_high_c = config.getfloat("max_temp", above=max(temp_low_c, 0.0), maxval=700.0)
     timing = _timing(config, unit)
-    drive = _drive(config, timing, unit.frequency_hz)
+    drive = _drive(config, timing, unit)
     loss = _loss(config)
     heat = heat_loss.HeatCapacity(config.getfloat("heat_capacity_j_per_k", 0.414, above=0.0))
     balance = _heat_balance(config, heat, loss)

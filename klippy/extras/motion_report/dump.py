@@ -15,13 +15,12 @@ from roles import Printer
 
 PERIOD_S = 0.25
 RECORDS_MAX = 1024  # records in one message; more follow in the next ones at once
-NO_END_CLOCK = 2**63
 
 Rows = dict[str, Any] | None
 
 
 class Stream:
-    """One source of messages and its clients. `read()` gives what is new since the last call, None if nothing."""
+    """One source of messages and its clients. `read()` gives the news since the last call, None if there is none."""
 
     def __init__(
         self, printer: Printer, header: tuple[str, ...], start: Callable[[], None], read: Callable[[], Rows]

@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import chelper
+from kinematics.carriages import solve
 
 Matrix = list[list[float]]
 # Polynomials through more points than this swing between them (Runge); Klipper's limit.
@@ -20,26 +21,6 @@ BICUBIC_MIN = 4
 
 
 # ---- planes ----------------------------------------------------------------------------------------------------
-
-
-def solve(rows: Sequence[Sequence[float]], right: Sequence[float]) -> list[float]:
-    """Solution of a square system by elimination with pivots; ValueError if there is none."""
-    size = len(right)
-    work = [[*row, value] for row, value in zip(rows, right, strict=True)]
-    scale = max((abs(v) for row in rows for v in row), default=0.0)
-    for column in range(size):
-        pivot = max(range(column, size), key=lambda r: abs(work[r][column]))
-        if abs(work[pivot][column]) <= 1e-12 * scale:
-            raise ValueError("the points determine no surface")
-        work[column], work[pivot] = work[pivot], work[column]
-        for row in range(column + 1, size):
-            share = work[row][column] / work[column][column]
-            work[row] = [a - share * b for a, b in zip(work[row], work[column], strict=True)]
-    found = [0.0] * size
-    for row in reversed(range(size)):
-        known = sum(work[row][k] * found[k] for k in range(row + 1, size))
-        found[row] = (work[row][size] - known) / work[row][row]
-    return found
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +61,7 @@ def fit_plane(points: Sequence[Sequence[float]], heights: Sequence[float]) -> Pl
     xz = sum((p[0] - mean_x) * (h - mean_z) for p, h in zip(points, heights, strict=True))
     yz = sum((p[1] - mean_y) * (h - mean_z) for p, h in zip(points, heights, strict=True))
     if not on_a_line(points):
-        slope_x, slope_y = solve(((xx, xy), (xy, yy)), (xz, yz))
+        slope_x, slope_y = solve(((xx, xy), (xy, yy)), (xz, yz), 1e-12 * (xx + yy))
     elif xx + yy > 0.0:
         # with t the place along the line: sum t*t is xx + yy, and (xz, yz) is sum t*z in the direction of the line
         slope_x, slope_y = xz / (xx + yy), yz / (xx + yy)
@@ -101,7 +82,7 @@ def fit_twisted(
         u, v = (x - mid_x) / size, (y - mid_y) / size
         return 1.0, u, v, u * v
 
-    factors = solve([terms(p[0], p[1]) for p in points], heights)
+    factors = solve([terms(p[0], p[1]) for p in points], heights, 1e-12)
     return lambda x, y: sum(f * t for f, t in zip(factors, terms(x, y), strict=True))
 
 

@@ -154,7 +154,7 @@ class ProbeEvents:
             self._mcu_probe.multi_probe_end()
 
     def _on_error(self) -> None:
-        """Whatever was under way has failed; a probe that cannot be brought back now is told, no more."""
+        """Whatever was under way has failed; a probe that cannot be brought back now is only reported."""
         try:
             self._rails_end(None, ())
         except self._printer.command_error as e:

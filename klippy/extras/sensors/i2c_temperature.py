@@ -34,7 +34,7 @@ class Reading:
     pressure_hpa: float | None = None
 
 
-Pause = Callable[[float], None]  # for so many seconds
+Pause = Callable[[float], None]  # argument: seconds
 
 
 class Device(Protocol):
@@ -371,6 +371,6 @@ TYPES: dict[str, Callable[[Any], I2cTemperature]] = {
 
 
 def register_builtin(heaters: Any) -> None:
-    """Tell the registry the types of this file."""
+    """Register the types of this file."""
     for name, build in TYPES.items():
         heaters.add_sensor_factory(name, build)

@@ -1,7 +1,7 @@
 """Which sensor types exist: the files with built-in ones, and the sections that define more.
 
-A sensor file has `register_builtin(heaters)`, which tells the registry (heaters.add_sensor_factory) its types by the
-names used in `sensor_type:`. A section of CUSTOM_SECTIONS, e.g. [thermistor NAME], makes NAME a type.
+A sensor file has `register_builtin(heaters)`, which registers its types (heaters.add_sensor_factory) by the names used
+in `sensor_type:`. A section of CUSTOM_SECTIONS, e.g. [thermistor NAME], makes NAME a type.
 """
 
 from __future__ import annotations
@@ -33,6 +33,6 @@ BUILTIN: tuple[Callable[[Any], None], ...] = (
 
 
 def register_builtin(heaters: Any) -> None:
-    """Tell the registry every built-in type."""
+    """Register every built-in type."""
     for register in BUILTIN:
         register(heaters)

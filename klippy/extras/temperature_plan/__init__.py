@@ -27,8 +27,8 @@ from .settings import HEADROOM_C, Settings, nozzle_limits, read_settings
 
 __all__ = ["Settings", "TemperaturePlanner", "load_config", "nozzle_limits", "read_settings", "report_line"]
 
-WORK_S = 1.0  # how often it is looked, at least
-SOON_S = 0.05  # and at most, but for new motion
+WORK_S = 1.0  # longest interval of the timer
+SOON_S = 0.05  # and the shortest, except for new motion
 
 
 class TemperaturePlanner(PathEvents):
@@ -63,7 +63,7 @@ class TemperaturePlanner(PathEvents):
         self.heater.planner = self
 
     def _check_table(self) -> None:
-        """Can the heater make what is asked for by name? The melt is never hotter than the nozzle."""
+        """Can the heater make the requested temperatures? The melt is never hotter than the nozzle."""
         low_c, high_c = self.min_extrude_c, self.heater.max_temp - HEADROOM_C
         for option, place, temp_c in self.settings.table.entries():
             if not low_c <= temp_c <= high_c:
@@ -74,12 +74,12 @@ class TemperaturePlanner(PathEvents):
                 )
 
     def renew(self) -> None:
-        """The heater works with other numbers: plan with them. What is being deposited keeps the ones before."""
+        """The heater has new parameters: plan with them. A print in progress keeps the old ones."""
         if self.session.plan.summary().pieces == 0 and not self.is_on_path():
             self._begin()
 
     def _begin(self) -> None:
-        """An empty bed."""
+        """Begin a plan for an empty bed."""
         limits = nozzle_limits(self.settings, self.heater.parameters, self.min_extrude_c)
         self.session.begin(limits, self.heater.now_s() if self.session.lead.reference is not None else 0.0)
         self._has_reported = False
@@ -148,7 +148,7 @@ class TemperaturePlanner(PathEvents):
         return eventtime + max(SOON_S, min(WORK_S, turn.next_s - now_s))
 
     def _give(self, turn: Turn, now_s: float) -> None:
-        """What the plan has come to, to the heater."""
+        """Pass the turn's result to the heater."""
         if turn.reference is not None:
             self.heater.loop.set_reference(turn.reference, now_s)
         if turn.released:
@@ -160,11 +160,11 @@ class TemperaturePlanner(PathEvents):
         return reference is not None and self.heater.loop.reference is reference
 
     def user_target_c(self) -> float:
-        """What M104/M109 asked for, on which the plan lies."""
+        """The target of M104/M109, on which the plan lies."""
         return self.session.target.base_c if self.heater.loop.state.target_c else 0.0
 
     def take_target(self, target_c: float) -> bool:
-        """The user's M104; True: path is under way, and the plan has taken it."""
+        """The user's M104. True: a path is under way, and the plan has taken the target."""
         if not self.enabled or not self.is_on_path():
             return False
         now_s = self.heater.now_s()
@@ -176,7 +176,7 @@ class TemperaturePlanner(PathEvents):
     # The record
 
     def _write_rows(self) -> None:
-        """What has been deposited since, to the file."""
+        """Write to the file what has been deposited since the last call."""
         rows = self.session.take_rows()
         if self._rows is not None:
             try:
@@ -185,7 +185,7 @@ class TemperaturePlanner(PathEvents):
                 self._close_record(e)
 
     def _close_record(self, problem: OSError | None = None) -> None:
-        """The file is over. A full disk ends the record, not the print."""
+        """Close the file. A full disk ends the record, not the print."""
         stream, self._record, self._rows = self._record, None, None
         self.session.keeps_rows = False
         if stream is None:
@@ -200,14 +200,14 @@ class TemperaturePlanner(PathEvents):
     # The print
 
     def _begin_print(self) -> None:
-        """Before the first line of the file: what that asks for counts already."""
+        """Before the first line of the file, so that its requests count."""
         self._settle()
         self._begin()
         self.session.forget_requests()
         self._printing = True
 
     def _watch_print(self, now_s: float) -> None:
-        """A print is over when what was queued at the end of its file is deposited."""
+        """A print is over when all moves queued at the end of its file are deposited."""
         over = self._printing and self._print_stats.state not in ("printing", "paused")
         if over and now_s > self.session.lead.end_s and not self.session.path.facts().waiting:
             self._settle()
@@ -215,7 +215,7 @@ class TemperaturePlanner(PathEvents):
             self.set_speed(1.0)
 
     def _settle(self) -> None:
-        """Of this print, if there is one."""
+        """Record and report the rest of a print, if there is one."""
         if not self._printing:
             return
         self._printing = False

@@ -1,7 +1,7 @@
-"""What a printer tells a session of the temperature plan: comments, objects, requests, moves, the bed.
+"""What a printer reports to a session of the temperature plan: comments, objects, requests, moves, the bed.
 
-The look-ahead calls with moves whose times are known; they are only copied then. Who owns the session decides when to
-work on it: [temperature_plan] in a timer, simulation/plan_offline.py as the file is read.
+The look-ahead calls with moves whose times are known; they are only copied then. The session's owner decides when to
+process them: [temperature_plan] in a timer, simulation/plan_offline.py as the file is read.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class PathEvents:
     # For who owns the session
 
     def on_due(self) -> None:
-        """So much new motion has come that it is worth another plan."""
+        """Enough new motion has come for another plan."""
 
     def on_speed(self, speed: LayerSpeed) -> None:
         """Hot layers get this speed from now on."""
@@ -70,7 +70,7 @@ class PathEvents:
     # Names of places, as the G-code comes by
 
     def _mark(self, state: requests.Requests) -> None:
-        """`state` holds from the end of what is queued now."""
+        """`state` holds from the end of the moves queued now."""
         session = self.session
         if not self.enabled or not self._is_listening:
             session.requested.state = state
@@ -126,7 +126,7 @@ class PathEvents:
             self.on_due()
 
     def watch_bed(self, eventtime: float) -> None:
-        """The bed's target, or while it has none what was known before."""
+        """Pass the bed's target to the session; without a target the last one holds."""
         bed_c = self._bed.get_status(eventtime)["target"] if self._bed is not None else 0.0
         if bed_c > 0.0:
             self.session.set_bed(bed_c)
@@ -141,7 +141,7 @@ class PathEvents:
                 self._toolhead.dwell(pause_s)
 
     def choose_speed(self) -> LayerSpeed:
-        """What comes now is as fast as the layer below it bears."""
+        """Set the speed of the next layer to what the layer below allows."""
         speed = self.session.choose_speed()
         self.set_speed(speed.factor)
         self.on_speed(speed)

@@ -19,7 +19,7 @@ from thermal.plan.session import PlanSettings
 
 FOLLOW_MM = 60000.0  # a fair part of a print: the weld is held where the user's own target has it on average
 HEADROOM_C = 5.0  # the nozzle passes its reference by a degree or two, and at max_temp the printer shuts down
-SLOWEST = 0.2  # of the file's speed; slicers go down to a tenth for their least time of a layer
+SLOWEST = 0.2  # of the file's speed; slicers go down to a tenth for their minimum layer time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,7 +50,7 @@ def _read(config: ConfigWrapper, option: str, reader: Callable[[str], Any]) -> A
 
 
 def _table(config: ConfigWrapper, material: Material) -> requests.RequestTable:
-    """All that is asked for by name. The window would clamp what lies outside it, and the user never know."""
+    """The temperatures requested by name. The material's window would silently clamp those outside it."""
     table = requests.RequestTable(
         {requests.feature_name(k): v for k, v in _read(config, "features", requests.read_names).items()},
         {k.upper(): v for k, v in _read(config, "objects", requests.read_names).items()},
@@ -69,7 +69,7 @@ def _table(config: ConfigWrapper, material: Material) -> requests.RequestTable:
 
 
 def _record(config: ConfigWrapper) -> str | None:
-    """A file that can be written, as far as can be told without making it."""
+    """A file that can be written, as far as can be checked without making it."""
     text = config.get("record", None)
     if text is None:
         return None

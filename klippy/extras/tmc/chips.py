@@ -1,4 +1,4 @@
-"""What tells Trinamic's stepper drivers apart, as tables: registers, fields, options and their defaults, stalls.
+"""In what Trinamic's stepper drivers differ, as tables: registers, fields, options and their defaults, stalls.
 
 Addresses and fields of all five chips were compared, bit by bit, with the vendor's headers (Analog Devices' TMC-API);
 the masks found there are the data of test/unit/bus/test_tmc_vendor.py, with their commits. Not in those headers, by the
@@ -84,7 +84,7 @@ FLAGS = ("multistep_filt", "pwm_autograd", "pwm_autoscale")  # options that are 
 
 @dataclass(frozen=True, slots=True)
 class Stall:
-    """How homing without a switch works on a chip: fields while homing, and those of the pin that tells a stall."""
+    """How homing without a switch works on a chip: fields while homing, and those of the pin that signals a stall."""
 
     homing: Mapping[str, int]
     pins: Mapping[str, str]  # option → field that puts the stall on that pin ("": it always is)

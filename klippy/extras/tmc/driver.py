@@ -1,8 +1,8 @@
 """A Trinamic stepper driver with registers: currents, thresholds, its faults, its phase, StallGuard as an endstop.
 
-What tells the kinds apart is in chips.py and current.py; how to reach the registers in uart.py and
+In what the kinds differ is in chips.py and current.py; how to reach the registers in uart.py and
 spi.py. At start-up all registers are written. `tmcXXXX_STEPPER:virtual_endstop` is a pin for endstop_pin: while
-homing, the driver works in the mode its StallGuard needs and tells a stall on its DIAG pin.
+homing, the driver works in the mode its StallGuard needs and signals a stall on its DIAG pin.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ class StepperDriver:
         self.values.set("intpol", int(config.getboolean("interpolate", True)))
 
     def _read_diag_pin(self, config: ConfigWrapper) -> str | None:
-        """The pin that tells a stall, if there is one."""
+        """The pin that signals a stall, if there is one."""
         if self.chip.stall is None:
             return None
         for option, field in self.chip.stall.pins.items():

@@ -74,14 +74,14 @@ class RegisterLink:
         self.mcu = self.chain.mcu
 
     def read(self, register: int) -> int:
-        """Value of a register; what comes may be of another chip or of none: nobody can tell."""
+        """Value of a register. Whether it comes from this chip cannot be checked."""
         ask = bytes([register, 0, 0, 0, 0])
         with self.chain.mutex:
             answer = self.chain.exchange(self.position, ask, ask)
         return int.from_bytes(answer[1:], "big")
 
     def write(self, register: int, value: int) -> None:
-        """Set a register, and make sure that the driver has understood: it sends back what was written."""
+        """Set a register, and check that the driver sends back the value written."""
         data = value.to_bytes(4, "big")
         with self.chain.mutex:
             for _ in range(TRIES):

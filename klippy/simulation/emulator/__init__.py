@@ -74,7 +74,7 @@ class Emulator:
             raise WorldError(f"This chip has no '{what}' to break.")
 
     def peek(self, what: str) -> int:
-        """A register as it stands."""
+        """The value of a register."""
         value = self._ffi.new("uint32_t *")
         if self._call("emulator_peek", what.encode(), value):
             raise WorldError(f"This chip shows no '{what}' now.")
@@ -88,7 +88,7 @@ class Emulator:
         return recording
 
     def profile(self, function: str) -> int:
-        """Instructions executed in one function of the image so far, without what it calls."""
+        """Instructions executed in one function of the image so far, without the functions it calls."""
         count = int(self._call("emulator_profile", function.encode()))
         if count < 0:
             raise WorldError(f"The image has no function '{function}'.")

@@ -279,7 +279,7 @@ static void on_interrupt(uc_engine *uc, uint32_t number, void *user)
 
 /* ---- running -------------------------------------------------------------------------------------- */
 
-/* Run unicorn until something wants attention. */
+/* Run unicorn until a hook stops it. */
 static void run_processor(void)
 {
     core.wants_stop = 0;

@@ -378,7 +378,7 @@ static uint32_t scb_read(uint32_t offset)
         if (offset >= SHPR1 && offset <= SHPR3)
             return shpr_read(offset);
         if (offset >= 0xd40 && offset < 0xd80)
-            return 0; /* identification registers nobody reads for more than curiosity */
+            return 0; /* identification registers, which no firmware needs */
         fault("a read of the system control space at 0xe000e%03x, which is not modelled", offset);
         return 0;
     }

@@ -41,9 +41,7 @@ CHUNK_ROWS = 50_000  # 5 MB as float64: keeps the peak of reading small
 
 SETTLED_BAND_C = 3.0  # the accuracy promised while printing
 SETTLED_HOLD_S = 2.0
-EXTRUDING_FLOW_MM3_S = (
-    0.02  # a 0.1 mm line 0.05 mm high at 4 mm/s; below that nothing useful is deposited down
-)
+EXTRUDING_FLOW_MM3_S = 0.02  # a 0.1 mm line 0.05 mm high at 4 mm/s; below that nothing useful is deposited
 MOVING_MM_S = 0.5
 LAYER_STEP_MM = 0.04  # thinner layers than this are not printed with a 0.4 mm nozzle
 LAYER_MIN_S = 0.1
@@ -91,7 +89,7 @@ class Layer:
 
 @dataclass(frozen=True, slots=True)
 class Envelope:
-    """A series thinned to buckets of rows: each bucket keeps its least and its greatest value."""
+    """A series thinned to buckets of rows: each bucket keeps its lowest and its greatest value."""
 
     t_s: Times
     low: Floats
@@ -142,7 +140,7 @@ def _chunks(f: TextIO, usecols: Sequence[int]) -> Iterator[tuple[Times, Floats]]
 
 
 def extruding(trace: Trace) -> Mask:
-    """Rows in which plastic is deposited down: flow, and the nozzle moving over the part."""
+    """Rows in which plastic is deposited: flow, and the nozzle moving over the part."""
     dt = np.maximum(np.diff(trace.t_s), 1e-9)
     speed = np.hypot(np.diff(trace.x_mm), np.diff(trace.y_mm)) / dt
     moving = np.concatenate(([False], speed > MOVING_MM_S))

@@ -44,7 +44,7 @@ def figures(plan: OfflinePlan, material: Material, plain: Summary | None = None)
         "cold_share": round(totals.cold_share, 4),
         "hot_share": round(totals.hot_share, 4),
         "min_speed_factor": round(min((move.speed_factor for move in plan.moves), default=1.0), 3),
-        "pauses_s": round(sum(change.speed_factor.pause_s for change in plan.speed_changes), 1),
+        "pauses_s": round(sum(change.speed.pause_s for change in plan.speed_changes), 1),
     }
 
 

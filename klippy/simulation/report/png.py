@@ -122,7 +122,7 @@ def _draw_plain(axes: Axes, trace: Trace, values: Floats, column: str, label: st
 
 def _draw_layers(axes: Axes, layers: Sequence[Layer]) -> None:
     _style(axes, "true − target, °C")
-    axes.set_title("By layer, extruding moves: mean, least and greatest", fontsize=11, loc="left")
+    axes.set_title("By layer, extruding moves: mean, min and max", fontsize=11, loc="left")
     axes.set_xlabel("layer")
     if not layers:
         return

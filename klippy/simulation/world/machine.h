@@ -7,8 +7,8 @@
  *   axes ──► place of the probe ──► bed's surface ──► probe pin; control pin ──► a BLTouch's pin
  *   a thermocouple on the nozzle's skin, for calibrating: gain and lag, amplifier ──► reference pin
  *
- * Times are world seconds. Everything here is told about pins in the order of time per MCU; machine_tick() once
- * a millisecond brings duties, flow and temperatures up to date.
+ * Times are world seconds. The pins of one MCU report here in the order of time. machine_tick() once a millisecond
+ * brings duties, flow and temperatures up to date.
  */
 #ifndef FERRITE_MACHINE_H
 #define FERRITE_MACHINE_H
@@ -38,8 +38,8 @@ struct machine_pin {
     uint8_t level;  /* last written */
 };
 
-/* A motor and the carriage it is named after. On most machines one moves the other; on a core machine the carriage goes
- * by a mix of its own motor's way and a partner's. */
+/* A motor and the carriage it is named after. Usually one moves the other; on a core machine the carriage goes by a
+ * mix of its own motor's way and a partner's. */
 struct axis {
     struct world_axis_options options;
     int64_t step;               /* of the motor; 0 at the start */

@@ -4,7 +4,7 @@
 #include <math.h>
 
 /* A BLTouch takes commands as widths of pulses (ANTCLABS: angles of a hobby servo, 10 degrees are 103 us; a width within
- * 40 us of a command's is taken for it). A touch is told by a pulse, and the pin springs back. */
+ * 40 us of a command's is taken for it). A touch is reported by a pulse, and the pin springs back. */
 static const double COMMAND_SLACK_S = 40e-6, TOUCH_PULSE_S = 0.010;
 static const double SIGNAL_GAP_S = 0.030; /* after a longer pause between pulses (20 ms) the command is a new one */
 static const double DOWN_S = 647e-6, TOUCH_MODE_S = 1163e-6, UP_S = 1472e-6, SELF_TEST_S = 1781e-6, RESET_S = 2194e-6;
@@ -79,7 +79,7 @@ uint8_t probe_level(const struct machine *m, struct probe *p, double now_s)
         closed = is_touching(m, p);
     } else {
         int touching = p->pin_out && is_touching(m, p);
-        if (touching && !p->touch_mode) { /* the touch is told, and the pin springs back */
+        if (touching && !p->touch_mode) { /* the touch is reported, and the pin springs back */
             p->pin_out = 0;
             p->pulse_end_s = now_s + TOUCH_PULSE_S;
         }

@@ -1,4 +1,4 @@
-/* The world's loop and its construction; README.md in this folder is the theory of operation. */
+/* The world's loop and its construction; ../README.md is the theory of operation. */
 #include "world_internal.h"
 
 #include <dlfcn.h>

@@ -1,4 +1,4 @@
-# The simulated world: plants, machine, links and the loop that owns time (see README.md in this folder).
+# The simulated world: plants, machine, links and the loop that owns time (see ../README.md).
 # Gives SIM_TARGETS its share; the firmware's part, libferrite_mcu.so, has its rule in src/build.mk.
 
 WORLD_DIR     := klippy/simulation/world
@@ -26,3 +26,5 @@ $(WORLD_LIB): $(WORLD_OBJECTS)
 	@mv $@.new $@
 
 -include $(WORLD_OBJECTS:.o=.d)
+# Sources that lay there before 0.2.0: what was built from them is built anew.
+src/simulator/%.c: ;

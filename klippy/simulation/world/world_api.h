@@ -1,7 +1,7 @@
 /* The simulated world as its owner (Python, or a test) sees it.
  *
  * Read by a C compiler and, with the lines that begin with '#' left out, by cffi: declarations
- * only, no macros. README.md in this folder tells who owns time and in which order things happen.
+ * only, no macros. ../README.md says who owns time and in which order things happen.
  *
  * Units: seconds, mm, degrees Celsius. `now` is world time; it begins at the `start_s` given to world_new().
  * Functions returning int give an index or 0 on success, -1 on failure with the reason in world_error().
@@ -109,7 +109,7 @@ double world_now(const struct world *w);
 /* Building the machine; all of it before the first world_advance(). */
 int world_add_mcu(struct world *w, const char *library, double clock_hz, double clock_ppm,
                   const struct world_link_options *link);
-/* What the chip's own sensor feels; 25 degC unless told, at any time. */
+/* Temperature of the chip's own sensor, 25 degC at first; may be set at any time. */
 int world_set_chip_temperature(struct world *w, int mcu, double temp_c);
 /* The image an emulator runs (klippy/simulation/emulator/emulator.h); once, before the first world_advance(). */
 int world_load_image(struct world *w, int mcu, const char *image);
@@ -132,7 +132,7 @@ void world_set_nozzle_parameter(struct world *w, int nozzle, int index, double v
 void world_set_load_parameter(struct world *w, int load, int index, double value);
 
 /* The parameters of a nozzle (table 0) and of a load (table 1): 0 when index is past the end.
- * values: preset reference or hotend, preset strong or bed, least, most. */
+ * values: preset reference or hotend, preset strong or bed, min, max. */
 int world_parameter(int table, int index, const char **name, const char **unit, const char **doc, double *values);
 
 /* Host side of a link: a serial queue (addresses of serialqueue, serialqueue_receive and
@@ -143,10 +143,10 @@ void world_feed(struct world *w, int mcu, const uint8_t *data, uint32_t length);
 uint32_t world_drain(struct world *w, int mcu, uint8_t *data, uint32_t capacity);
 
 /* Let time pass up to `until_s`. Returns a bit per MCU (1 << index) whose host queue holds messages;
- * when any is set `now` may be earlier than asked for. */
+ * when any is set `now` may be earlier than `until_s`. */
 uint32_t world_advance(struct world *w, double until_s);
 
-/* 1 if the model of an emulated chip has objected to what its firmware did: that MCU stands still, and world_error() tells
+/* 1 if the model of an emulated chip has objected to what its firmware did: that MCU stands still, and world_error() says
  * why. */
 int world_failed(const struct world *w);
 /* Address of a function of the library of one MCU, 0 if it has none of that name. */

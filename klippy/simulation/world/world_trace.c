@@ -1,7 +1,7 @@
 /* What is written down while time passes: CSV rows and the heater's figures, at one fixed rate.
  *
  * Row n holds the state at n * period; the heater traced is the first nozzle, or without one the first load that is not a bed.
- * Host-side values (targets, estimate) are whatever world_set_channel() was told last.
+ * Host-side values (targets, estimate) are those of the last world_set_channel().
  */
 #include "world_internal.h"
 
@@ -9,7 +9,7 @@
 #include <string.h>
 
 static const double BAND_C = 3.0;           /* "settled": the accuracy promised for printing */
-static const double SETTLE_S = 2.0;         /* in band so long without a break */
+static const double SETTLE_S = 2.0;         /* time in band without a break */
 static const double OVERSHOOT_SPAN_S = 15.0;
 static const double TARGET_CHANGE_C = 0.05; /* smaller moves of the target are no new task */
 static const double TARGET_OFF_C = 1.0;

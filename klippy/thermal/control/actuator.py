@@ -33,6 +33,8 @@ class ActuatorParameters:
     )
     phase_low_ticks: int = SENSING_PHASE_TICKS
     pulses_max: int = 2  # in one piece: as many as fill the time until the next command
+    look_s: float = 0.0  # a look at the sensing phase within a strong drive; 0: none ...
+    long_look_s: float = 0.0  # ... and one that is taken rarely
 
     @property
     def power_low_w(self) -> float:
@@ -52,4 +54,6 @@ class ActuatorParameters:
             "idle_interval_s": self.idle_interval_s,
             "phase_low_ticks": self.phase_low_ticks,
             "pulses_max": self.pulses_max,
+            "look_s": self.look_s,
+            "long_look_s": self.long_look_s,
         }

@@ -124,7 +124,7 @@ at_phase(const struct actuator_params *p, double time_s, int64_t phase)
 void
 actuator_reset(struct actuator_state *s)
 {
-    *s = (struct actuator_state){.last_s = -INFINITY, .last_excited_s = -INFINITY};
+    *s = (struct actuator_state){.last_s = -INFINITY, .last_excited_s = -INFINITY, .look_s = -INFINITY};
 }
 
 // Add the request of the interval that ends now. Continuous drive delivers what is requested.
@@ -184,6 +184,30 @@ actuator_ahead(const struct actuator_params *p, const struct model_planned *hori
     return (int)(last - out);
 }
 
+int
+actuator_look(const struct actuator_params *p, struct actuator_state *s, double rate_k_s, double doubt_c,
+              struct phase_command *commands, int count)
+{
+    struct phase_command first = commands[0];
+    if (!(pow(first.phase_ticks / p->phase_max_ticks, 2.0) >= LOOK_SHARE) || p->look_s == 0.0)
+        return count;
+    double apart_s = lesser(LOOK_MAX_S, greater(LOOK_MIN_S, LOOK_C / greater(1e-3, rate_k_s)));
+    double since_s = first.time_s - s->look_s;
+    if (0.0 < since_s && since_s < (doubt_c > LOOK_DOUBT_C ? 0.0 : apart_s))
+        return count;
+    s->look_s = first.time_s;
+    struct phase_command after = first, rest[PLAN_MAX];
+    after.time_s += apart_s >= LOOK_RARE_S ? p->long_look_s : p->look_s;
+    memcpy(rest, commands + 1, (count - 1) * sizeof(*rest));
+    commands[0] = (struct phase_command){first.time_s, p->phase_low_ticks, p->power_low_w};
+    commands[1] = after;
+    int made = 2;
+    for (int i = 0; i < count - 1; i++)
+        if (rest[i].time_s > after.time_s)
+            commands[made++] = rest[i];
+    return made;
+}
+
 double
 bridge_slot(const struct bridge_params *p, const struct timeline *t, double now_s, double apart_s)
 {
@@ -236,7 +260,14 @@ bridge_command(const struct bridge_params *p, struct bridge_state *s, const stru
     int count = actuator_act(&p->actuator, &s->actuator, power_w, at_s, is_on, idle, out);
     if (count == 1)
         count += actuator_ahead(&p->actuator, r->horizon, horizon, out);
+    struct phase_command head = out[0];
+    if (count && p->drive) {
+        double heat_j_k = p->heat_25c_j_k * (1.0 + p->heat_slope_per_k * (r->estimate_c - 25.0));
+        count = actuator_look(&p->actuator, &s->actuator, power_w / heat_j_k, sqrt(p->drive->variance), out, count);
+    }
     timeline_note(&s->line, out, count, r->now_s);
+    if (count)
+        s->line.head = head;
     return count;
 }
 
@@ -257,7 +288,7 @@ bridge_step(const struct bridge_params *p, struct bridge_state *s, const struct 
     };
     inputs.pending_count = timeline_pending(&s->line, since_s - TIME_SLACK_S, apply_s - TIME_SLACK_S, pending);
     model_step(law, before, &inputs, after, found);
-    struct bridge_request request = {in->now_s, in->apart_s, in->target_c, found->value, in->estimate_s,
+    struct bridge_request request = {in->now_s, in->apart_s, in->target_c, found->value, in->estimate_s, in->estimate_c,
                                      found->horizon, found->horizon_count};
     return bridge_command(p, s, &request, out);
 }

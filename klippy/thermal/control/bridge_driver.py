@@ -33,8 +33,8 @@ PULSE_DELAY_S = (
 )
 PROMPT_S = 0.005  # to the MCU, when it matters more that a command comes soon than that it comes in time
 RESEND_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
-PLAN_MAX = 65  # commands of one step, as in bridge.h
-_INPUTS = struct.Struct("=5di4x")  # head of struct bridge_inputs
+PLAN_MAX = 66  # commands of one step, as in bridge.h
+_INPUTS = struct.Struct("=6di4x")  # head of struct bridge_inputs
 _new_request = partial(tuple.__new__, PowerRequest)
 
 
@@ -56,9 +56,13 @@ class BridgeDriver:
             "prompt_s": PROMPT_S,
             "resend_w": RESEND_SHARE * parameters.control.power_max_w,
             "pulse_delay_s": PULSE_DELAY_S,
+            "heat_25c_j_k": parameters.filter.heat.at_25c_j_k,
+            "heat_slope_per_k": parameters.filter.heat.slope_per_k,
             "plans": self.PLANS,
         }
         self._packed = self._ffi.new("struct bridge_params *", packed)
+        if parameters.supervise.calibrated:
+            self._packed.drive = self._ffi.addressof(chain.state, "drive")
         self._commands = self._ffi.new("struct phase_command[]", PLAN_MAX)
 
     def step(
@@ -101,6 +105,7 @@ class BridgeDriver:
         horizon = self._ffi.new("struct model_planned[]", state.horizon)
         request = self._ffi.new("struct bridge_request *", (now_s, apart_s, state.target_c))
         request.power_w, request.estimate_s = state.request.power_w, state.estimate.time_s
+        request.estimate_c = state.estimate.temp_c
         request.horizon, request.horizon_count = horizon, len(state.horizon)
         count = self._lib.bridge_command(self._packed, state.bridge.raw, request, self._commands)
         return commands_of(self._commands, count)
@@ -195,6 +200,7 @@ class PredictiveDriver(BridgeDriver):
             state.target_c,
             self._limit_now_w(),
             state.estimate.time_s,
+            state.estimate.temp_c,
             samples.size,
         )
         inputs.samples = samples.raw

@@ -13,7 +13,7 @@ from thermal.sensing.heat_balance_monitor import TwoNodeLoss
 
 from .timeline import Timing
 
-FADE_S = 0.045  # five control intervals: noise of the estimate is not chased
+TAU_S = 0.045  # five control intervals: noise of the estimate is not chased
 FAN_W_K = 5e-3
 FLOW_LAG_S = 0.020  # compliance between motor and nozzle
 # Plan this far ahead. The output of a step holds from 15 to 23 ms after it; the next step is up to 25 ms later, 50 if
@@ -60,7 +60,7 @@ def nozzle_model(
         bore_s=melt.bore_lag_s,
         flow_s=FLOW_LAG_S,
         hold_s=stride_s,
-        fade_s=FADE_S,
+        tau_s=TAU_S,
         delay_s=timing.lead_s,
         ahead=round(AHEAD_S / stride_s),
         disturbance_w=DISTURBANCE_W,

@@ -25,7 +25,7 @@ wanted_after(const struct model_params *p, const struct model_inputs *in, double
              double remaining)
 {
     double now_c = wanted_c(in, time_s), then_c = wanted_c(in, time_s + dt_s);
-    return then_c - lesser(p->knee_c, greater(-p->knee_c, now_c - temp_c)) * remaining;
+    return then_c - lesser(p->band_c, greater(-p->band_c, now_c - temp_c)) * remaining;
 }
 
 // The nodes after `dt_s` of one output. Surroundings are taken at the middle of each piece.
@@ -67,10 +67,10 @@ static double
 choose(struct future *f, double full)
 {
     const struct model_params *p = f->p;
-    double target_c = wanted_after(p, f->in, f->nodes.temp_c, f->time_s, p->aim_s, p->fade);
+    double target_c = wanted_after(p, f->in, f->nodes.temp_c, f->time_s, p->prediction_s, p->remaining);
     f->without = f->reached = f->nodes;
-    run_on(f, &f->without, 0.0, f->time_s, p->aim_s);
-    run_on(f, &f->reached, full, f->time_s, p->aim_s);
+    run_on(f, &f->without, 0.0, f->time_s, p->prediction_s);
+    run_on(f, &f->reached, full, f->time_s, p->prediction_s);
     double reach_c = f->reached.temp_c - f->without.temp_c;
     return reach_c > 1e-9 ? full * (target_c - f->without.temp_c) / reach_c : 0.0;
 }
@@ -90,7 +90,7 @@ is_unchanging(const struct future *f)
 {
     const struct model_params *p = f->p;
     const struct model_inputs *in = f->in;
-    double now_s = f->time_s, end_s = now_s + (p->ahead + 1) * p->aim_s, now_c = wanted_c(in, now_s);
+    double now_s = f->time_s, end_s = now_s + (p->ahead + 1) * p->prediction_s, now_c = wanted_c(in, now_s);
     if (fabs(now_c - f->nodes.temp_c) >= SETTLED_C)
         return 0;
     if (in->reference) {
@@ -119,12 +119,12 @@ static double
 plan_stride(struct future *f, const struct model_nodes *added, double output, double strides)
 {
     const struct model_params *p = f->p;
-    double reach_c = greater(added->temp_c, 1e-12), dt_s = strides * p->aim_s;
-    double remaining = strides > 1.0 ? p->fade * p->fade : p->fade;
+    double reach_c = greater(added->temp_c, 1e-12), dt_s = strides * p->prediction_s;
+    double remaining = strides > 1.0 ? p->remaining * p->remaining : p->remaining;
     double target_c = wanted_after(p, f->in, f->nodes.temp_c, f->time_s, dt_s, remaining);
     hold(f, output, dt_s);
     double wanted = output + (target_c - f->nodes.temp_c) / (strides * reach_c);
-    double change = limited(p, f->in, wanted, output, p->aim_s) - output;
+    double change = limited(p, f->in, wanted, output, p->prediction_s) - output;
     if (change)
         model_nodes_add(&f->nodes, change * strides, added);
     return output + change;
@@ -138,7 +138,7 @@ plan(struct future *f, double first, struct model_output *out)
     const struct model_params *p = f->p;
     double full = p->output_high, output = first, said = first;
     struct model_nodes added = model_nodes_per(&f->reached, &f->without, full);
-    hold(f, output, p->aim_s);
+    hold(f, output, p->prediction_s);
     int doubles = p->ahead > SINGLE_STEPS - 1 ? (p->ahead - SINGLE_STEPS + 1) / 2 : 0;
     for (int i = 0; i < p->ahead - doubles; i++) {
         double start_s = f->time_s;

@@ -1,6 +1,6 @@
 """Reading calibration recordings: CSV text -> Points for fit_sensing.py.
 
-Two kinds of file, told apart by their header:
+Two kinds of file, recognised by their header:
 
     power_pct,temp_c,error              a finished table such as Table 1 of Sensors 2021, 21(7), 2561
     t_s,temp_ref_c,error,phase_ticks    a recorded sweep: heating runs at fixed powers with a reference sensor

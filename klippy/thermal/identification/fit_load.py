@@ -8,8 +8,8 @@ The model is model_plant's own, run open loop from the first row with the record
     nozzle     heat capacity, loss factor, factor of the second mass (the paths' ratios are the reference nozzle's),
                and from further steps with extrusion the exchange with the melt (fit_melt.py)
 
-The two lags of an ordinary heater (element, sensor) are told apart by nothing but their order: the longer one is
-given to the element, which is taken as ELEMENT_SHARE of the heat. 1 sigma is the jackknife's, and a share for the
+The two lags of an ordinary heater (element, sensor) differ only in their order: the longer one is assigned to the
+element, which is taken as ELEMENT_SHARE of the heat. 1 sigma is the jackknife's, and a share for the
 shape of the model. The segment from `validate` on is kept from the fit; a fit that does not predict it is refused.
 """
 
@@ -43,7 +43,7 @@ ELEMENT_SHARE = 0.2
 COLUMNS = Row._fields
 HELD_OUT = ("validate", "coast")
 MIN_ROWS = 30
-DOUBT = 0.30  # relative 1 sigma of heat or loss beyond which a run told nothing
+DOUBT = 0.30  # relative 1 sigma of heat or loss beyond which a run determines nothing
 VALID_C, VALID_SHARE = (
     1.0,
     0.012,
@@ -56,7 +56,7 @@ FIT_STEP_S = 0.1  # of the integration
 # too heavy, the same in every part of the run. Half of that as 1 sigma of any number.
 FORM_SHARE = 0.01
 FILAMENT_SHARE, INLET_C = 0.1, 3.0  # 1 sigma of the heat of a volume of filament, and of where it enters
-UNREPORTED = 0.5  # a number in more doubt than this is not told
+UNREPORTED = 0.5  # parameters with a relative 1 sigma above this are not reported
 FLAT_C = 0.01  # rms that the readings move with a number (per e-fold): less is not seen
 
 
@@ -200,7 +200,7 @@ def _sigma(jacobian: Any, residual: Any) -> Any:
 
 
 def _unreported(ua_w_k: float, rows: Sequence[Row]) -> float:
-    """Relative 1 sigma of an exchange told at one flow: it rests on a heat and an inlet of the filament taken as given.
+    """Relative 1 sigma of an exchange found at one flow: the filament's heat and inlet temperature are assumed.
 
     heat = c f (1 - exp(-x)) (T - Tin), x = UA/(c f): filament that leaves as hot as the metal (x of 3 and more) takes
     the same heat whatever UA is.
@@ -219,7 +219,7 @@ def _unreported(ua_w_k: float, rows: Sequence[Row]) -> float:
 
 
 def fit_rows(rows: list[Row], power_w: float, ambient_c: float, is_nozzle: bool) -> LoadFit:
-    """Fit and validation. Raises LoadFitError when the run did not tell, or the model does not hold."""
+    """Fit and validation. Raises LoadFitError when the run determines too little, or the model does not hold."""
     # the row that ended the run belongs to no stage
     rows = [row for row in thin(rows) if row.stage in STAGES or row.stage.startswith(MELT)]
     train = [r for r in rows if r.stage not in HELD_OUT]
@@ -240,10 +240,10 @@ def fit_rows(rows: list[Row], power_w: float, ambient_c: float, is_nozzle: bool)
             lambda x: ordinary_model(names, x, power_w, ambient_c),
         )
     measured = np.array([r.temp_c for r in rows])
-    told = np.array([not r.stage.startswith(MELT) for r in rows])
+    fitted = np.array([not r.stage.startswith(MELT) for r in rows])
     count = len(train)
     found = optimize.least_squares(
-        lambda x: (predict(build(x), train) - measured[:count])[told[:count]],
+        lambda x: (predict(build(x), train) - measured[:count])[fitted[:count]],
         start,
         bounds=(np.array(start) - 3.5, np.array(start) + 3.5),
         diff_step=1e-3,
@@ -251,7 +251,7 @@ def fit_rows(rows: list[Row], power_w: float, ambient_c: float, is_nozzle: bool)
     )
     error = predict(build(found.x), rows) - measured
     rise_k = float(measured.max()) - ambient_c
-    shown, check = error[:count][told[:count]], error[count:]
+    shown, check = error[:count][fitted[:count]], error[count:]
     sigma = _sigma(found.jac, shown)
     if STEPS["flow"] in names:
         at = names.index(STEPS["flow"])
@@ -287,7 +287,7 @@ def _judge(fit: LoadFit, names: Sequence[str]) -> None:
     for name in names[:2]:
         if fit.sigma[name] > DOUBT * fit.values[name]:
             raise LoadFitError(
-                f"the run does not tell {name}: {fit.values[name]:.3g} +- {fit.sigma[name]:.2g}"
+                f"the run does not determine {name}: {fit.values[name]:.3g} +- {fit.sigma[name]:.2g}"
             )
 
 
@@ -338,7 +338,7 @@ def report(fit: LoadFit) -> list[str]:
         + (
             f"+- {fit.doubt(k):.2g}"
             if math.isfinite(fit.sigma[k])
-            else "(the run does not tell: any like it will do)"
+            else "(not determined by the run: any such value will do)"
         )
         for k, v in fit.values.items()
     ]
@@ -363,11 +363,11 @@ def main(argv: list[str] | None = None) -> int:
     except (LoadFitError, fit_melt.MeltFitError, OSError, ValueError) as error:
         print(f"fit_load: {error}", file=sys.stderr)
         return 2
-    tuning, told = options(fit, chosen.power, chosen.ambient, chosen.nozzle), report(fit)
+    tuning, lines = options(fit, chosen.power, chosen.ambient, chosen.nozzle), report(fit)
     if melt is not None:
         tuning |= fit_melt.options(melt)
-        told += fit_melt.report(melt)
-    print(json.dumps({"options": tuning, "values": fit.values, "sigma": fit.sigma, "report": told}))
+        lines += fit_melt.report(melt)
+    print(json.dumps({"options": tuning, "values": fit.values, "sigma": fit.sigma, "report": lines}))
     return 0
 
 

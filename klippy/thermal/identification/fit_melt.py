@@ -1,15 +1,15 @@
 """What the melt takes from an induction nozzle, from held steps at several flows. Offline code: numpy, scipy.
 
-The nozzle's own numbers are known by then (fit_load.py), and its temperature is measured all the time. What is put in
+The nozzle's own numbers are known by then (fit_load.py), and its temperature is always measured. Heat that is put in
 and is neither stored in the metal nor lost went into the filament:
 
     r(t) = integral of (P - loss(T, T2)) dt - H(T)        its slope over a step is the heat of the melt, W
     dT2/dt = (link (T - T2) - second (T2 - Ta))/C2        second mass, from the measured T since the cold start
     slope  = h(f) (T - Tin) + d loss(T, T2)               h(f) = c f (1 - exp(-UA/(c f)))
 
-Slow steps tell c, the heat of a volume of filament; fast ones UA, the exchange in the bore; two temperatures tell Tin,
-the temperature at which the filament enters; steps without flow tell d, by how much the losses differ from those found
-before. A wrong scale of the power changes c and UA alike, and how hot the melt leaves only depends on UA/(c f).
+Slow steps determine c, the heat of a volume of filament; fast ones UA, the exchange in the bore. Two temperatures give
+Tin, at which the filament enters; steps without flow give d, the change of the losses from those found before.
+A wrong scale of the power changes c and UA alike, and how hot the melt leaves only depends on UA/(c f).
 One step is kept from the fit; a fit that does not predict its heat is refused.
 """
 
@@ -41,13 +41,13 @@ LOSS_SHARE = 0.02  # 1 sigma of d before the run
 INLET_C = 15.0  # 1 sigma of the filament's temperature about the room's before the run
 MIN_HEAT = 0.25  # of what any filament takes: less is none
 LIMIT_W, LIMIT_SHARE = 0.05, 0.03  # the kept step's heat is predicted within this, or this share of it
-DOUBT = 0.06  # relative 1 sigma of UA/c beyond which the run told nothing
+DOUBT = 0.06  # relative 1 sigma of UA/c beyond which the run determines nothing
 RANGES = {"c": (0.5, 6.0), "ua": (0.003, 0.3)}  # MJ/m3K, W/K: no filament, no nozzle beyond
 START = MeltExchange()
 
 
 class MeltFitError(ValueError):
-    """The steps do not tell the exchange; the text is for people."""
+    """The steps do not determine the exchange; the text is for people."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +84,10 @@ def _second_c(time_s: Any, temp_c: Any, loss: TwoNodeLoss) -> Any:
     out = np.empty_like(temp_c)
     second_c = temp_c[0]
     total = loss.link_w_k + loss.second_w_k
-    fades = np.exp(-np.diff(time_s, prepend=time_s[0]) * total / loss.second_j_k)
+    decays = np.exp(-np.diff(time_s, prepend=time_s[0]) * total / loss.second_j_k)
     rest = (loss.link_w_k * temp_c + loss.second_w_k * loss.ambient_c) / total
-    for i, (fade, rest_c) in enumerate(zip(fades.tolist(), rest.tolist(), strict=True)):
-        second_c = rest_c + (second_c - rest_c) * fade
+    for i, (decay, rest_c) in enumerate(zip(decays.tolist(), rest.tolist(), strict=True)):
+        second_c = rest_c + (second_c - rest_c) * decay
         out[i] = second_c
     return out
 
@@ -152,13 +152,13 @@ def expected_w(exchange: MeltExchange, loss_share: float, held: Held) -> float:
 
 def fit_held(held: Sequence[Held], ambient_c: float) -> MeltFit:
     """The exchange from all steps but the proof. Raises MeltFitError."""
-    told = [h for h in held if h.stage != MELT_PROOF]
-    _check_filament(told, ambient_c)
-    weight = [1.0 / math.hypot(NOISE_W, SHAPE_SHARE * h.heat_w) for h in told]
+    fitted = [h for h in held if h.stage != MELT_PROOF]
+    _check_filament(fitted, ambient_c)
+    weight = [1.0 / math.hypot(NOISE_W, SHAPE_SHARE * h.heat_w) for h in fitted]
 
     def residual(x: Any) -> Any:
         exchange = _exchange(x)
-        errors = [w * (h.heat_w - expected_w(exchange, x[3], h)) for w, h in zip(weight, told, strict=True)]
+        errors = [w * (h.heat_w - expected_w(exchange, x[3], h)) for w, h in zip(weight, fitted, strict=True)]
         return np.array([*errors, (x[2] - ambient_c) / INLET_C, x[3] / LOSS_SHARE])
 
     start = [math.log(START.heat_mj_m3k), math.log(START.ua_w_k), ambient_c, 0.0]
@@ -175,10 +175,10 @@ def fit_held(held: Sequence[Held], ambient_c: float) -> MeltFit:
     return fit
 
 
-def _check_filament(told: Sequence[Held], ambient_c: float) -> None:
+def _check_filament(held: Sequence[Held], ambient_c: float) -> None:
     """Is there any filament? A quarter of the reference exchange is a wider band than filaments and nozzles make."""
-    still = [h.heat_w for h in told if h.flow_mm3_s <= 0.0]
-    moving = [h for h in told if h.flow_mm3_s > 0.0]
+    still = [h.heat_w for h in held if h.flow_mm3_s <= 0.0]
+    moving = [h for h in held if h.flow_mm3_s > 0.0]
     if len({round(h.flow_mm3_s, 2) for h in moving}) < 2 or not still:
         raise MeltFitError("two flows at least are needed, and a step without: the extruder did not move")
     fast = max(moving, key=lambda h: h.flow_mm3_s)
@@ -203,8 +203,8 @@ def _judge(fit: MeltFit) -> None:
             )
     if fit.sigma["ratio"] > DOUBT:
         raise MeltFitError(
-            f"the flows are too slow to tell the exchange ({100.0 * fit.sigma['ratio']:.0f} % in doubt): give a higher"
-            " FLOW"
+            f"the flows are too slow to determine the exchange ({100.0 * fit.sigma['ratio']:.0f} % in doubt): give a"
+            " higher FLOW"
         )
     for name, value in (("c", fit.exchange.heat_mj_m3k), ("ua", fit.exchange.ua_w_k)):
         low, high = RANGES[name]

@@ -14,8 +14,8 @@ power fraction:
     tank  error = g*psi + c + d*exp(-m*p),  tan(psi) = ((T - t0)*S(u) + delta)/w
 
 `tank` is the phase of the LCL tank's coil current, its inductance linear in T and saturating with the field
-(laws.py has the derivation). Nine numbers are more than a few powers can tell apart, so that fit is held to the
-design values of the tank by weak priors (TANK_PRIOR): a direction the data say nothing about stays there.
+(laws.py has the derivation). A few powers cannot determine nine numbers, so that fit is held to the design
+values of the tank by weak priors (TANK_PRIOR): a direction the data say nothing about stays there.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Coefficient:
 
 @dataclass(frozen=True, slots=True)
 class Regression:
-    """A least-squares fit with the statistics of the paper's Table 2 and section 3.2.
+    """A fit by least squares with the statistics of the paper's Table 2 and section 3.2.
 
     residual_sd is in the units of the dependent variable (sum of squares over n - k).
     """
@@ -172,7 +172,7 @@ def fit_heating_curve(t_s: Array, error: Array) -> HeatingCurve:
 
 
 def scale_to_reference(curve: HeatingCurve, t_s: Array, start_c: float, end_c: float) -> Array:
-    """Temperature (degC) at each t_s: the curve's range laid linearly onto the reference's range."""
+    """Temperature (degC) at each t_s: the curve's range mapped linearly onto the reference's range."""
     low, high = curve(np.array([curve.start_s, curve.end_s]))
     if high == low:
         raise FitError("the heating curve begins and ends at the same error: it has no range to scale")

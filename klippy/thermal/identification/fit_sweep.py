@@ -4,15 +4,14 @@
 
 The printer runs it as a process of its own: a fit of seconds must not hold up the host.
 
-1. Lag. The reference is taken as a first-order lag (tau) behind the skin, gain g about 25 degC (Oskolkov 2021,
-   Table 6). The
-   error at the least phase is a smooth, steep function of the skin's temperature, T = poly(error). Low-pass
-   filtered with
-   tau it must give the readings, heating and cooling alike: linear least squares for the polynomial at each tau, the
-   best tau wins. tau is well told (the run heats fast and cools slowly). The gain is not: a sensor that reads 6 % too
-   little fits just as well with a law that is 6 % off, and the one equilibrium of a run, its start, is near 25 degC
-   where the gain does nothing. It has to be known (Table 6: 1.0 at half height, 0.94 and 0.86 at the ends).
-2. Points. Each visit to a power lies between two stretches at the least phase; its temperature is theirs, interpolated.
+1. Lag. The reference follows the skin with a first-order lag (tau) and a gain g about 25 degC (Oskolkov 2021, Table 6).
+   At the smallest phase the skin's temperature is a smooth, steep function of the signal, T = poly(signal). Low-pass
+   filtered with tau it must give the readings, in heating and in cooling. The polynomial is fitted by least squares
+   at each tau; the best tau is kept. tau is well determined: the run heats fast and cools slowly. The gain is
+   not. A sensor that reads 6 % too low fits as well with a law that is 6 % off, and the only equilibrium of a run, its
+   start, is near 25 degC, where the gain has no effect. It has to be known (Table 6: 1.0 at half height, 0.94 and 0.86
+   at the ends).
+2. Points. Each visit to a power lies between two stretches at the smallest phase. Its temperature is interpolated.
 3. Laws. eq5, exp and tank are fitted to two thirds of the points and judged on the last third.
 4. Heat. Capacity and losses of the two-node model follow from the heat that went in and the temperatures that came out.
 """
@@ -50,7 +49,7 @@ HELD_OUT = 3  # every third point
 
 @dataclass(frozen=True, slots=True)
 class Lag:
-    """The reference's behaviour as far as the run tells it."""
+    """The reference's behaviour as far as the run determines it."""
 
     tau_s: float
     gain: float  # as given, see the module's text
@@ -59,7 +58,7 @@ class Lag:
 
 @dataclass(frozen=True, slots=True)
 class LawFigures:
-    """One law, fitted to the whole recording; the figures are of points a fit without them was judged on."""
+    """One law, fitted to the whole recording; the figures are those of points that were left out of a fit."""
 
     regression: fit_sensing.Regression
     held_out_max_c: float  # up to 20 % power, 50-350 degC
@@ -85,7 +84,7 @@ class Calibration:
 def _low_rows(recording: Recording) -> tuple[Array, Array]:
     rows = np.array([(t, e) for t, e, phase, _, _ in recording.blocks if phase == SENSING_PHASE_TICKS])
     if len(rows) < 200:
-        raise FitError("the recording holds too few blocks at the least phase")
+        raise FitError("the recording holds too few blocks at the minimum phase")
     return rows[:, 0], rows[:, 1]
 
 
@@ -157,7 +156,7 @@ def _visits(recording: Recording) -> list[tuple[float, float, int]]:
 
 
 def points_of(recording: Recording, beta: Array, centre: float, half: float, bin_c: float = 4.0) -> Points:
-    """Calibration points: every visit, and the least phase in bins of temperature."""
+    """Calibration points: every visit, and the minimum phase in bins of temperature."""
     time_s, error = _low_rows(recording)
     skin_c = np.polynomial.polynomial.polyval((error - centre) / half, beta)
     rows = [
@@ -266,7 +265,7 @@ def read_recording(path: Path) -> Recording:
 
 
 def analyse(recording: Recording, drive: DriveLaw, gain: float = 1.0) -> Calibration:
-    """The whole way. Raises FitError with a text for people."""
+    """All steps of the fit. Raises FitError with a text for people."""
     lag, beta, centre, half = estimate_lag(recording, gain)
     points = points_of(recording, beta, centre, half)
     laws = {name: judge(name, points) for name in fit_sensing.FITTERS}
@@ -282,7 +281,7 @@ def report(result: Calibration) -> list[str]:
         f"{len(points)} points, {points.temp_c.min():.0f} to {points.temp_c.max():.0f} C,"
         f" {np.unique(points.phase_ticks).size} powers",
         f"reference: lag {lag.tau_s:.2f} s (readings within {lag.residual_c:.2f} C rms of it),"
-        f" gain {lag.gain:.3f} as given: a run cannot tell it",
+        f" gain {lag.gain:.3f} as given: a run cannot determine it",
         "held-out points, 50-350 C:   up to 20 % power          any power",
     ]
     for name, figures in sorted(result.laws.items(), key=lambda item: item[1].held_out_rms_c):

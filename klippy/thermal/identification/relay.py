@@ -1,4 +1,4 @@
-"""Autotune of a PID: the heater is switched around the target, and the swing tells what it is.
+"""Autotune of a PID: the heater is switched around the target, and the swing identifies it.
 
     output  high ┐   ┌───┐      switched off `band_c` above the target, on `band_c` below it; "off" is `low`
             low  └───┘   └─     the first swings only settle, `cycles` of them are measured
@@ -12,7 +12,7 @@ heater is an integrator with a delay; that point determines both its numbers:
 An integrator with a delay oscillates at K_u = pi / (2 k L) with the period T_u = 4 L. Gains are Tyreus and Luyben's
 (Ind. Eng. Chem. Res. 31, 2625, 1992), made for such plants: K_p = K_u / 2.2, T_i = 2.2 T_u, T_d = T_u / 6.3: little
 overshoot, a gain margin above 2. Medians over the periods count, and their scatter is the uncertainty: where a message
-between host and MCU is lost, one swing is switched late and tells a delay that the plant does not have.
+between host and MCU is lost, one swing is switched late and shows a delay that the plant does not have.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ def _middle(values: Sequence[float]) -> tuple[float, float]:
 
 
 def evaluate(run: RelayRun) -> RelayResult:
-    """PID from a run that is done. Raises CalibrationError if the swings do not tell one plant."""
+    """PID from a run that is done. Raises CalibrationError if the swings do not agree on one plant."""
     if run.stage != DONE:
         raise CalibrationError(run.fault or "the run is not over")
     points = [*run.points]

@@ -25,7 +25,7 @@ class Run:
 
     poll_s = 0.1  # how often the runner looks at it ...
     progress_s = 10.0  # ... and reports its progress
-    timeout_s = 10.0  # it ends without a reading for so long
+    timeout_s = 10.0  # it ends after this time without a reading
 
     def __init__(self, stage: str) -> None:
         self.stage = stage
@@ -58,7 +58,7 @@ class OutputPlan:
     _: KW_ONLY
     heat_s: float = 1200.0  # longest way to the target
     lost_c: float = 40.0  # farther above the target than this the run ends
-    gain_c: float = 3.0  # at full power it must warm by so much ...
+    gain_c: float = 3.0  # at full power it must warm by this ...
     gain_s: float = 90.0  # ... within this time
 
 

@@ -2,7 +2,7 @@
 
 An induction nozzle may after the hold be held at further temperatures and flows (`further`).
 
-    degC      ┌╲╱╲╱╲╱ hold ╲╱╲ fan ╲╱╲ flow ╲          target, switched on and off around it (the swing tells the lags)
+    degC      ┌╲╱╲╱╲╱ hold ╲╱╲ fan ╲╱╲ flow ╲          target, switched on and off around it (the swing gives the lags)
              ╱                                ╲  cool    ╱╲      validate: full power half way back, then nothing
     ────────╱ heat                             ╲───────╱   ╲──
 
@@ -40,7 +40,7 @@ MELT_PROOF = "melt proof"  # the fit is not shown this one
 
 
 def melt_steps(hot_c: float, cool_c: float, flow_mm3_s: float) -> tuple[Step, ...]:
-    """Steps that tell what filament takes (fit_melt.py): three flows up to `flow_mm3_s`, two temperatures.
+    """Steps that measure what filament takes (fit_melt.py): three flows up to `flow_mm3_s`, two temperatures.
 
     The fast ones come hot, where the melt flows easily; each rest is the loss beside which the others are judged.
     """
@@ -79,7 +79,7 @@ class StepTestPlan(OutputPlan):
     flow_s: float = 0.0  # 0: no flow step
     flow_mm3_s: float = 0.0
     further: tuple[Step, ...] = ()  # after the hold
-    even_c: float = 0.0  # hold with a drive in proportion over so many degrees instead of on and off
+    even_c: float = 0.0  # hold with a drive proportional over this band instead of on and off
     share: float = 0.6  # hold and cool last at least this share of the heating
     cool_to: float = 0.45  # cooling ends at this share of the rise; the pulse goes half way back
 

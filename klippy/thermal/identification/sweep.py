@@ -1,15 +1,14 @@
 """The calibration run: which phase when, what is recorded, and when to stop. Pure; decides, does not act.
 
 Temperature cannot jump, the drive can: while the nozzle slowly heats, the bridge visits one power after
-another for a few
-milliseconds each, with stretches at the least phase in between. So every power sees every temperature, and the
-temperature at a visit lies between those of the stretches before and after it:
+another for a few milliseconds each, with stretches at the minimum phase in between. So every power sees every
+temperature, and the temperature at a visit lies between those of the stretches before and after it:
 
     phase  ___|‾‾|______|‾‾|______|‾‾|______      visits: 10, 20 ... 100 %, then again
             low  10 %  low  20 %  low  30 %       stretches are as long as makes the mean power right
 
-Then it cools with the bridge off, short looks at the least phase and a visit now and then: cooling against heating
-tells the reference sensor's lag (calibrate.py).
+Then it cools with the bridge off, short looks at the minimum phase and a visit now and then. Cooling against heating
+gives the reference sensor's lag (fit_sweep.py).
 """
 
 from __future__ import annotations
@@ -52,7 +51,7 @@ class SweepParameters:
     heat_s: float = 90.0  # at most
     cool_to_c: float = 60.0
     cool_s: float = 75.0  # at most
-    lag_s: float = 1.5  # of the reference, until it is known: stop heating so much ahead
+    lag_s: float = 1.5  # of the reference, until it is known: heating stops this time ahead
     visit_s: float = 0.0062  # settling and some 700 samples
     look_s: float = 0.0038
     pause_s: float = 0.045  # bridge off between looks while cooling
@@ -68,9 +67,9 @@ class SweepParameters:
 
 @dataclass(slots=True)
 class Recording:
-    """What a run brought: blocks as (centre s, error units, phase, count, duration s) and (s, degC) of the reference.
+    """What a run brought: blocks as (centre s, signal units, phase, count, duration s) and (s, degC) of the reference.
 
-    Blocks with the bridge off are there too, with error 0: they tell how long it was off.
+    Blocks with the bridge off are there too, with error 0: they show how long it was off.
     """
 
     blocks: list[tuple[float, float, int, int, float]] = field(default_factory=list)
@@ -140,7 +139,7 @@ class Sweep(Run):
         return self.on_timer(now_s)
 
     def on_timer(self, now_s: float) -> list[PhaseCommand]:
-        """Watch, change stage, and send what is due."""
+        """Watch the limits, change the stage, and send the commands that are due."""
         self._watch(now_s)
         if self.over:
             return self._off(now_s)
@@ -180,7 +179,7 @@ class Sweep(Run):
             return
         read_s = record.reference[-1][0] if record.reference else self.started_s
         if now_s - read_s > p.reference_s:
-            self.abort(f"the reference sensor has not been heard for {now_s - read_s:.1f} s")
+            self.abort(f"the reference sensor has sent no reading for {now_s - read_s:.1f} s")
             return
         if not record.reference:
             return
@@ -225,7 +224,7 @@ class Sweep(Run):
             duration_s -= part_s
 
     def _rest(self) -> Iterator[tuple[int, float]]:
-        """Short looks with long pauses: the nozzle stays as it is."""
+        """Short looks with long pauses, which do not heat the nozzle."""
         while True:
             yield SENSING_PHASE_TICKS, self.parameters.look_s
             yield 0, self.parameters.pause_s

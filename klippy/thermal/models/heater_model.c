@@ -48,7 +48,7 @@ model_heat_per_output_w(const struct model_params *p, double temp_c)
 
 // How much of a lag's deviation is left after `h`; without a lag nothing is.
 static double
-fading(double h, double lag_s)
+decay(double h, double lag_s)
 {
     return lag_s ? exp(-h / lag_s) : 0.0;
 }
@@ -62,10 +62,10 @@ model_advance(const struct model_params *p, struct model_nodes *nodes, const str
     double steps = dt_s <= p->step_s ? 1.0 : ceil(dt_s / p->step_s), h = dt_s / steps;
     struct model_nodes n = *nodes;
     double air_w_k = p->loss_w_k + fan * p->fan_w_k, radiation = STEFAN_BOLTZMANN * p->radiation_m2;
-    double bore_decay = fading(h, p->bore_s), sensor_decay = fading(h, p->sensor_s);
+    double bore_decay = decay(h, p->bore_s), sensor_decay = decay(h, p->sensor_s);
     for (double step = 0.0; step < steps; step++) {
         if (n.flow != flow_mm3_s)
-            n.flow = flow_mm3_s + (n.flow - flow_mm3_s) * fading(h, p->flow_s);
+            n.flow = flow_mm3_s + (n.flow - flow_mm3_s) * decay(h, p->flow_s);
         double heat = drive->gain * drive->output * p->output_w * (1.0 + p->output_slope_per_k * (n.temp_c - 25.0));
         if (p->element_j_k) {
             double passed = p->element_w_k * (n.element_c - n.temp_c);

@@ -11,10 +11,10 @@ struct model_params {
     double second_j_k, link_w_k, second_loss_w_k, element_j_k, element_w_k, sensor_s;
     double output_slope_per_k, fan_w_k;
     double melt_ua_w_k, melt_j_mm3_k, melt_in_c, bore_s, flow_s;
-    double hold_s, fade_s, knee_c, slew_per_s, delay_s;                                 // what is wanted
+    double hold_s, tau_s, band_c, slew_per_s, delay_s;                                 // what is wanted
     double sigma_c, disturbance_w, disturbance_w2_per_k, disturbance_start_w;   // what is uncertain
     double disturbance_max_w, gain_start, gain_walk, slant_c, second_start, temp_walk_c, gap_s;
-    double step_s, aim_s, fade, air_k4;                                         // derived
+    double step_s, prediction_s, remaining, air_k4;                                         // derived
     int32_t ahead;
 };
 
@@ -23,7 +23,7 @@ struct model_nodes {
     double element_c, temp_c, second_c, sensor_c, bore_c, flow;
 };
 
-// What heats: output, the drive's gain, heat nobody told of.
+// What heats: output, the drive's gain, and the disturbance.
 struct model_drive {
     double output, gain, disturbance_w;
 };

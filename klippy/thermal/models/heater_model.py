@@ -33,7 +33,7 @@ STEPS_PER_LAG = 10.0  # an Euler step is this much shorter than the fastest lag:
 LONGEST_STEP_S = 0.25
 STEPS_PER_HOLD = 30.0  # more steps of integration between two outputs take longer than the time they describe
 CLIMB_MIN_K_S, CLIMB_MAX_K_S = 1e-3, 1e5  # at full power; a chamber makes 0.02, a light nozzle 1000
-RISE_MIN_K = 2.0  # full power holds a heater at least so much above the room
+RISE_MIN_K = 2.0  # full power holds a heater at least this far above the room
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,11 +61,11 @@ class ModelParameters:
     bore_s: float = 0.0
     flow_s: float = 0.0
     # Control: what is wanted
-    hold_s: float = 0.3  # an output stays for so long
-    horizon_s: float = 0.0  # the wanted temperature is met so far ahead; at least hold_s
-    fade_s: float = 0.0  # a small deviation decays with this time constant
-    knee_c: float = 1.5  # "small"; larger ones are brought to it as fast as the power allows
-    slew_per_s: float = math.inf  # most the output may change in a second
+    hold_s: float = 0.3  # time for which an output stays
+    horizon_s: float = 0.0  # time until the wanted temperature is met; at least hold_s
+    tau_s: float = 0.0  # closed-loop time constant: a small deviation decays with it
+    band_c: float = 1.5  # proportional band; larger deviations fall to it as fast as the power allows
+    slew_per_s: float = math.inf  # largest change of the output in a second
     delay_s: float = 0.0  # measurement to output in force, where the caller does not say
     ahead: int = 0  # further outputs planned beyond the first
     # Filter: what is uncertain, 1 sigma
@@ -81,10 +81,10 @@ class ModelParameters:
     slant_c: float = 0.0  # of what full drive by itself moves the reading, degC; 0: nothing
     second_start: float = 0.2  # of the second mass's excess over air, relative
     temp_walk_c: float = 0.02  # of each node, within a second
-    gap_s: float = 5.0  # nothing heard for so long: begin anew
+    gap_s: float = 5.0  # after this time without readings: begin anew
     step_s: float = field(init=False, default=LONGEST_STEP_S)  # of the integration
-    aim_s: float = field(init=False, default=0.0)  # the horizon H of one choice ...
-    fade: float = field(init=False, default=0.0)  # ... and the share of a small deviation left by then
+    prediction_s: float = field(init=False, default=0.0)  # the prediction horizon H ...
+    remaining: float = field(init=False, default=0.0)  # ... and the share of a small deviation left by then
     air_k4: float = field(init=False, default=0.0)  # fourth power of the air's absolute temperature
     _packed: Any = field(init=False, default=None, repr=False, compare=False)  # see packed()
 
@@ -98,9 +98,9 @@ class ModelParameters:
             lags.append(self.second_j_k / (self.link_w_k + self.second_loss_w_k))
         shortest = min((lag for lag in lags if lag > 0.0), default=math.inf)
         object.__setattr__(self, "air_k4", (self.ambient_c + ZERO_CELSIUS_K) ** 4)
-        aim_s = max(self.hold_s, self.horizon_s)
-        object.__setattr__(self, "aim_s", aim_s)
-        object.__setattr__(self, "fade", math.exp(-aim_s / self.fade_s) if self.fade_s > 0.0 else 0.0)
+        span_s = max(self.hold_s, self.horizon_s)
+        object.__setattr__(self, "prediction_s", span_s)
+        object.__setattr__(self, "remaining", math.exp(-span_s / self.tau_s) if self.tau_s > 0.0 else 0.0)
         step_s = min(LONGEST_STEP_S, shortest / STEPS_PER_LAG)
         require(
             step_s * STEPS_PER_HOLD >= self.hold_s,
@@ -116,7 +116,7 @@ class ModelParameters:
         for name in (
             *("loss_w_k", "radiation_m2", "second_j_k", "link_w_k", "second_loss_w_k", "element_j_k"),
             *("element_w_k", "sensor_s", "fan_w_k", "melt_ua_w_k", "melt_j_mm3_k", "bore_s", "flow_s"),
-            *("horizon_s", "fade_s", "knee_c", "delay_s", "ahead", "disturbance_w", "disturbance_start_w"),
+            *("horizon_s", "tau_s", "band_c", "delay_s", "ahead", "disturbance_w", "disturbance_start_w"),
             "disturbance_w2_per_k",
             *("gain_start", "gain_walk", "slant_c", "second_start", "temp_walk_c"),
         ):

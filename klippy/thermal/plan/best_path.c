@@ -36,7 +36,7 @@ static void move(struct flank *f, double by_c)
 static void add_square(struct flank *f, const struct best_node *node)
 {
     f->gain += node->weight;
-    f->offset -= node->weight * node->aim_c;
+    f->offset -= node->weight * node->wanted_c;
 }
 
 struct best_node *best_more(struct best_path *path)

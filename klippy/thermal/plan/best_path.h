@@ -1,15 +1,15 @@
 #ifndef FERRITE_TEMPPLAN_BEST_H
 #define FERRITE_TEMPPLAN_BEST_H
 /*
- * The path of least squares under slope limits: temperatures T of nodes in order of time, each bounded and no farther
- * from the one before than `fall_c` down and `rise_c` up, for which the sum of weight (T - target)^2 is least.
+ * The least squares path under slope limits: temperatures T of nodes in order of time, each bounded and no farther from
+ * the one before than `fall_c` down and `rise_c` up, with the minimum sum of weight (T - target)^2.
  * The theory is in thermal/plan/set_points.py.
  */
 
 struct best_node {
-    double time_s, weight, aim_c;
+    double time_s, weight, wanted_c;
     double low_c, high_c;           /* of the window at its own flow */
-    double bound_low_c, bound_high_c;   /* they give way where the limits leave no other choice */
+    double bound_low_c, bound_high_c;   /* broken only where the limits leave no other choice */
     double melt_w_k;                /* what the melt takes meanwhile */
     double fall_c, rise_c;          /* limits on the way here */
     double temp_c;                  /* result */

@@ -7,7 +7,7 @@
 
 enum { FIRST_COLUMNS = 1024 };
 
-/* As in thermal/plan/deposit.py, where the reasons are. */
+/* As in test/reference/deposit_reference.py, where the reasons are. */
 static const double SAME_PASS_CELLS = 1.5, SAME_LAYER = 0.5, NEXT_LAYER = 1.5, TAKEN_OFF_MM = 2.0;
 static const double FAR_MM = 3.0, FIRST_STEP = 0.4, GROWTH = 2.5, MIN_COVER = 0.05, MIN_MM2 = 1e-6;
 
@@ -137,7 +137,7 @@ static ALWAYS_INLINE void solve(const struct matrix *m, int count, pair *temps)
         temps[i] += m->upper[i] * temps[i + 1];
 }
 
-/* Two stages with the same matrix, second order, L-stable (deposit.py, _step). */
+/* Two stages with the same matrix, second order, L-stable (deposit_reference.py, _step). */
 static ALWAYS_INLINE void step(const struct balance *b, int count, pair *temps, double step_s)
 {
     static const double gamma = 0.29289321881345254;    /* 1 - 1/sqrt(2) */

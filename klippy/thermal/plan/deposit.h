@@ -1,6 +1,6 @@
 #ifndef FERRITE_TEMPPLAN_MAP_H
 #define FERRITE_TEMPPLAN_MAP_H
-/* What lies in each column of a square grid, layer by layer, and how warm: class DepositMap in thermal/plan/deposit.py. */
+/* What lies in each column of a square grid, layer by layer, and how warm: the readable form is test/reference/deposit_reference.py. */
 #include <stdint.h>
 
 #include "planner.h"
@@ -57,7 +57,7 @@ void map_free(struct deposit_map *map);
 /* Room for `more` columns; 0, or -1: no memory. */
 int map_reserve(struct deposit_map *map, uint64_t more);
 struct column *map_column(struct deposit_map *map, int32_t x, int32_t y);
-/* Lay it; met_c of the column is then what it met. 1: it is the first of its layer there, on another below, and
+/* Deposit it; met_c of the column is then what it met. 1: it is the first of its layer there, on another below, and
  * `before` is what the clocks were for that; else 0. The melt of history [0] follows with column_melt(). */
 int column_deposit(struct deposit_map *map, struct column *c, const struct tempplan_params *p, const struct dab *dab,
                struct dab *before);

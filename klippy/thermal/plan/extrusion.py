@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class DieSwell:
-    """hole_mm: diameter at vanishing speed (wider than the drill); gain_s: widening per speed."""
+    """hole_mm: diameter at vanishing speed (wider than drilled); gain_s: widening per speed."""
 
     hole_mm: float
     gain_s: float

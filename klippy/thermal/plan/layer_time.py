@@ -30,7 +30,7 @@ ROOM_C = 10.0
 FUTILE_C = 10.0  # substrate; waiting for the rest gains less than 5 degC at the weld, and takes ever longer
 LONGEST_S = 300.0
 WORTH_SHARE = 0.03  # a smaller change of speed_factor is not worth a seam
-ENOUGH_MM = 5.0  # so much path on a layer below tells its age
+ENOUGH_MM = 5.0  # the age of the layer below needs at least this much path on it
 
 
 class Ages(NamedTuple):
@@ -96,7 +96,7 @@ class LayerSpeed:
 def next_speed(
     now: LayerSpeed, ages: Ages, needed_s: float, slowest: float, longest_pause_s: float
 ) -> LayerSpeed:
-    """LayerSpeed of the next layer, if it is like the one of which `ages` tells."""
+    """LayerSpeed of the next layer, if it is like the one that `ages` describes."""
     if ages.above_mm < ENOUGH_MM:
         return now
     age_s, depositing_s, full_speed_s = (value / ages.above_mm for value in ages[1:4])
@@ -111,34 +111,32 @@ def next_speed(
 
 
 class LayerSpeeds:
-    """Keeps the speed_factor of one print, layer by layer."""
+    """Chooses the speed of each layer of one print."""
 
     def __init__(self, slowest: float, longest_pause_s: float) -> None:
         self.slowest = slowest
         self.longest_pause_s = longest_pause_s
-        self.speed_factor = LayerSpeed()
+        self.now = LayerSpeed()
         self._seen = Ages()
 
     @property
     def is_used(self) -> bool:
-        """May it do anything at all?"""
+        """Do the limits allow any slowing down?"""
         return self.slowest < 1.0 or self.longest_pause_s > 0.0
 
     def layer(
         self, ages: Ages, interface_c: float, material: Material, around: Surroundings, place: Place
     ) -> LayerSpeed:
-        """Another layer begins; `ages` since the beginning of the print. NaN: no interface is wanted."""
+        """Speed of the layer that begins; `ages` since the beginning of the print. NaN: no interface is wanted."""
         recent = ages.since(self._seen)
         if math.isnan(interface_c):
-            self.speed_factor = LayerSpeed()
+            self.now = LayerSpeed()
         elif recent.above_mm >= ENOUGH_MM:
             self._seen = ages
             place = place._replace(side_per_mm=recent.side_per_mm / recent.above_mm)
             needed_s = needed_age_s(material, around, place, interface_c)
-            self.speed_factor = next_speed(
-                self.speed_factor, recent, needed_s, self.slowest, self.longest_pause_s
-            )
-        return self.speed_factor
+            self.now = next_speed(self.now, recent, needed_s, self.slowest, self.longest_pause_s)
+        return self.now
 
     def is_round(self, ages: Ages, since_s: float) -> bool:
         """Without marks of layers: has about one layer been deposited within `since_s`?"""

@@ -14,8 +14,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .weld import effusivity
-
 SOURCES = {
     "HO": "Horoshailo 2019, table 1; middle of a printed range",
     "HY": "HydraRaptor 2007",
@@ -62,10 +60,6 @@ class Material:
     @property
     def diffusivity_m2_s(self) -> float:
         return self.conductivity_w_mk / (self.heat_j_kgk * self.density_kg_m3)
-
-    @property
-    def effusivity(self) -> float:
-        return effusivity(self.conductivity_w_mk, self.density_kg_m3, self.heat_j_kgk)
 
 
 MATERIALS = {

@@ -9,12 +9,12 @@
 #include "thermal/control/reference_line.h"
 
 static const double HEIGHT_MIN_MM = 0.05, HEIGHT_MAX_MM = 1.0;
-static const double HEIGHT_FIRST_MM = 0.2;  /* before a second layer tells */
+static const double HEIGHT_FIRST_MM = 0.2;  /* until a second layer shows it */
 static const double SAME_Z_MM = 1e-3, TINY_S = 1e-6;
-/* So much new motion is worth another plan if it is so many moves, or twice as much time. */
+/* New motion is worth another plan at this time and this many moves, or at twice this time. */
 static const double REPLAN_S = 0.5;
 static const int REPLAN_MOVES = 16;
-static const double GAP_S = 0.2;            /* after so much rest another stretch begins */
+static const double GAP_S = 0.2;            /* after this rest another stretch begins */
 /* A shorter move is one piece: the filament's compliance (20 ms) blurs its phases. */
 static const double PHASE_MIN_S = 0.015;
 

@@ -23,7 +23,7 @@ struct path_move {
 
 /* What is asked for by name, true for moves that begin before until_s. by_place: it depends on the layer, too. */
 struct path_request {
-    double until_s, by_place, request_c, base_c, height_mm /* NaN: not told */, speed_factor;
+    double until_s, by_place, request_c, base_c, height_mm /* NaN: not given */, speed_factor;
 };
 
 struct path_facts {
@@ -41,11 +41,11 @@ struct path_turn {
 struct tempplan_path *tempplan_path_alloc(double filament_mm2, double longest_mm);
 void tempplan_path_free(struct tempplan_path *path);
 /* The first moves of the look-ahead's row, which are planned, in order; the first begins at print_time. Plans are made up
- * to planned_s: 1 if so much more waits now that it is worth another, or if these begin a new stretch; -1: no memory. */
+ * to planned_s: 1 if enough moves wait now for another plan, or if these begin a new stretch; -1: no memory. */
 int tempplan_path_note_planned(struct tempplan_path *path, const struct lookahead *la, int count, double print_time,
                                double fan, double planned_s);
 /* Pieces of the moves that wait, as far as `request` is true for them: up to until_s, and, if it goes by place, up to the
- * first of another layer, which facts() then tell. Returns how many, or -1: no memory. *pieces is good until the next
+ * first of another layer, which facts() then have. Returns how many, or -1: no memory. *pieces is good until the next
  * call. */
 int tempplan_path_run(struct tempplan_path *path, const struct path_request *request, struct tempplan_piece **pieces);
 /* run and tempplan_add. Returns how many moves still wait, or -1: no memory. */

@@ -1,6 +1,6 @@
 """Planned moves to pieces of path for the temperature plan, in the C helper (thermal/plan/path_pieces.h).
 
-look-ahead ─► note_planned (a copy, nothing else) ... the plan's timer ─► feed: what is asked for by name,
+look-ahead ─► note_planned (a copy, nothing else) ... the plan's timer ─► feed: requests by name,
                                                              a stretch of path at a time ─► split pieces ─► tempplan
 """
 
@@ -14,14 +14,14 @@ import chelper
 
 
 class Asked(NamedTuple):
-    """What is asked for by name, true for all moves that begin before `until_s`; melt, nozzle degC, layer height mm.
+    """Temperatures requested by name, for all moves that begin before `until_s`; degC, mm.
 
-    `by_place`: it depends on layer and height as well, and is asked for again where another layer begins.
+    `by_place`: they also depend on layer and height; each new layer is a new request.
     """
 
     request_c: float = math.nan
     base_c: float = 0.0
-    height_mm: float = math.nan  # told by the slicer; NaN: it is seen from the path
+    height_mm: float = math.nan  # given by the slicer; NaN: it is seen from the path
     speed_factor: float = 1.0
     until_s: float = math.inf
     by_place: bool = False
@@ -51,7 +51,7 @@ class PathPieces:
     def note_planned(self, row: Any, count: int, print_time: float, fan: float, planned_s: float) -> bool:
         """The first `count` moves of the look-ahead's row; the first begins at `print_time`.
 
-        True: with them so much waits beyond `planned_s` that it is worth another plan.
+        True: enough moves wait beyond `planned_s` for another plan.
         """
         due = self._note_planned(self.handle, row, count, print_time, fan, planned_s)
         if due < 0:
@@ -59,11 +59,11 @@ class PathPieces:
         return due > 0
 
     def forget(self, until_s: float = -math.inf) -> None:
-        """What was asked for last holds up to then only."""
+        """The last request ends at this time."""
         self.request.until_s = min(self.request.until_s, until_s)
 
     def inquire(self, ask: Asker) -> None:
-        """Ask what holds for the first move that waits."""
+        """Get the request for the first move that waits."""
         facts, request = self.facts(), self.request
         asked = ask(facts.next_s, int(facts.layer), facts.z_mm)
         (
@@ -76,13 +76,13 @@ class PathPieces:
         ) = asked
 
     def feed(self, ask: Asker, take: Taker) -> None:
-        """All that waits, as pieces, to `take`; all is asked for anew."""
+        """Pass all waiting moves, as pieces, to `take`, with new requests."""
         self.forget()
         while self.check(take(self.handle, self.request)):
             self.inquire(ask)
 
     def drop(self, until_s: float = math.inf) -> None:
-        """Forget what waits and ends by then."""
+        """Forget waiting moves that end before this time."""
         self._lib.tempplan_path_drop(self.handle, until_s)
 
     def facts(self) -> Any:

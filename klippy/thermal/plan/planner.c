@@ -8,7 +8,7 @@
 #include "planner_internal.h"
 
 static const double LEFT_OF_A_LAYER = 0.1;  /* of a road's excess over the chamber is left when the next layer comes */
-static const double GUESS_MM = 20000.0;     /* so much path does that guess count */
+static const double GUESS_MM = 20000.0;     /* weight of that guess, as a length of path */
 
 enum { FEW = 16 };                          /* columns of a piece that are not looked up twice */
 
@@ -61,7 +61,7 @@ static struct column *column_at(struct tempplan *tp, const struct tempplan_piece
 }
 
 /* The interface is wanted from both sides: the plan targets beyond the window, which then bounds what it does. */
-static double aim_c(const struct tempplan *tp, const struct tempplan_piece *q, double share)
+static double wanted_c(const struct tempplan *tp, const struct tempplan_piece *q, double share)
 {
     if (!isnan(q->request_c) || isnan(tp->p.interface_c))
         return q->wall_c;
@@ -134,7 +134,7 @@ static void settle(struct tempplan *tp, struct tempplan_piece *q, double share)
             columns[i] = c;
         tp->map.odometer_mm += dab.length_mm;
         if (column_deposit(&tp->map, c, p, &dab, &below) && isnan(q->request_c))
-            note_age(&tp->report, c, &below, &dab);    /* what is asked for by name is no matter of speed_factor */
+            note_age(&tp->report, c, &below, &dab);    /* a temperature asked for by name has no layer speed */
         met[0] += c->met_c[0] / n;
         met[1] += c->met_c[1] / n;
     }
@@ -145,7 +145,7 @@ static void settle(struct tempplan *tp, struct tempplan_piece *q, double share)
     for (int i = 0; i < n; i++)
         column_melt(i < FEW ? columns[i] : column_at(tp, q, (i + 0.5) / n), q->melt_c);
     q->wall_c = tempplan_wall_for(tp, q->melt_c, q->flow_mm3_s, share);
-    q->aim_c = aim_c(tp, q, share);
+    q->wanted_c = wanted_c(tp, q, share);
     tp->clock.depositing_s += duration_s;
     tp->clock.full_speed_s += duration_s * q->speed_factor;
     tp->report.slowed_s += duration_s * (1.0 - q->speed_factor);
@@ -273,7 +273,7 @@ void tempplan_shift(struct tempplan *tp, double from_s, double delta_c)
         } else {
             q->melt_c = fmin(tp->p.high_c, fmax(tp->p.low_c, q->melt_c + delta_c));
             q->wall_c = tempplan_wall_for(tp, q->melt_c, q->flow_mm3_s, tp->shares[i]);
-            q->aim_c = aim_c(tp, q, tp->shares[i]);
+            q->wanted_c = wanted_c(tp, q, tp->shares[i]);
         }
     }
 }

@@ -24,10 +24,10 @@ struct tempplan_params {
     double bed_c, chamber_c, still_w_m2k, fan_w_m2k, bed_reach_mm, cell_mm;
     double interface_c;             /* wanted at the weld; NaN: bonding has no say */
     double follow_mm;               /* > 0: at least interface_c, and what the user's own temperature gives on average
-                                     * over so much path */
+                                     * over this path */
     double core_c;                  /* the filament's core must reach it; NaN: no say */
     double core_step_mm3_s;         /* flow per entry of the core table */
-    /* Wanted walls are averaged over so much time to both sides, by volume. Heating is ten times as quick as cooling:
+    /* Wanted walls are averaged over this time to both sides, by volume. Heating is ten times as quick as cooling:
      * a plan that went after every corner's flow would ratchet up. 0: not averaged. */
     double smooth_s;
     double preview;                 /* 0: turn at the border of each piece, as M104 would; for comparing */
@@ -38,12 +38,12 @@ struct tempplan_piece {
     double start_s, end_s;
     double start_pos[3], end_pos[3];
     double flow_mm3_s, height_mm, fan;
-    double request_c;                  /* melt temperature asked for by name, NaN: none, bonding may choose */
+    double request_c;               /* melt temperature asked for by name, NaN: none, bonding may choose */
     double base_c;                  /* nozzle temperature of the user's own target */
-    double speed_factor;                    /* part of its own speed at which it is deposited, 1: not slowed down */
+    double speed_factor;            /* part of its own speed at which it is deposited, 1: not slowed down */
     /* filled in */
     double substrate_c[TEMPPLAN_HISTORIES], melt_c, wall_c;
-    double aim_c;                   /* wall for the weld alone, whatever material and nozzle bear */
+    double wanted_c;                /* wall for the weld alone, whatever material and nozzle bear */
 };
 
 struct tempplan_point {
@@ -58,7 +58,7 @@ struct tempplan_report {
     double added_mm, substrate_mm[TEMPPLAN_BINS];
     double lowest_c, highest_c;         /* interface that the window can make of its hottest and of its coldest 5 % */
     double off_sum, off_squares;    /* planned less wanted melt, length weighted */
-    double cold_mm;                 /* wanted melt deposit above the window's top: the substrate was too cold */
+    double cold_mm;                 /* wanted melt was above the window's top: the substrate was too cold */
     double hot_mm;                  /* below its bottom: too hot even for the coolest melt */
     /* Path deposited on a layer below, and sums over it (times mm): how long ago that was deposited; of this, extrusion;
      * the same extrusion at full speed; open flanks per volume, 1/mm. Counted when added, not when deposited. */

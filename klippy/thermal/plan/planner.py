@@ -66,18 +66,18 @@ class PlanOptions:
 
     interface_c: float | None = None  # temperature wanted at the weld; None: the weld has no say
     follow_mm: float = (
-        0.0  # > 0: at least interface_c, and as warm as the user's own target welds over so much path
+        0.0  # > 0: at least interface_c, and as warm as the user's own target welds over this path
     )
     core: bool = False  # the filament's core must reach the material's flow temperature
     zone_mm: float = 20.0  # heated length of the nozzle
     filament_mm: float = 1.75
     preview: bool = True  # False: turn at the border of each piece, as M104 would
-    smooth_s: float = 0.0  # wanted walls are averaged over so much time to both sides
+    smooth_s: float = 0.0  # wanted walls are averaged over this time to both sides
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """Books of what has been deposited; pairs are (planned, fixed)."""
+    """Statistics of what has been deposited; pairs are (planned, fixed)."""
 
     length_mm: float
     pieces: int
@@ -209,7 +209,7 @@ class TemperaturePlan:
         return [(row.substrate_c[0], row.melt_c, row.wall_c) for row in rows]
 
     def take(self, path: Any, request: Any) -> int:
-        """The same with what waits on a path in the C helper (pathpieces.Taker)."""
+        """The same with moves that wait on a path in the C helper (path_pieces.Taker)."""
         return int(self._lib.tempplan_path_take(path, request, self._plan))
 
     def make(self, from_s: float, start_c: float, within_c: float = 0.0) -> list[tuple[float, float]]:
@@ -228,8 +228,8 @@ class TemperaturePlan:
     def turn(
         self, path: PathPieces, from_s: float, within_c: float, recorded_s: float
     ) -> tuple[float, Reference | None] | None:
-        """All that a timer has to do, in one call: take what waits on the path, record what lies before `recorded_s`,
-        plan again from `from_s` on. (End of what is planned, the reference from there; None: nothing lies ahead.)
+        """All work of a timer's turn in one call: take the path's moves, record pieces before `recorded_s`, and plan
+        again from `from_s` on. Returns (end of the plan, the reference from there; None: no path ahead).
 
         None: another request holds for moves that still wait (PathPieces.inquire).
         """
@@ -268,13 +268,13 @@ class TemperaturePlan:
         return float(self._lib.tempplan_at(self._plan, time_s, otherwise_c))
 
     def finish(self, until_s: float, rows: int = 0) -> list[Deposited]:
-        """Book what has been deposited by now; returns up to `rows` of it."""
+        """Add what has been deposited by now to the statistics; returns up to `rows` of it."""
         if not rows:
             self._lib.tempplan_finish(self._plan, until_s, self._ffi.NULL, 0)
             return []
         if (
             len(self._done) < rows * _DONE.size
-        ):  # kept: zeroing it at each call would be dearer than the totals
+        ):  # kept: zeroing it at each call would cost more than the totals
             self._done = bytearray(rows * _DONE.size)
         count = self._lib.tempplan_finish(
             self._plan, until_s, self._ffi.from_buffer("double[]", self._done), rows
@@ -287,12 +287,12 @@ class TemperaturePlan:
 
     @property
     def interface_c(self) -> float:
-        """What the weld is wanted at now; NaN: it has no say."""
+        """Temperature wanted at the weld now; NaN: none."""
         return float(self._lib.tempplan_interface(self._plan))
 
     @property
     def speed_interface_c(self) -> float:
-        """What a layer must not be too hot for, or it is slowed down: near the bed more than the weld is wanted at."""
+        """Interface above which a layer is slowed down: near the bed higher than the weld's."""
         return float(self._lib.tempplan_speed_interface(self._plan))
 
     def ages(self) -> Ages:
@@ -303,7 +303,7 @@ class TemperaturePlan:
         )
 
     def cut(self, time_s: float) -> None:
-        """Forget what lies ahead: the motion was stopped."""
+        """Forget the plan ahead: the motion was stopped."""
         self._lib.tempplan_cut(self._plan, time_s)
 
     def sizes(self) -> tuple[int, int]:

@@ -12,7 +12,7 @@ struct tempplan {
     struct deposit_map map;
     struct layer_clock clock;
     double weighed_z_mm, z_weight;          /* how much path at the newest height counts in that: */
-    double usual_c, usual_mm;               /* interface by the user's own temperature, averaged over so much path */
+    double usual_c, usual_mm;               /* interface by the user's own temperature, averaged over this path */
     struct tempplan_piece *pieces;          /* those of the future and of the part planned but not yet deposited */
     double *shares;                         /* of each, tempplan_melt_share() of its flow */
     int count, room;

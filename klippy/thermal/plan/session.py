@@ -5,8 +5,8 @@
     the user's target, bed, material ─► follow, move_target, set_bed, change ──────────┘
 
 [temperature_plan] feeds a session while the printer prints, scripts/plan_temperature.py with a whole file. The plan
-lies on top of the user's own target. It is made again whenever enough new motion has come (path_pieces.c), from
-`COMMIT_S` ahead of now on; what lies before that is not touched.
+lies on top of the user's own target. It is planned again whenever enough new motion has come (path_pieces.c). The
+part nearer than `COMMIT_S` is not changed.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .requests import Requests, RequestTable
 
 COMMIT_S = 0.20  # the plan nearer than this stays: commands for it may be on their way
 RECORD_BEHIND_S = 0.5  # pieces are recorded when they are surely deposited
-RETURN_S = 0.5  # so long after the last piece the nozzle goes back to the user's target
+RETURN_S = 0.5  # from the last piece until the nozzle goes back to the user's target
 ROWS_AT_ONCE = 4096
 WITHIN_C = 0.02  # a straight line for corners that are so near it: far below what the thermometer sees
 SAME_TIME_S = 1e-6  # a mark and the move behind it
@@ -48,13 +48,13 @@ class PlanSettings:
 
 @dataclass(slots=True)
 class Requested:
-    """What is asked for by name."""
+    """Temperatures requested by name."""
 
     table: RequestTable
     state: Requests = field(default_factory=Requests)  # at the end of the file as far as it has been read
     marks: deque[Requests] = field(
         default_factory=deque
-    )  # what holds from a print time on; the first holds now
+    )  # each holds from a print time on; the first holds now
     asked: tuple[float | None, ...] = ()  # of the newest mark
 
     def __post_init__(self) -> None:
@@ -74,7 +74,7 @@ class UserTarget:
     """The nozzle temperature that the user has set."""
 
     base_c: float = 0.0
-    moved_c: float = 0.0  # by so much it moved within the print
+    moved_c: float = 0.0  # change of the target within the print
 
 
 @dataclass(slots=True)
@@ -84,14 +84,14 @@ class Lead:
     reference: Reference | None = None  # None: it holds the user's target
     end_s: float = -math.inf  # of what is planned
     going_home: bool = False  # nothing more came: the reference leads back to the user's target
-    is_due: bool = False  # so much new motion has come that it is worth another plan
+    is_due: bool = False  # enough new motion has come for another plan
 
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """What a look at the plan has led to."""
+    """Result of one turn of the plan."""
 
-    next_s: float = math.inf  # look again then at the latest
+    next_s: float = math.inf  # time of the next turn at the latest
     reference: Reference | None = None  # the heater follows this from now on; None: nothing new
     released: bool = False  # and then stays at its end, without a reference
     replanned: bool = False
@@ -137,8 +137,8 @@ class Session:
         self.requested = Requested(self.settings.table)
 
     def note(self, state: Requests) -> bool:
-        """`state` holds for what is read from now on. True: it asks for something else than before; `hold` it from the
-        print time on at which all that is queued ends."""
+        """`state` holds for all lines read from now on. True: it differs from the one before; then `hold` it from the
+        print time at which the queued moves end."""
         requested = self.requested
         requested.state = state
         asks = state.asks(requested.table)
@@ -152,7 +152,7 @@ class Session:
         self.path.forget(since_s - SAME_TIME_S)
 
     def _ask(self, time_s: float, layer: int, z_mm: float) -> Asked:
-        """What is asked for by name on the path from `time_s` on."""
+        """Temperatures requested by name on the path from `time_s` on."""
         state, table, marks = self.requested.at(time_s), self.requested.table, self.requested.marks
         requested_c = state.request_c(table, time_s, layer, z_mm)
         until_s = marks[1].since_s - SAME_TIME_S if len(marks) > 1 else math.inf
@@ -173,7 +173,7 @@ class Session:
         return False
 
     def take(self) -> None:
-        """What waits becomes part of the plan, without another one."""
+        """Waiting moves become part of the plan; nothing is planned again."""
         self.path.feed(self._ask, self.plan.take)
 
     # What is planned with
@@ -216,7 +216,7 @@ class Session:
         self.set_base(base_c)
 
     def move_target(self, target_c: float, now_s: float) -> Turn | None:
-        """The user's M104. While path is under way the plan moves with it and goes on; None: there is none."""
+        """The user's M104. While a path is under way the plan shifts by it and goes on; None: no path."""
         lead = self.lead
         if lead.reference is None or lead.going_home or now_s + COMMIT_S >= lead.end_s:
             return None
@@ -233,12 +233,12 @@ class Session:
     # The plan
 
     def work(self, now_s: float) -> Turn:
-        """Plan, or go back, or neither."""
+        """Plan again, lead the nozzle back to the user's target, or neither."""
         lead, turn = self.lead, Turn()
         if lead.is_due or self.path.facts().waiting:
             turn = Turn(lead.end_s - 2.0 * COMMIT_S)
             if self.target.base_c <= 0.0:
-                self.path.drop(now_s)  # deposited without a target; what still lies ahead may get one
+                self.path.drop(now_s)  # deposited without a target; moves still ahead may get one
             elif lead.is_due or now_s > turn.next_s:
                 return self.replan(now_s)
         elif lead.reference is not None:
@@ -249,7 +249,7 @@ class Session:
         return turn
 
     def replan(self, now_s: float) -> Turn:
-        """Another plan with all that waits."""
+        """Plan again with all waiting moves."""
         lead, from_s, recorded_s = self.lead, now_s + COMMIT_S, now_s - RECORD_BEHIND_S
         if lead.reference is None:
             self.plan.lead([(now_s, self.target.base_c)])
@@ -267,7 +267,7 @@ class Session:
         return Turn(reference=reference)
 
     def go_back(self, now_s: float) -> Turn:
-        """Nothing more comes: back to the user's target."""
+        """No more moves: lead the nozzle back to the user's target."""
         lead = self.lead
         assert lead.reference is not None
         from_c = lead.reference.at(now_s)
@@ -282,7 +282,7 @@ class Session:
         return turn
 
     def cut(self, now_s: float) -> None:
-        """What lies ahead is not deposited with this plan."""
+        """Drop the plan and the moves that lie ahead."""
         self.plan.cut(now_s)
         self.path.drop()
 
@@ -291,10 +291,10 @@ class Session:
     @property
     def speed_factor(self) -> float:
         """Part of the file's own speed."""
-        return self.speeds.speed_factor.factor
+        return self.speeds.now.factor
 
     def full_speed(self) -> None:
-        self.speeds.speed_factor = LayerSpeed()
+        self.speeds.now = LayerSpeed()
 
     def choose_speed(self) -> LayerSpeed:
         """Speed factor of the layer that begins, and the pause before it."""
@@ -305,7 +305,7 @@ class Session:
         return self.speeds.layer(self.plan.ages(), interface_c, self.material, self.around, place)
 
     def is_round(self) -> bool:
-        """In a file that tells no layers: has about one been deposited since the speed was chosen?"""
+        """In a file that announces no layers: has about one been deposited since the speed was chosen?"""
         if self.requested.state.layer or not self.speeds.is_used:
             return False
         return self.speeds.is_round(self.plan.ages(), self.lead.end_s - self._speed_set_s)
@@ -313,10 +313,10 @@ class Session:
     # What has been deposited
 
     def record(self, until_s: float) -> None:
-        """Note what has been deposited by then."""
+        """Record what has been deposited by this time."""
         self._rows += self.plan.finish(until_s, ROWS_AT_ONCE if self.keeps_rows else 0)
 
     def take_rows(self) -> list[Deposited]:
-        """What has been recorded since this was called last."""
+        """The rows recorded since the last call."""
         rows, self._rows = self._rows, []
         return rows

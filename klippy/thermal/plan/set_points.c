@@ -92,7 +92,7 @@ static int close_node(struct tempplan *tp, struct filling *f, int stretch)
     int counts = f->weight > 0.0;
     node->time_s = 0.5 * (f->from_s + f->at_s);
     node->weight = f->weight;
-    node->aim_c = counts ? f->target / f->weight : 0.0;
+    node->wanted_c = counts ? f->target / f->weight : 0.0;
     node->low_c = counts ? f->low / f->weight : tp->p.floor_c;
     node->high_c = counts ? f->high / f->weight : tp->p.ceiling_c;
     node->melt_w_k = f->melt / lasted_s;
@@ -104,9 +104,9 @@ static int close_node(struct tempplan *tp, struct filling *f, int stretch)
 /* The piece lasts until until_s; NULL: a gap. Every mm of path counts as much as any other. */
 static int fill(struct tempplan *tp, struct filling *f, double until_s, const struct tempplan_piece *q, int stretch)
 {
-    double aim_c = 0.0, low_c = 0.0, high_c = 0.0, weight_per_s = 0.0, melt_w_k = 0.0;
+    double wanted_c = 0.0, low_c = 0.0, high_c = 0.0, weight_per_s = 0.0, melt_w_k = 0.0;
     if (q && q->flow_mm3_s > 0.0) {
-        aim_c = q->aim_c;
+        wanted_c = q->wanted_c;
         double share = tp->shares[q - tp->pieces];
         melt_w_k = melt_heat_w_k(tp, q);
         double dx = q->end_pos[0] - q->start_pos[0], dy = q->end_pos[1] - q->start_pos[1];
@@ -119,7 +119,7 @@ static int fill(struct tempplan *tp, struct filling *f, double until_s, const st
         double weight = weight_per_s * part_s;
         f->weight += weight;
         if (weight > 0.0) {
-            f->target += weight * aim_c;
+            f->target += weight * wanted_c;
             f->low += weight * low_c;
             f->high += weight * high_c;
         }

@@ -5,7 +5,7 @@
 2. `nodes`: the path in steps of `NODE_S`, earlier by the lag between nozzle and leaving melt. Each has the length
    deposited in it as its weight, for every mm of weld counts the same, and the mean of what is wanted there.
 3. `best_path`: of all temperatures that keep the limits on heating (power) and cooling (loss and melt), those with the
-   least sum of weight (T - wanted)^2. With F_i(T) the least cost of being at T at node i,
+   minimum sum of weight (T - wanted)^2. With F_i(T) the minimum cost of being at T at node i,
 
         F_i(T) = w_i (T - a_i)^2 + min of F_i-1 over T - rise <= T' <= T + fall
 
@@ -50,7 +50,7 @@ class PlanPoint(NamedTuple):
 
 
 class Want(NamedTuple):
-    """What is wanted of a segment. NaN: nothing."""
+    """Melt temperatures wanted for a segment. NaN: none."""
 
     melt_c: float
     free_c: float = math.nan  # melt for the weld alone, beyond the material's window; NaN: it does not decide
@@ -62,7 +62,7 @@ class Node(NamedTuple):
 
     time_s: float
     weight: float
-    aim_c: float
+    wanted_c: float
     low_c: float  # bounds
     high_c: float
     melt_w_k: float
@@ -130,7 +130,7 @@ def best_path(nodes: Sequence[Node], from_s: float, start_c: float, rate: Rate) 
         knots = [*falling, (best_c - fall_c, 0.0), (best_c + rise_c, 0.0), *rising]
         ends = knots[0][0], knots[-1][0]
         knots = _cut(knots, _between(node.low_c, *ends), _between(node.high_c, *ends))
-        knots = [(x, v + node.weight * (x - node.aim_c)) for x, v in knots]
+        knots = [(x, v + node.weight * (x - node.wanted_c)) for x, v in knots]
         if node.weight > 0.0:
             best_c = _zero(knots)
         best_c = _between(
@@ -209,7 +209,7 @@ class Planner:
         return self._follow(segments, targets, start_c)
 
     def wall(self, want: Want, flow_mm3_s: float) -> float:
-        """Nozzle temperature that is aimed at for a segment."""
+        """Nozzle temperature that is wanted for a segment."""
         if math.isnan(want.free_c):
             return wall_wanted(self.limits, self.ceiling_c, want.melt_c, flow_mm3_s)
         return free_wall(self.limits, want.free_c, flow_mm3_s)

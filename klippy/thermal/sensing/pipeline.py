@@ -77,6 +77,7 @@ class Chain:
     def restart_filter(self) -> None:
         """The filter knows nothing any more."""
         self._lib.filter_reset(self._filter)
+        self._lib.drive_offset_reset(self._ffi.addressof(self.state, "drive"))
 
     def take(self, blocks: Blocks) -> TempEstimate | None:
         """Blocks in order of time; the newest filtered estimate among them, if any."""

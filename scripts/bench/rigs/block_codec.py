@@ -42,7 +42,7 @@ def content(sequence: int, clock: int, data: bytes, oid: int = 3) -> bytes:
 
 
 def take(stream: Any, clock_hz: float, *messages: tuple[int, int, bytes]) -> Any:
-    """The blocks of a lot of messages (sequence, 64-bit clock, data); print time 0 is clock 0."""
+    """The blocks of a batch of messages (sequence, 64-bit clock, data); print time 0 is clock 0."""
     pulled = chelper.get_ffi()[0].new("struct pull_message[]", len(messages))
     for entry, (sequence, clock, data) in zip(pulled, messages, strict=True):
         packed = content(sequence, clock, data)

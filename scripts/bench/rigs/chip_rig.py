@@ -1,29 +1,16 @@
-"""An emulated chip on the recording board of test/c: images of a few lines, and the firmware itself.
-
-`Tiny` runs a few lines of C on the model (tiny.h has start-up and registers). `Firmware` is the board and wire of
-mcu_harness.Mcu with a chip's image in place of the simulator port: same tests, other chip.
+"""An emulated chip on the recording board of test/c: board and wire of mcu_harness.Mcu with a chip's image in place of
+the simulator port: same tests, other chip.
 """
 
 from __future__ import annotations
 
 import json
-import subprocess
 from pathlib import Path
 from typing import Any
 
 from mcu_harness import FREQ, Dictionary, Mcu, Reply, make_block
 from simulation.builds import Build, make_build
 from simulation.emulator import Emulator
-
-HERE = Path(__file__).resolve().parent
-ARM = [
-    "arm-none-eabi-gcc",
-    "-std=gnu11",
-    "-mcpu=cortex-m4",
-    "-mthumb",
-    "-mfloat-abi=hard",
-    "-mfpu=fpv4-sp-d16",
-]
 
 
 class _World:
@@ -60,30 +47,6 @@ class Chip(Mcu):
         """What the model objects to, "" if nothing."""
         text = self.ffi.new("char[640]")
         return self.ffi.string(text).decode() if self.lib.emulator_fault(text, 640) else ""
-
-
-class Tiny(Chip):
-    """A few lines of C: `program` is the body of program(), `before` what stands outside of it."""
-
-    def __init__(self, folder: Path, program: str, before: str = "", **options: Any) -> None:
-        source, image = folder / "tiny.c", folder / "tiny.elf"
-        source.write_text(f'#include "tiny.h"\n{before}\nvoid program(void)\n{{\n{program}\n}}\n')
-        flags = ["-O2", "-nostartfiles", "-nostdlib", f"-I{HERE}", "-T", str(HERE / "tiny.ld")]
-        subprocess.run([*ARM, *flags, str(source), "-o", str(image), "-lgcc"], check=True)
-        super().__init__(make_emulator(), image, **options)
-
-    def result(self) -> int:
-        """result[0] of the program."""
-        return self.chip.peek("=result")
-
-
-def make_emulator() -> Build:
-    """The emulator of the STM32F334, without an image."""
-    from simulation import builds
-
-    build = builds.BUILDS["stm32f334"]
-    builds.make([build.library], "The emulator")
-    return build
 
 
 class Firmware(Chip):

@@ -92,7 +92,7 @@ class Result:
 
 
 class OurRig(Rig):
-    """The rig with what the printer tells the loop: the planned flow; and with a host that is late at random."""
+    """The rig with what the printer gives the loop: the planned flow; and with a host that is late at random."""
 
     def __init__(self, plant: Plant, parameters: Any, seed: int, link: Link) -> None:
         super().__init__(plant, parameters, seed, link.up_s, link.down_s, link.jitter_s)

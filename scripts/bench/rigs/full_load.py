@@ -105,7 +105,7 @@ def part(seconds: float) -> str:
 
 
 class FullLoad(Simulation):
-    """Prints, and keeps books."""
+    """Prints, and records."""
 
     def __init__(self, folder: Path, seconds: float) -> None:
         config, gcode = folder / "full.cfg", folder / "full.gcode"
@@ -202,7 +202,7 @@ def check_blocks(load: Load) -> int:
 
 
 def check_continuity(load: Load) -> None:
-    """No sample lost, none told twice: a block begins where the one before ends, but for what it says was discarded."""
+    """No sample lost, none reported twice: a block begins where the one before ends, discarded samples included."""
     assert len(load.blocks) > 1
     for (clock, row), (after, following) in zip(load.blocks, load.blocks[1:], strict=False):
         assert row.lost == following.lost == 0

@@ -179,7 +179,11 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
         _control(choice, pid_control.PidParameters(**pid), heat, balance, drive, timing, held),
         loss,
         actuator.ActuatorParameters(
-            drive, pulse_s, pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1
+            drive,
+            pulse_s,
+            pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1,
+            look_s=settle_s + defaults.LOOK_SAMPLES * PERIOD_S,
+            long_look_s=settle_s + defaults.LONG_LOOK_SAMPLES * PERIOD_S,
         ),
         supervision.SuperviseParameters(-10.0, max_temp_c),
         timing,
@@ -349,8 +353,8 @@ class Rig:
     def _host(self) -> None:
         now_s = self.now_s
         batch = [mail for mail in self._mail if mail[0] <= now_s]
-        most, wait_s = (BATCH_MESSAGES, BATCH_WAIT_S) if self._batched else (1, 0.0)
-        if len(batch) >= most or (batch and now_s - batch[0][0] >= wait_s):
+        count, wait_s = (BATCH_MESSAGES, BATCH_WAIT_S) if self._batched else (1, 0.0)
+        if len(batch) >= count or (batch and now_s - batch[0][0] >= wait_s):
             del self._mail[: len(batch)]
             blocks = take(self.stream, CLOCK_HZ, *(mail[1:] for mail in batch))
             self._send((self.driver or self.loop).on_blocks(blocks, now_s))

@@ -193,7 +193,6 @@ class Mcu:
             0,
             bytes(count),
         )
-        self.replies_seen = 0
         self.sequence = 0
         self.board = self._make_board()
         self.boot(boot_clock)

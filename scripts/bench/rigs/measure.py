@@ -30,7 +30,7 @@ class Sampling:
     after: dict[str, Any]
     steps_asked: int
     steps_made: int
-    phases: list[tuple[int, int, int]]  # asked, told to the world, in the compare registers
+    phases: list[tuple[int, int, int]]  # asked, seen by the world, in the compare registers
 
     @property
     def samples(self) -> int:

@@ -44,9 +44,6 @@ class Mega(Firmware):
     def chip_clock(self, board_clock: int) -> int:
         return (board_clock - self.zero) & 0xFFFFFFFF
 
-    def interrupt_cycles(self) -> int:
-        return self.chip.peek("ticks.interrupt")
-
     def busy_cycles(self) -> int:
         return self.chip.peek("ticks.busy")
 

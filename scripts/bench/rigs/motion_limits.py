@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from batch_messages import MAX_ERROR_S
 from motion_exact import LINEAR, head_epochs
 from motion_oracle import Run
-from motion_rig import MAX_ERROR_S
 
 NEAR = 1.0 + 1e-9
 # of planned speeds: sums of distances of a thousand moves

@@ -21,8 +21,8 @@ from typing import Any
 import numpy as np
 
 import msgproto
+from batch_messages import CLOCK_HZ, MAX_ERROR_S, decode, dictionary
 from motion_exact import Array, Epoch, Ramps, filament_epochs, geometry, head_epochs
-from motion_rig import CLOCK_HZ, MAX_ERROR_S, decode, dictionary
 from printer import Printer
 from reactor import Reactor
 
@@ -244,8 +244,8 @@ class Follow:
             between = np.linspace(a[near], b[near], 40).ravel()
             beyond = np.tile(way[near], 40) * self.ahead(between, np.tile(edge[near], 40)) >= -SLACK_STEPS
             early[near] = ~beyond.reshape(40, -1).any(axis=0)
-        self._tell(late, "after", t, fa, tally)
-        self._tell(early, "more than 25 us before", t, fb, tally)
+        self._report(late, "after", t, fa, tally)
+        self._report(early, "more than 25 us before", t, fb, tally)
         crossing = (fa < 0.0) & (fb > 0.0)
         tally.turning += int((~crossing).sum())
         if crossing.any():
@@ -266,7 +266,7 @@ class Follow:
             b, fb = np.where(left, b, x), np.where(left, fb, fx)
         return a - fa * (b - a) / np.where(fb > fa, fb - fa, 1.0)
 
-    def _tell(self, bad: Array, what: str, t: Array, miss: Array, tally: Tally) -> None:
+    def _report(self, bad: Array, what: str, t: Array, miss: Array, tally: Tally) -> None:
         if bad.any():
             i = int(np.flatnonzero(bad)[0])
             tally.faults.append(

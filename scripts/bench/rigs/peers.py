@@ -3,7 +3,7 @@
 `IndxLike`: a board of its own at the nozzle that controls at 100 Hz and reports every 100 ms (docs.kalico.gg, INDX):
 proportional on a contactless sensor, the losses at the target fed forward from the host's side at each report.
 
-`MpcLike`: what the documentation of MPC (Kalico, Marlin's M306) tells: a simulated block of one heat capacity and one
+`MpcLike`: MPC as documented (Kalico, Marlin's M306): a simulated block of one heat capacity and one
 loss, run in steps of the sensor's report, dragged gently towards the reading, its ambient temperature trimmed by what
 is left; power is what brings the simulated block to the target within a set time, plus loss and filament heat.
 

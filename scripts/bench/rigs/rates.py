@@ -39,6 +39,16 @@ class Published:
 
 
 @dataclass(frozen=True)
+class Figures:
+    """What the documentation says of our firmware: instructions a step and ticks between steps by number of steppers,
+    instructions a command."""
+
+    step_instructions: dict[int, int]
+    command_instructions: int
+    ticks: dict[int, int]
+
+
+@dataclass(frozen=True)
 class Bench:
     """How to put a chip through it. `cycles_per_instruction`: as the emulator assumes; 0: it counts exactly."""
 
@@ -47,6 +57,10 @@ class Bench:
     pins: tuple[tuple[int, int], ...]
     cycles_per_instruction: int
     published: Published
+    documented: Figures
+
+    def steps_per_s(self, steppers: int) -> float:
+        return steppers * self.clock_hz / self.documented.ticks[steppers]
 
     def power_on(self) -> Firmware:
         return Mega() if self.name == "atmega2560" else Firmware(self.name)
@@ -64,6 +78,7 @@ BENCHES = {
         measure.STEP_PINS,
         measure.CYCLES_PER_INSTRUCTION,
         Published("STM32F103, 72 MHz", 72_000_000, {1: 61, 3: 264}, 355_000),
+        Figures({1: 117, 3: 81}, 110, {1: 73, 3: 331}),
     ),
     "atmega2560": Bench(
         "atmega2560",
@@ -71,6 +86,7 @@ BENCHES = {
         MEGA_PINS,
         0,
         Published("AVR, 16 MHz", 16_000_000, {1: 102, 3: 486}, 23_000, 32),
+        Figures({1: 401, 3: 245}, 272, {1: 179, 3: 726}),
     ),
 }
 
@@ -129,7 +145,7 @@ def completes(bench: Bench, steppers: int, interval: int, steps: int = STEPS, pu
 
 
 def shortest_interval(bench: Bench, steppers: int, steps: int = STEPS, pulse_ticks: int = 0) -> int:
-    """Ticks: bisection, as the page tells to."""
+    """Ticks: bisection, as on the page."""
     low, high = 20, 4000
     assert completes(bench, steppers, high, min(steps, 2000), pulse_ticks), "not even slow steps are made"
     while high - low > 1:

@@ -58,7 +58,7 @@ M83
 """
 
 
-def test_objects_are_known_by_what_the_slicer_tells(tmp_path: Path) -> None:
+def test_objects_are_known_by_what_the_slicer_defines(tmp_path: Path) -> None:
     def body(s: Session) -> None:
         s.gcode.run_script(OBJECTS + "EXCLUDE_OBJECT_DEFINE NAME=c MATERIAL=PLA\nEXCLUDE_OBJECT_START NAME=b")
         status = s.status("exclude_object")
@@ -220,7 +220,7 @@ def test_delayed_gcode_runs_once_or_repeats_itself(tmp_path: Path) -> None:
         assert s.status("gcode_macro COUNT")["n"] == 4
         s.gcode.run_script("UPDATE_DELAYED_GCODE ID=broken DURATION=1")
         s.sleep(2.0)
-        assert s.state[1] == "ready", "an error of a delayed script is told and no more"
+        assert s.state[1] == "ready", "an error of a delayed script is only reported"
         with pytest.raises(s.gcode.error, match="not valid for ID"):
             s.gcode.run_script("UPDATE_DELAYED_GCODE ID=nobody DURATION=1")
 

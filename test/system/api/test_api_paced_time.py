@@ -10,7 +10,7 @@ from paced_host import SLIP_S, STEP_S, PacedTime
 
 
 class FakeWorld:
-    """Stands for SimTime: goes where it is told at once."""
+    """Stands for SimTime: moves to the requested time at once."""
 
     def __init__(self) -> None:
         self.now = 100.0

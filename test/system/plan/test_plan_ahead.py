@@ -1,4 +1,4 @@
-"""The plan takes no time from the look-ahead: each move is sent as early and deposited when it would be without."""
+"""The plan takes no time from the look-ahead: each move is sent as early and made at the same time as without it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from plan_rig import Watched, watch
 from sample_gcode import sample_path
 from system.conftest import machine
 
-# The speed_factor of hot layers is what the plan wants itself; without it every move has the file's own speed.
+# The plan may slow down hot layers; with minimum_speed_factor 1 every move has the file's own speed.
 SECTION = "[temperature_plan]\nmaterial: ABS\nbed_temp: 100\nchamber_temp: 40\nminimum_speed_factor: 1\n"
 START = "M104 S240\nG28\nG90\nM83\nG1 X20 Y20 Z0.3 F6000\nM109 S240\n"
 FEATURES = ("External perimeter", "Internal infill", "Bridge infill")

@@ -31,7 +31,7 @@ STEP_C = 2.0
 # the nozzle needs its time: 26 degC down, at 10 degC/s and slowing down, with its holder still warm.
 EARLY_S, SETTLE_S = 3.5, 5.0
 ROAD_S, ROADS = 0.5, 24
-# The least change that is written, half a degree of rounding, and what the control is off while the flow changes.
+# The minimum change that is written, half a degree of rounding, and what the control is off while the flow changes.
 TOLERANCE_C = STEP_C + 0.5 + 0.5
 
 
@@ -63,7 +63,7 @@ def emitted(folder: Path, gcode: str, section: str) -> tuple[str, plan_offline.O
     return target.read_text(), offline_plan(folder, gcode, config.read_text())
 
 
-def test_an_emitted_file_prints_as_foretold(simulate: Simulate, tmp_path: Path) -> None:
+def test_an_emitted_file_prints_as_predicted(simulate: Simulate, tmp_path: Path) -> None:
     """Also where the file slows down, rests and pauses: a target is that of its road, whenever that comes."""
     text, foretold = emitted(tmp_path, part(), SECTION)
     assert text.count(";planned") >= 3  # one a stretch at least
@@ -106,7 +106,7 @@ def test_the_offline_plan_knows_the_nozzle_of_the_config(tmp_path: Path) -> None
     assert (offline.exchange.ua_w_k, offline.exchange.volume_mm3) == (0.0333, 3.0)
 
 
-def test_an_emitted_speed_prints_in_the_foretold_time(simulate: Simulate, tmp_path: Path) -> None:
+def test_an_emitted_speed_prints_in_the_predicted_time(simulate: Simulate, tmp_path: Path) -> None:
     """A hot tower of layers of 1.6 s: M220 in the file, and the roads take as long as the plan reckons."""
     layers = "".join(
         f";LAYER_CHANGE\nG1 Z{0.3 + 0.2 * n:.1f} F600\nG1 X58 E0.8 F1800\nG1 Y58 E0.8\nG1 X50 E0.8\nG1 Y50 E0.8\n"
@@ -115,7 +115,7 @@ def test_an_emitted_speed_prints_in_the_foretold_time(simulate: Simulate, tmp_pa
     gcode = f"{START}G1 X50 Y50 F6000\n{layers}M104 S0\n"
     section = SECTION.partition("features")[0].replace("bonding: no", "bonding: yes\ninterface_temp: 125")
     text, foretold = emitted(tmp_path, gcode, section)
-    assert min(change.speed_factor.factor for change in foretold.speed_changes) < 0.6
+    assert min(change.speed.factor for change in foretold.speed_changes) < 0.6
     assert "M220 S" in text
     run = simulate(text)
     assert run.status == 0, run.stderr

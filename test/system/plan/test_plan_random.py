@@ -1,4 +1,4 @@
-"""Random G-code through the whole host: what the plan asks of the nozzle is always possible and always allowed.
+"""Random G-code through the whole host: what the plan requests is always possible and always allowed.
 
 `FERRITE_PLAN_SEEDS=200 pytest test/system/plan/test_plan_random.py` is the long soak (about 2 s a seed).
 """
@@ -52,8 +52,8 @@ objects:
 layers:
   3-4: 222
 """
-# By so much the plan's limits may differ from those of the moment that are reckoned here: its holder (10 s) is believed
-# to be where the plan was, here it is where the heater was asked to be; 14 degC of that are 1 K/s.
+# The plan's limits may differ by this from those computed here. The plan takes its holder (10 s) at the planned
+# temperature, here it is at the heater's reference; 14 degC of that are 1 K/s.
 SLACK_K_S = 1.0
 GRID_S = 0.05
 JUMP_C = 0.05  # corners within 0.02 degC of a line are left out of both references

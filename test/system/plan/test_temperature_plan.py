@@ -41,7 +41,7 @@ def melt_error(run, rows, offset_s: float) -> float:  # type: ignore[no-untyped-
 
 def test_preview_halves_the_melts_error_at_steps(simulate: Simulate, tmp_path: Path) -> None:
     """15 degC every 1.5 s: less than half of what turning the nozzle at the border gives. The nozzle's holder and its
-    losses are not those that the plan believes in."""
+    losses are not those that the plan assumes."""
     errors = {}
     other = "[simulator nozzle nozzle]\nsecond_j_k: 0.744\nloss_factor: 1.1\n"
     for preview in ("yes", "no"):
@@ -144,7 +144,7 @@ def test_a_record_on_a_full_disk_ends_and_the_print_goes_on(simulate: Simulate, 
 
 
 def test_a_hot_tower_is_deposited_more_slowly(simulate: Simulate, tmp_path: Path) -> None:
-    """Layers of 1.6 s would stay above what the coolest melt can weld at 130 degC; without leave they are as told."""
+    """Layers of 1.6 s would stay above what the coolest melt can weld at 130 degC; without leave nothing changes."""
     layers = "".join(
         f";LAYER_CHANGE\nG1 Z{0.3 + 0.2 * n:.1f} F600\nG1 X58 E0.8 F1800\nG1 Y58 E0.8\nG1 X50 E0.8\nG1 Y50 E0.8\n"
         for n in range(14)

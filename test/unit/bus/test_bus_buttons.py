@@ -1,4 +1,4 @@
-"""Buttons and filament sensors, against a board that answers as told."""
+"""Buttons and filament sensors, against a board with scripted answers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from extras import buttons as buttons_module
 
 
 def press(s: BusSession, state: bytes, ack_count: int = 0, oid: int = 0) -> None:
-    s.chip.tell("buttons_state", oid, ack_count=ack_count, state=state)
+    s.chip.report("buttons_state", oid, ack_count=ack_count, state=state)
     s.sleep(0.1)
 
 
@@ -84,11 +84,11 @@ def test_analog_buttons_share_a_pin_and_are_debounced(tmp_path: Path) -> None:
             s.sleep(0.1)
 
         hold(450.0, 1.000, 1.015)
-        assert told(s) == []
+        assert echoed(s) == []
         hold(450.0, 1.030)
         hold(2000.0, 1.045, 1.060, 1.075)
         hold(1e9, 1.090, 1.105, 1.120)
-        assert told(s) == ["low on", "low off", "high on"]
+        assert echoed(s) == ["low on", "low off", "high on"]
 
     run(tmp_path, ANALOG, body)
 
@@ -133,7 +133,7 @@ event_delay: 3
 """
 
 
-def told(s: BusSession) -> list[str]:
+def echoed(s: BusSession) -> list[str]:
     return [line.removeprefix("echo: ") for line in s.lines if line.startswith("echo: ")]
 
 
@@ -149,7 +149,7 @@ def test_runout_while_printing_pauses_then_runs_the_script(tmp_path: Path) -> No
         printing(s)
         press(s, b"\x00", 1)
         s.sleep(1.0)
-        assert told(s) == ["paused", "runout", "done"]
+        assert echoed(s) == ["paused", "runout", "done"]
         s.gcode.run_script("QUERY_FILAMENT_SENSOR SENSOR=f")
         assert "filament not detected" in s.lines[-1]
 
@@ -161,11 +161,11 @@ def test_insert_while_not_printing_runs_its_script_but_not_twice_at_once(tmp_pat
         printing(s, moving=False)
         press(s, b"\x01")
         press(s, b"\x00\x01", 1)
-        assert told(s) == ["insert", "done"]
+        assert echoed(s) == ["insert", "done"]
         s.sleep(4.0)
         press(s, b"\x00\x01", 3)
         s.sleep(1.0)
-        assert told(s) == ["insert", "done"] * 2
+        assert echoed(s) == ["insert", "done"] * 2
 
     run(tmp_path, SWITCH, body)
 
@@ -177,7 +177,7 @@ def test_a_disabled_sensor_only_reports(tmp_path: Path) -> None:
         printing(s)
         press(s, b"\x00", 1)
         s.sleep(1.0)
-        assert told(s) == []
+        assert echoed(s) == []
         assert s.status("filament_switch_sensor f") == {"filament_detected": False, "enabled": False}
 
     run(tmp_path, SWITCH, body)
@@ -194,9 +194,9 @@ def test_an_encoder_wheel_that_stands_still_is_a_runout(tmp_path: Path) -> None:
         for count in range(5):  # pulses every 3 s: 6 mm apart, near enough
             press(s, bytes([~count & 1]), count)
             s.sleep(2.9)
-        assert told(s) == [] and s.status("filament_motion_sensor f")["filament_detected"]
+        assert echoed(s) == [] and s.status("filament_motion_sensor f")["filament_detected"]
         s.sleep(2.0)
-        assert told(s) == ["paused", "runout", "done"]
+        assert echoed(s) == ["paused", "runout", "done"]
         assert not s.status("filament_motion_sensor f")["filament_detected"]
 
     run(tmp_path, config, body)

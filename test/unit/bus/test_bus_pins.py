@@ -1,4 +1,4 @@
-"""LEDs, servos, fans with tachometer and the small pin sections, against a board that answers as told."""
+"""LEDs, servos, fans with tachometer and the small pin sections, against a board with scripted answers."""
 
 from __future__ import annotations
 
@@ -189,8 +189,8 @@ def test_a_tachometer_reports_revolutions(tmp_path: Path) -> None:
         assert f"poll_ticks={int(0.0015 * FREQ)} sample_ticks={FREQ}" in s.chip.init[0]
         assert s.status("fan_generic f")["rpm"] == 0.0
         # 3000 rpm with 2 pulses of 2 edges: 200 edges a second
-        s.chip.tell("counter_state", 0, next_clock=2 * FREQ, count=0xFFFFFFF0, count_clock=FREQ)
-        s.chip.tell(
+        s.chip.report("counter_state", 0, next_clock=2 * FREQ, count=0xFFFFFFF0, count_clock=FREQ)
+        s.chip.report(
             "counter_state",
             0,
             next_clock=3 * FREQ,
@@ -198,7 +198,7 @@ def test_a_tachometer_reports_revolutions(tmp_path: Path) -> None:
             count_clock=int(1.995 * FREQ),
         )
         assert s.status("fan_generic f")["rpm"] == pytest.approx(3000.0)
-        s.chip.tell("counter_state", 0, next_clock=4 * FREQ, count=183, count_clock=int(1.995 * FREQ))
+        s.chip.report("counter_state", 0, next_clock=4 * FREQ, count=183, count_clock=int(1.995 * FREQ))
         assert s.status("fan_generic f")["rpm"] == 0.0, "no edge in a whole second"
 
     run(tmp_path, config, body)

@@ -1,4 +1,4 @@
-"""SPI and I2C devices and the temperature sensors on and off them, against a board that answers as told."""
+"""SPI and I2C devices and the temperature sensors on and off them, against a board with scripted answers."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_raw_values_become_the_data_sheet_s_temperatures(tmp_path: Path, kind: s
         query = next(cmd for cmd in s.chip.init if cmd.startswith("query_thermocouple"))
         oid = int(query.split("oid=")[1].split()[0])
         for raw, temp_c in rows:
-            s.chip.tell("thermocouple_result", oid, next_clock=10 * FREQ, value=raw, fault=0)
+            s.chip.report("thermocouple_result", oid, next_clock=10 * FREQ, value=raw, fault=0)
             assert s.status("temperature_sensor s")["temperature"] == pytest.approx(
                 temp_c, abs=tolerance + 0.005
             )
@@ -93,10 +93,10 @@ def test_a_converter_is_set_up_and_watched_by_the_board(tmp_path: Path) -> None:
 def test_a_fault_is_reported_by_name_once_and_gives_no_temperature(tmp_path: Path) -> None:
     def body(s: BusSession) -> None:
         for _ in range(3):
-            s.chip.tell("thermocouple_result", 1, next_clock=FREQ, value=0x10001, fault=1)
+            s.chip.report("thermocouple_result", 1, next_clock=FREQ, value=0x10001, fault=1)
         s.sleep(0.1)
-        told = [line for line in s.lines if "open circuit" in line]
-        assert len(told) == 1 and "temperature_sensor s" in told[0]
+        faults = [line for line in s.lines if "open circuit" in line]
+        assert len(faults) == 1 and "temperature_sensor s" in faults[0]
         assert s.status("temperature_sensor s")["temperature"] == 0.0
 
     run(tmp_path, sensor("sensor_type: MAX31855\nsensor_pin: PB1"), body)

@@ -89,7 +89,7 @@ def test_a_reading_is_what_the_data_sheet_says(
     def body(s: BusSession) -> None:
         wait(s, 2.0)
         status = s.status(f"{name} air")
-        # humidity: one step of the last digit told
+        # humidity: one step of the last digit reported
         assert status == pytest.approx(expected, abs=0.06)
         assert status.keys() == expected.keys()
         assert s.status("temperature_sensor air")["temperature"] == status["temperature"]

@@ -55,7 +55,7 @@ def test_without_jitter_the_line_is_exact() -> None:
 @pytest.mark.parametrize("seed", range(3))
 def test_converges_to_10_us_under_jitter(ppm: float, seed: int) -> None:
     rng = random.Random(seed)
-    # most answers wait for nothing, some for tens of us, a few for ms: queues
+    # two answers in four do not wait, one waits for tens of us, one for ms: queues
     errors = run(Oscillator(ppm), 120, lambda: rng.choice([0.0, 0.0, rng.expovariate(1 / 100e-6), 0.005]))
     assert max(abs(e) for e in errors[60:]) < 10e-6
 

@@ -61,15 +61,15 @@ def test_a_printer_starts_without_display_and_accelerometer_and_says_so_once(tmp
     session = Session(tmp_path, DISPLAY + ACCELEROMETERS)
     session.run(lambda s: s.sleep(5.0))
     assert session.state[1] == "ready"
-    (told,) = notices(session)
-    display, resonance = told.splitlines()[1:]
+    (notice,) = notices(session)
+    display, resonance = notice.splitlines()[1:]
     assert display.startswith("// [display] (printer.cfg, line 1), [display_data] (printer.cfg, line 4), ")
     assert "[menu] (printer.cfg, line 9): the display stays dark" in display
     assert resonance.startswith("// [adxl345] (printer.cfg, line 14), [lis2dw] (printer.cfg, line 18), ")
     assert "[resonance_tester] (printer.cfg, line 24): resonances can not be measured" in resonance
     (warning,) = session.status("configfile")["warnings"]
     assert warning["type"] == "runtime_warning"
-    assert warning["message"] == told.replace("// ", "")
+    assert warning["message"] == notice.replace("// ", "")
 
 
 def test_without_such_sections_nothing_is_said(tmp_path: Path) -> None:

@@ -79,14 +79,14 @@ def test_links_and_letters_lead_to_files_and_never_in_circles(tmp_path: Path) ->
     session = sd_session(tmp_path, Part="MOVE\n")
     folder, elsewhere = tmp_path / "gcodes", tmp_path / "stick"
     elsewhere.mkdir()
-    (elsewhere / "lent.gcode").write_text("MOVE\nMOVE\n")
+    (elsewhere / "linked.gcode").write_text("MOVE\nMOVE\n")
     (folder / "usb").symlink_to(elsewhere)
     (elsewhere / "back").symlink_to(folder)
 
     def body(s: Session) -> None:
         card = s.printer.lookup_object("virtual_sdcard")
-        assert card.get_file_list(check_subdirs=True) == [("Part.gcode", 5), ("usb/lent.gcode", 10)]
-        for name, moves in (("pART.gcode", 1), ("usb/lent.gcode", 3)):
+        assert card.get_file_list(check_subdirs=True) == [("Part.gcode", 5), ("usb/linked.gcode", 10)]
+        for name, moves in (("pART.gcode", 1), ("usb/linked.gcode", 3)):
             s.gcode.run_script(f"SDCARD_PRINT_FILE FILENAME={name}")
             wait_until(s, "complete")
             assert s.status("gcode_macro MOVE")["count"] == moves

@@ -258,7 +258,7 @@ def test_the_end_of_the_host_is_no_error_for_a_client_that_is_writing(
         monkeypatch.setattr(webhooks, "_FAREWELL_S", 0.1)
     path = str(tmp_path / "api.sock")
     session = Session(tmp_path, "[respond]\n", SystemTime(), apiserver=path)
-    connected, told, ended = threading.Event(), threading.Event(), threading.Event()
+    connected, finished, ended = threading.Event(), threading.Event(), threading.Event()
     problems: list[OSError] = []
 
     def client_life() -> None:
@@ -272,7 +272,7 @@ def test_the_end_of_the_host_is_no_error_for_a_client_that_is_writing(
                 client.send_raw(b'{"id": 1, "method": "info"}\x03')
         except OSError as e:
             problems.append(e)
-        told.set()
+        finished.set()
         if not closes:
             ended.wait(10.0)
         client.sock.close()
@@ -287,6 +287,6 @@ def test_the_end_of_the_host_is_no_error_for_a_client_that_is_writing(
     session.run(drive)
     ended.set()
     thread.join()
-    assert told.is_set()
+    assert finished.is_set()
     assert not problems
     assert not Path(path).exists()

@@ -73,9 +73,9 @@ def test_a_twisted_surface_goes_through_four_points() -> None:
 
 
 def test_equations_without_a_solution_are_refused() -> None:
-    assert solve([[2.0, 1.0], [1.0, 3.0]], [5.0, 10.0]) == pytest.approx([1.0, 3.0])
+    assert solve([[2.0, 1.0], [1.0, 3.0]], [5.0, 10.0], 1e-12) == pytest.approx([1.0, 3.0])
     with pytest.raises(ValueError, match="no surface"):
-        solve([[1.0, 2.0], [2.0, 4.0]], [1.0, 2.0])
+        solve([[1.0, 2.0], [2.0, 4.0]], [1.0, 2.0], 1e-12)
 
 
 # ---- interpolation -------------------------------------------------------------------------------------------
@@ -163,10 +163,10 @@ def test_fading_keeps_all_below_and_only_the_target_above() -> None:
     assert fade.allows(-4.7, 5.1) and not fade.allows(-4.7, 5.3) and not fade.allows(-4.9, 0.0)
 
 
-def bed(height, fade: Fade | None = None, check: float = 5.0, most: float = 0.025) -> Surface:
+def bed(height, fade: Fade | None = None, check: float = 5.0, max_change: float = 0.025) -> Surface:
     """A bed of 200 x 100 mm with places at every mm."""
     surface = Surface((0, 0), (200, 100), grid(201, 101, height))
-    surface.follow(fade or Fade(), (0.0, 0.0, 0.0), check, most)
+    surface.follow(fade or Fade(), (0.0, 0.0, 0.0), check, max_change)
     return surface
 
 
@@ -176,7 +176,7 @@ def test_a_level_path_over_a_level_bed_is_one_piece() -> None:
 
 
 def test_a_path_is_cut_where_the_correction_has_changed() -> None:
-    corners = split_line(bed(lambda x, y: 0.01 * x, most=0.19), [0, 0, 1, 0, 5], [100, 0, 1, 10, 0])
+    corners = split_line(bed(lambda x, y: 0.01 * x, max_change=0.19), [0, 0, 1, 0, 5], [100, 0, 1, 10, 0])
     assert [c[0] for c in corners] == pytest.approx([20, 40, 60, 80, 100])
     for x, _, z, e, further in corners:
         assert z == pytest.approx(1 + 0.01 * x) and e == pytest.approx(0.1 * x)
@@ -184,14 +184,14 @@ def test_a_path_is_cut_where_the_correction_has_changed() -> None:
 
 
 def test_no_place_of_a_path_is_off_by_more_than_asked() -> None:
-    """Between corners the path is straight; the surface bends by at most max_change within a piece, and once more over
+    """Between corners the path is straight; the surface bends by max_change at most within a piece, and once more over
     check_distance, which is not looked into."""
 
     def hill(x: float, y: float) -> float:
         return 0.5 * math.exp(-((x - 60) ** 2 + (y - 40) ** 2) / 900)
 
-    start, end, most = [0.0, 0.0, 2.0, 0.0], [120.0, 90.0, 2.0, 0.0], 0.025
-    surface = bed(hill, check=3.0, most=most)
+    start, end, max_change = [0.0, 0.0, 2.0, 0.0], [120.0, 90.0, 2.0, 0.0], 0.025
+    surface = bed(hill, check=3.0, max_change=max_change)
     path = [[0.0, 0.0, 2.0 + hill(0, 0), 0.0], *split_line(surface, start, end)]
     steepest = 0.5 * math.sqrt(2 / 900) * math.exp(-0.5)
     for share in (k / 1000 for k in range(1001)):
@@ -199,7 +199,7 @@ def test_no_place_of_a_path_is_off_by_more_than_asked() -> None:
         low = max(k for k in range(len(path) - 1) if path[k][0] <= x + EXACT)
         a, b = path[low], path[low + 1]
         z = a[2] + (b[2] - a[2]) * (x - a[0]) / (b[0] - a[0])
-        assert abs(z - 2 - hill(x, y)) <= most + 3.0 * steepest
+        assert abs(z - 2 - hill(x, y)) <= max_change + 3.0 * steepest
 
 
 def test_a_move_straight_up_is_corrected_once() -> None:

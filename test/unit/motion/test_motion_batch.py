@@ -31,26 +31,26 @@ def test_a_square_comes_back_to_where_it_began(run) -> None:
     square = run(HOMED + "G1 X10 Y10 F6000\nG1 X50\nG1 Y50\nG1 X10\nG1 Y10\nM400")
     assert plain.result == square.result == "exit"
     for name in ("stepper_x", "stepper_y", "stepper_z"):
-        assert plain.tracks()[name].position == square.tracks()[name].position
-    before, after = plain.tracks()["stepper_x"], square.tracks()["stepper_x"]
+        assert plain.traces()[name].position == square.traces()[name].position
+    before, after = plain.traces()["stepper_x"], square.traces()["stepper_x"]
     assert len(after.clocks) - len(before.clocks) == 2 * 40 * X_PER_MM
 
 
 def test_batch_homing_runs_the_whole_way_twice(run) -> None:
     """An endstop counts as triggered at the end of the full move: 1.5 ranges, 5 mm back, 10 mm forth."""
-    tracks = run("G28 X").tracks()
-    x = tracks["stepper_x"]
+    traces = run("G28 X").traces()
+    x = traces["stepper_x"]
     assert x.position == -(300 - 5 + 10) * X_PER_MM
-    assert not tracks["stepper_y"].clocks
-    y = run("G28 Y").tracks()["stepper_y"]
+    assert not traces["stepper_y"].clocks
+    y = run("G28 Y").traces()["stepper_y"]
     assert y.position == -(300 - 5 + 10) * X_PER_MM  # towards +, with an inverted dir pin
     step_s = np.diff(x.clocks[:20000]) / CLOCK_HZ
     assert np.median(step_s) == pytest.approx(1.0 / (50.0 * X_PER_MM), rel=1e-3)
 
 
 def test_axis_speeds_and_z_limits_hold(run) -> None:
-    tracks = run(HOMED + "G1 X100 Y100 Z10 F30000\nG1 X20 Z3\nM400").tracks()
-    z = tracks["stepper_z"]
+    traces = run(HOMED + "G1 X100 Y100 Z10 F30000\nG1 X20 Z3\nM400").traces()
+    z = traces["stepper_z"]
     # the finest interval is not below that of 10 mm/s by more than the 25 us tolerance allows over ten steps
     ten = (np.array(z.clocks)[10:] - np.array(z.clocks)[:-10]) / CLOCK_HZ
     assert ten.min() >= 10 / (10.0 * Z_PER_MM) - 25e-6
@@ -58,7 +58,7 @@ def test_axis_speeds_and_z_limits_hold(run) -> None:
 
 def test_extruder_follows_the_head_in_proportion(run) -> None:
     outcome = run(HOMED + "M83\nG1 X20 F3000\nG1 X120 E5 F3000\nM400")
-    e = outcome.tracks()["extruder"]
+    e = outcome.traces()["extruder"]
     per_mm = 3200 / 33.5
     assert abs(e.position - 5 * per_mm) <= 1
     middle = np.array(e.clocks)[100:300] / CLOCK_HZ
@@ -71,7 +71,7 @@ def test_a_wider_extrusion_limit_makes_no_faster_retractions(run) -> None:
     def lasts(more: str) -> int:
         clocks = (
             run(HOMED + "M83\nG1 X20 F6000\nG1 E-5 F6000\nM400", CONFIG + EXTRUDER + more)
-            .tracks()["extruder"]
+            .traces()["extruder"]
             .clocks
         )
         return clocks[-1] - clocks[0]
@@ -83,8 +83,8 @@ def test_a_wider_extrusion_limit_makes_no_faster_retractions(run) -> None:
 
 def test_pressure_advance_pushes_ahead_and_takes_back(run) -> None:
     gcode = HOMED + "SET_PRESSURE_ADVANCE ADVANCE=0.1\nM83\nG1 X20 F6000\nG1 X60 E4 F6000\nM400\n"
-    plain = run(gcode.replace("=0.1", "=0")).tracks()["extruder"]
-    ahead = run(gcode).tracks()["extruder"]
+    plain = run(gcode.replace("=0.1", "=0")).traces()["extruder"]
+    ahead = run(gcode).traces()["extruder"]
     assert plain.position == ahead.position
     # K * e' = 0.1 s * 10 mm/s = 1 mm is taken back while braking feeds another 10/2 mm/s * 33 ms = 0.17 mm;
     # smoothing over +-20 ms of a fall that lasts 33 ms rounds the top by another 0.1 mm or so
@@ -150,7 +150,7 @@ def test_m84_switches_off_a_motor_whose_first_steps_are_only_queued(run, x: floa
     config = CONFIG + EXTRUDER + FORCED
     outcome = run(COLD_MOVE.format(x, f"M84\nSET_KINEMATIC_POSITION X={x} Y=100 Z=10\n"), config)
     assert outcome.result == "exit", outcome.replies
-    moved = outcome.tracks()["stepper_x"]
+    moved = outcome.traces()["stepper_x"]
     way = round((x - 100.0) * X_PER_MM)
     first, last, again = moved.clocks[0], moved.clocks[way - 1], moved.clocks[way]
     lines = [(p["clock"], p["on_ticks"] == 0) for p in outcome.commands if p["#name"] == "queue_digital_out"]
@@ -159,7 +159,7 @@ def test_m84_switches_off_a_motor_whose_first_steps_are_only_queued(run, x: floa
     assert before[-1] is True, "on before its first step"
     assert [on for _, on in rest] == [False, True], "off at M84, on for the next move"
     assert (rest[0][0] - last) / CLOCK_HZ == pytest.approx(0.1, abs=0.01)  # the rest before switching off
-    undisturbed = run(COLD_MOVE.format(x, ""), config).tracks()["stepper_x"]
+    undisturbed = run(COLD_MOVE.format(x, ""), config).traces()["stepper_x"]
     assert np.ptp(np.array(moved.clocks[:way]) - undisturbed.clocks[:way]) <= 2 * 25e-6 * CLOCK_HZ
     assert moved.position == undisturbed.position == 0
 
@@ -172,11 +172,11 @@ def test_extrusion_without_an_extruder_is_refused(run) -> None:
 def test_motors_are_enabled_before_their_first_step(run) -> None:
     outcome = run("G28 X")
     enables = [p for p in outcome.commands if p["#name"] == "queue_digital_out"]
-    first_step = outcome.tracks()["stepper_x"].clocks[0]
+    first_step = outcome.traces()["stepper_x"].clocks[0]
     # !PA2: low is on
     assert enables[0]["on_ticks"] == 0 and 0 < first_step - enables[0]["clock"] < 0.1 * CLOCK_HZ
     assert enables[-1]["on_ticks"] == 1  # the end of the run switches off
-    assert enables[-1]["clock"] > outcome.tracks()["stepper_x"].clocks[-1]
+    assert enables[-1]["clock"] > outcome.traces()["stepper_x"].clocks[-1]
 
 
 POSITIONS = [
@@ -199,14 +199,14 @@ def test_gcode_position_follows_the_modes(run, gcode: str, position: tuple[float
 
 
 def test_offsets_move_the_machine(run) -> None:
-    plain = run(HOMED + "G1 X10 F6000").tracks()["stepper_x"].position
-    shifted = run(HOMED + "SET_GCODE_OFFSET X=1\nG1 X10 F6000").tracks()["stepper_x"].position
+    plain = run(HOMED + "G1 X10 F6000").traces()["stepper_x"].position
+    shifted = run(HOMED + "SET_GCODE_OFFSET X=1\nG1 X10 F6000").traces()["stepper_x"].position
     assert shifted - plain == X_PER_MM
 
 
 def test_speed_factor_changes_time_only(run) -> None:
     gcode = HOMED + "G1 X10 F3000\n{}G1 X110\nM400"
-    full, half = (run(gcode.format(s)).tracks()["stepper_x"] for s in ("", "M220 S50\n"))
+    full, half = (run(gcode.format(s)).traces()["stepper_x"] for s in ("", "M220 S50\n"))
     assert full.position == half.position
 
     def duration(clocks: list[int]) -> float:
@@ -216,15 +216,15 @@ def test_speed_factor_changes_time_only(run) -> None:
 
 
 def test_dwell_puts_a_gap_between_moves(run) -> None:
-    clocks = run(HOMED + "G1 X10 F6000\nG4 P1500\nG1 X20\nM400").tracks()["stepper_x"].clocks
+    clocks = run(HOMED + "G1 X10 F6000\nG4 P1500\nG1 X20\nM400").traces()["stepper_x"].clocks
     gap_s = (clocks[-10 * X_PER_MM] - clocks[-10 * X_PER_MM - 1]) / CLOCK_HZ
     assert gap_s == pytest.approx(1.5, abs=0.02)  # plus the first and last step of the ramps
 
 
 def test_buzz_ends_where_it_began(run) -> None:
-    track = run("STEPPER_BUZZ STEPPER=stepper_y").tracks()["stepper_y"]
-    assert track.position == 0
-    assert len(track.clocks) == 20 * X_PER_MM  # ten times 1 mm forth and back
+    trace = run("STEPPER_BUZZ STEPPER=stepper_y").traces()["stepper_y"]
+    assert trace.position == 0
+    assert len(trace.clocks) == 20 * X_PER_MM  # ten times 1 mm forth and back
 
 
 def test_a_second_mcu_gets_its_own_stream(tmp_path: Path) -> None:

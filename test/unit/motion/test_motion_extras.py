@@ -43,8 +43,8 @@ def test_a_full_circle_comes_back(run) -> None:
     outcome = run(gcode.format("G2 X100 Y100 I20 E10 F3000"), "[gcode_arcs]\nresolution: 0.5\n")
     assert outcome.result == "exit", outcome.replies
     assert "X:100.000 Y:100.000 Z:0.500 E:10.000" in outcome.replies
-    plain = run(gcode.format("")).tracks()["stepper_x"]
-    circle = outcome.tracks()["stepper_x"]
+    plain = run(gcode.format("")).traces()["stepper_x"]
+    circle = outcome.traces()["stepper_x"]
     assert circle.position == plain.position
     # x goes 40 mm over and back; straight pieces of 0.5 mm miss the outermost point by less than a step
     assert len(circle.clocks) - len(plain.clocks) == pytest.approx(80 * 80, abs=4)
@@ -64,9 +64,9 @@ RETRACT = "[firmware_retraction]\nretract_length: 2\nunretract_extra_length: 0.5
 
 def test_retraction_is_done_once_and_undone(run) -> None:
     per_mm = 3200 / 33.5
-    down = run("G10\nG10\nM400\n", RETRACT).tracks()["extruder"]
+    down = run("G10\nG10\nM400\n", RETRACT).traces()["extruder"]
     assert down.position == pytest.approx(-2 * per_mm, abs=1)
-    up = run("G10\nG11\nG11\nM400\n", RETRACT).tracks()["extruder"]
+    up = run("G10\nG11\nG11\nM400\n", RETRACT).traces()["extruder"]
     assert up.position == pytest.approx(0.5 * per_mm, abs=1)
 
 
@@ -88,5 +88,5 @@ def test_an_extruder_stepper_follows(run) -> None:
         "[extruder_stepper second]\nextruder: extruder\nstep_pin: PE0\ndir_pin: PE1\nmicrosteps: 16\n"
         "rotation_distance: 33.5\n"
     )
-    tracks = run("G28\nM83\nG1 X50 E3 F3000\nM400\n", more).tracks()
-    assert tracks["extruder_stepper second"].clocks == tracks["extruder"].clocks
+    traces = run("G28\nM83\nG1 X50 E3 F3000\nM400\n", more).traces()
+    assert traces["extruder_stepper second"].clocks == traces["extruder"].clocks

@@ -185,10 +185,10 @@ def test_listener_gets_every_move_of_the_short_way(run) -> None:
     seen: list[list[tuple[Any, ...]]] = []
 
     def listen(printer: Any) -> None:
-        heard: list[tuple[Any, ...]] = []
-        seen.append(heard)
+        seen_moves: list[tuple[Any, ...]] = []
+        seen.append(seen_moves)
         printer.lookup_object("toolhead").register_move_listener(
-            lambda moves: heard.extend(
+            lambda moves: seen_moves.extend(
                 (
                     m.print_time,
                     m.start_pos,

@@ -144,10 +144,10 @@ def check_steps(
 ) -> None:
     """No step late, none more than 25 us early, and the last one at the end of the way."""
     d = stepper.step_dist
-    assert stepper.track.intervals_ok
+    assert stepper.trace.intervals_ok
     t = stepper.step_times()
     assert len(t) > 100 and np.all(np.diff(t) > 0)
-    after = np.array(stepper.track.positions)
+    after = np.array(stepper.trace.positions)
     before = np.concatenate([[0], after[:-1]])
     edges = origin + 0.5 * (before + after) * d
     forward = np.sign(after - before)
@@ -156,7 +156,7 @@ def check_steps(
     early = forward * (where(t + MAX_ERROR_S + TICK_S) - edges)
     assert late.max() <= slack, "a step after its time"
     assert early.min() >= -slack, "a step more than 25 us before its time"
-    assert abs(origin + stepper.track.position * d - end) <= 0.5 * d + slack
+    assert abs(origin + stepper.trace.position * d - end) <= 0.5 * d + slack
 
 
 @pytest.mark.parametrize("name", MACHINES)

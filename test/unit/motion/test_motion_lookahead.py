@@ -81,7 +81,7 @@ def check_plan(toolhead: Any, moves: list[Move]) -> None:
 
 
 def check_corner(toolhead: Any, prev: Move, move: Move) -> None:
-    """The speed through the corner, against circles laid into it by vectors."""
+    """The speed through the corner, against circles fitted into it by vectors."""
     a, b = np.array(prev.axes_r[:3]), np.array(move.axes_r[:3])
     angle = math.pi - math.atan2(float(np.linalg.norm(np.cross(a, b))), float(a @ b))  # between the lines
     if angle > math.pi - 1e-3:
@@ -153,11 +153,11 @@ def test_a_minimum_cruise_ratio_leaves_that_share_for_cruising() -> None:
         assert move.cruise_v * move.cruise_t == pytest.approx(ratio * 2.0, abs=1e-6)
 
 
-def test_zigzag_is_calmer_with_a_minimum_cruise_ratio() -> None:
+def test_zigzag_is_slower_with_a_minimum_cruise_ratio() -> None:
     points = [(1.0 * i, 2.0 * (i % 2), 0.0, 0.0) for i in range(30)]
     fast = queue_points(machine(ratio=0.0), points, [300.0] * 29).flush()
-    calm = queue_points(machine(ratio=0.5), points, [300.0] * 29).flush()
-    assert max(m.cruise_v for m in calm) < 0.8 * max(m.cruise_v for m in fast)
+    slow = queue_points(machine(ratio=0.5), points, [300.0] * 29).flush()
+    assert max(m.cruise_v for m in slow) < 0.8 * max(m.cruise_v for m in fast)
 
 
 def test_limit_speed_only_lowers() -> None:

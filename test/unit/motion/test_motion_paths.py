@@ -36,15 +36,15 @@ def gcode_of(points: np.ndarray) -> str:
 
 def motor_places(outcome: BatchResult, times: np.ndarray) -> dict[str, np.ndarray]:
     """mm (rad) of each motor of the kinematics at print times, from its step commands."""
-    tracks = outcome.tracks()
+    traces = outcome.traces()
     places = {}
     for motor in outcome.printer.lookup_object("toolhead").get_kinematics().get_steppers():
-        track = tracks[motor.get_name()]
+        trace = traces[motor.get_name()]
         sign = -1 if motor.is_dir_inverted() else 1
-        done = np.searchsorted(np.array(track.clocks) / CLOCK_HZ, times, side="right")
-        counted = np.concatenate([[0], track.positions])[done]
+        done = np.searchsorted(np.array(trace.clocks) / CLOCK_HZ, times, side="right")
+        counted = np.concatenate([[0], trace.positions])[done]
         places[motor.get_name()] = (
-            motor.get_commanded_position() + sign * (counted - track.position) * motor.get_step_dist()
+            motor.get_commanded_position() + sign * (counted - trace.position) * motor.get_step_dist()
         )
     return places
 
@@ -75,7 +75,7 @@ def test_the_steps_draw_the_path_of_the_gcode(tmp_path: Path, name: str, seed: i
     config = re.sub(r"(?m)^max_z_accel:.*", "max_z_accel: 3000", config)
     run = batch(tmp_path, f"G28\n{gcode_of(points[:1])}M400\n{gcode_of(points[1:])}M400\n", config)
     assert run.result == "exit", (run.message, run.replies)
-    clocks = [track.clocks for track in run.tracks().values() if track.clocks]
+    clocks = [trace.clocks for trace in run.traces().values() if trace.clocks]
     end = max(c[-1] for c in clocks) / CLOCK_HZ
     # nothing in the file says when homing ended: walk back from the end by more than the moves can take (some machines
     # slow down at their rim)
@@ -111,7 +111,7 @@ def test_the_second_carriage_follows_at_every_moment(tmp_path: Path, mode: str) 
     gcode = f"G28\nG1 X{start} F9000\nSET_DUAL_CARRIAGE CARRIAGE=carriage_u MODE={mode}\nM400\n"
     run = batch(tmp_path, gcode + gcode_of(points) + "M400\n", IDEX)
     assert run.result == "exit", (run.message, run.replies)
-    end = max(t.clocks[-1] for t in run.tracks().values() if t.clocks) / CLOCK_HZ
+    end = max(t.clocks[-1] for t in run.traces().values() if t.clocks) / CLOCK_HZ
     times = np.arange(end - 10.0, end, SAMPLE_S)
     motor = motor_places(run, times)
     y = motor["stepper y"]
@@ -136,8 +136,8 @@ def test_changing_carriages_does_not_lose_place(tmp_path: Path) -> None:
     for between in ("", changes):
         run = batch(tmp_path, f"G28\nG1 F9000\n{between}{back}", IDEX)
         assert run.result == "exit", (run.message, run.replies)
-        tracks = run.tracks()
-        ends.append((tracks["stepper a"].position, tracks["stepper u"].position))
+        traces = run.traces()
+        ends.append((traces["stepper a"].position, traces["stepper u"].position))
     assert ends[0] == ends[1]
 
 
@@ -149,8 +149,8 @@ def test_an_axis_of_its_own_runs_in_step_with_the_head(tmp_path: Path) -> None:
     gcode = f"G28\nMANUAL_STEPPER STEPPER=turn GCODE_AXIS=U INSTANTANEOUS_CORNER_VELOCITY=5\n{moves}M400\n"
     run = batch(tmp_path, gcode, config)
     assert run.result == "exit", (run.message, run.replies)
-    tracks = run.tracks()
-    u, x = tracks["manual_stepper turn"], tracks["stepper_x"]
+    traces = run.traces()
+    u, x = traces["manual_stepper turn"], traces["stepper_x"]
     assert u.position == 57 * 80
     times = np.array(u.clocks)
     x_at = np.concatenate([[0], x.positions])[np.searchsorted(np.array(x.clocks), times, side="right")]
@@ -167,7 +167,7 @@ def test_the_extra_axis_keeps_its_limits(tmp_path: Path) -> None:
         "G1 X100 U100 F12000\nM400\n"
     )
     run = batch(tmp_path, gcode, config)
-    clocks = np.array(run.tracks()["manual_stepper turn"].clocks) / CLOCK_HZ
+    clocks = np.array(run.traces()["manual_stepper turn"].clocks) / CLOCK_HZ
     assert len(clocks) == 8000
     speeds = 80 * 0.0125 / (clocks[80:] - clocks[:-80])  # over 1 mm
     assert speeds.max() == pytest.approx(20.0, rel=2e-3)

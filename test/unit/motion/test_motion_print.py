@@ -35,11 +35,11 @@ Body = Callable[[Any, Any], None]
 def places(out: bytes) -> dict[int, list[int]]:
     """Place after each step, by stepper's number."""
     blocks = msgproto.BlockReader().feed(out)
-    tracks: dict[int, StepTrace] = {}
+    traces: dict[int, StepTrace] = {}
     for params in decode([block.content for block in blocks if block is not None]):
         if params["#name"] in ("queue_step", "set_next_step_dir", "reset_step_clock"):
-            tracks.setdefault(params["oid"], StepTrace()).feed(params)
-    return {oid: track.positions for oid, track in tracks.items()}
+            traces.setdefault(params["oid"], StepTrace()).feed(params)
+    return {oid: trace.positions for oid, trace in traces.items()}
 
 
 @pytest.fixture
@@ -166,18 +166,18 @@ def test_other_commands_come_between_the_moves_they_stand_between(play) -> None:
 
 
 def test_comments_are_listened_to_in_their_places(play) -> None:
-    heard: list[tuple[str, float]] = []
+    received: list[tuple[str, float]] = []
 
     def ready(host: Any, lookup: Any) -> None:
         toolhead = lookup("toolhead")
         lookup("gcode").register_comment_listener(
-            lambda line: heard.append((line, toolhead.commanded_pos[0]))
+            lambda line: received.append((line, toolhead.commanded_pos[0]))
         )
 
     play(
         ["M83", "G1 X20 F6000", ";LAYER:1", "G1 X21", "  ; two", "G1 X22 ; not alone", "G1 X23"], ready=ready
     )
-    assert [entry for entry in heard if entry[0]] == [(";LAYER:1", 20.0), ("; two", 21.0)]
+    assert [entry for entry in received if entry[0]] == [(";LAYER:1", 20.0), ("; two", 21.0)]
 
 
 def test_a_script_stops_at_its_first_wrong_line(play) -> None:

@@ -70,7 +70,7 @@ def test_motion_that_should_have_begun_is_refused_not_rushed() -> None:
     from_rest(1.5, 5.0, 80.0, 100.0, 3000.0).append(stepper.trapq)
     with pytest.raises(AssertionError):
         stepper.run(4.0)
-    assert np.all(np.diff(stepper.track.clocks) > 0)
+    assert np.all(np.diff(stepper.trace.clocks) > 0)
 
 
 # ---- the oracle can fail ----
@@ -184,9 +184,7 @@ def test_the_average_by_moments_is_the_integral() -> None:
 # ---- several MCUs whose clocks wander ----
 
 CRYSTALS = {16e6: 40e-6, 72e6: -50e-6, 180e6: 15e-6}  # nominal frequency, share by which it is off
-ESTIMATE_ERROR_S = (
-    5e-6  # of what the host believes of a clock; in simulation it is held below 10 us (test/loop)
-)
+ESTIMATE_ERROR_S = 5e-6  # of the host's estimate of a clock; in simulation it is held below 10 us (test/loop)
 SLICE_S = 0.25
 
 
@@ -199,14 +197,14 @@ def true_clock(hz: float, off: float, t: np.ndarray | float) -> Any:
 
 @pytest.mark.parametrize("count", [2, 3])
 def test_boards_with_wandering_clocks_step_together(count: int) -> None:
-    """One axis driven from each board; the host lays a new line through each clock every quarter of a second, wrong by
-    5 us. Read in true time, steps of all boards keep to the path and to each other."""
+    """One axis driven from each board; the host fits a new line through each clock every quarter of a second, wrong
+    by 5 us. Read in true time, steps of all boards keep to the path and to each other."""
     rng = np.random.default_rng(count)
     moves, place, time = [], 0.0, 1.0
     for _ in range(40):
         moves.append(from_rest(time, place, float(rng.normal(0, 40)), float(rng.uniform(5, 250)), 3000.0))
         place, time = moves[-1].end, moves[-1].end_time + float(rng.choice([0.0, 0.02, 0.4]))
-    tracks = []
+    traces = []
     for hz, off in list(CRYSTALS.items())[:count]:
         stepper = CStepper(0.0125, clock_hz=hz)
         stepper.open()
@@ -219,18 +217,18 @@ def test_boards_with_wandering_clocks_step_together(count: int) -> None:
             stepper.run(float(until), float(until) - 0.05)
         stepper.run(time + 1.5)
         fine = np.linspace(0.0, time + 2.0, 200001)
-        true = np.interp(np.array(stepper.track.clocks), true_clock(hz, off, fine), fine)
-        tracks.append((true, np.array(stepper.track.positions)))
+        true = np.interp(np.array(stepper.trace.clocks), true_clock(hz, off, fine), fine)
+        traces.append((true, np.array(stepper.trace.positions)))
     # a slice is up to 0.25 s from where its line touches the clock: 8e-6 * tau / 20 / s of bend
     bend_s = 0.5 * 8e-6 * math.tau / 20.0 * SLICE_S**2
     allowed = ESTIMATE_ERROR_S + bend_s + 1e-6
-    for true, positions in tracks:
-        assert np.array_equal(positions, tracks[0][1])
+    for true, positions in traces:
+        assert np.array_equal(positions, traces[0][1])
         edges = 0.0125 * 0.5 * (np.concatenate([[0], positions[:-1]]) + positions)
         way = np.sign(np.diff(positions, prepend=0))
         assert np.max(way * (path(moves, true - allowed) - edges)) <= 1e-6, "late"
         assert np.min(way * (path(moves, true + MAX_ERROR_S + allowed) - edges)) >= -1e-6, "early"
-    apart = np.abs(tracks[0][0] - tracks[-1][0])
+    apart = np.abs(traces[0][0] - traces[-1][0])
     assert apart.max() <= MAX_ERROR_S + 2 * allowed
     # 25 us of it is what compression may do; the rest is the clocks'
-    assert abs(float(np.median(tracks[0][0] - tracks[-1][0]))) < 10e-6
+    assert abs(float(np.median(traces[0][0] - traces[-1][0]))) < 10e-6

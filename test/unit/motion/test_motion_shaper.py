@@ -70,7 +70,7 @@ def test_steps_follow_the_shaped_path(machine: str, kind: str) -> None:
         return position(xyz)
 
     t = stepper.step_times()
-    after = np.array(stepper.track.positions)
+    after = np.array(stepper.trace.positions)
     before = np.concatenate([[0], after[:-1]])
     ends = position(line.points[[0, -1]])
     edges = ends[0] + 0.5 * (before + after) * step_dist
@@ -78,7 +78,7 @@ def test_steps_follow_the_shaped_path(machine: str, kind: str) -> None:
     slack = 1e-4 * step_dist
     assert np.max(forward * (shaped(t - TICK_S) - edges)) <= slack, "late"
     assert np.min(forward * (shaped(t + MAX_ERROR_S + TICK_S) - edges)) >= -slack, "early"
-    assert abs(ends[0] + stepper.track.position * step_dist - ends[1]) <= 0.5 * step_dist + slack
+    assert abs(ends[0] + stepper.trace.position * step_dist - ends[1]) <= 0.5 * step_dist + slack
 
 
 SHAPED = CONFIG + "[input_shaper]\nshaper_freq_x: 50\nshaper_freq_y: 40\n"
@@ -89,8 +89,8 @@ def test_a_print_ends_where_it_would_without_shaping(tmp_path: Path) -> None:
     plain, shaped = batch(tmp_path, gcode), batch(tmp_path, gcode, SHAPED)
     assert plain.result == shaped.result == "exit", shaped.replies
     for name in ("stepper_x", "stepper_y", "stepper_z"):
-        assert plain.tracks()[name].position == shaped.tracks()[name].position
-        clocks = np.diff(shaped.tracks()[name].clocks)
+        assert plain.traces()[name].position == shaped.traces()[name].position
+        clocks = np.diff(shaped.traces()[name].clocks)
         # no burst: 1000 mm/s at 80 steps/mm would be 12.5 us
         assert clocks.min() > 72 * 12.5
 

@@ -37,12 +37,12 @@ def random_moves(rng: np.random.Generator, count: int, start_time: float = 1.0) 
 
 def check_against(stepper: CStepper, moves: list[Trapezoid]) -> None:
     """Each step lies where its edge is passed: not later, and at most 25 us before."""
-    track, d = stepper.track, stepper.step_dist
-    assert track.intervals_ok
-    clocks = np.array(track.clocks)
+    trace, d = stepper.trace, stepper.step_dist
+    assert trace.intervals_ok
+    clocks = np.array(trace.clocks)
     assert np.all(np.diff(clocks) > 0)
-    before = np.concatenate([[0], track.positions[:-1]])
-    after = np.array(track.positions)
+    before = np.concatenate([[0], trace.positions[:-1]])
+    after = np.array(trace.positions)
     edges = 0.5 * (before + after) * d
     forward = np.where(after > before, 1.0, -1.0)
     tick_s = TICK / stepper.clock_hz
@@ -65,7 +65,7 @@ def test_every_step_is_in_its_tolerance(clock_hz: float, step_dist: float) -> No
     stepper.run(moves[-1].end_time + 1.0)
     check_against(stepper, moves)
     # the grid is left by less than half a step
-    assert abs(stepper.track.position * step_dist - moves[-1].end) <= 0.5 * step_dist + 1e-9
+    assert abs(stepper.trace.position * step_dist - moves[-1].end) <= 0.5 * step_dist + 1e-9
 
 
 @seed(20261121)
@@ -88,20 +88,20 @@ def test_working_in_slices_changes_nothing(number: int, slice_s: float, invert: 
     if not invert:
         check_against(sliced, moves)
     sign = -1 if invert else 1
-    assert whole.track.position == sliced.track.position
-    assert sign * whole.track.position == LIB.itersolve_get_steps(whole.sk)
+    assert whole.trace.position == sliced.trace.position
+    assert sign * whole.trace.position == LIB.itersolve_get_steps(whole.sk)
 
 
 def test_direction_pin_inversion_only_turns_the_pin() -> None:
-    tracks = []
+    traces = []
     for invert in (False, True):
         stepper = CStepper(invert=invert)
         stepper.open()
         from_rest(1.0, 0.0, 5.0, 100.0, 3000.0).append(stepper.trapq)
         stepper.run(3.0)
-        tracks.append(stepper.track)
-    assert tracks[0].clocks == tracks[1].clocks
-    assert tracks[0].position == -tracks[1].position == 400
+        traces.append(stepper.trace)
+    assert traces[0].clocks == traces[1].clocks
+    assert traces[0].position == -traces[1].position == 400
 
 
 def test_constant_speed_needs_few_commands() -> None:
@@ -110,8 +110,8 @@ def test_constant_speed_needs_few_commands() -> None:
     stepper.open()
     Trapezoid(1.0, 0.0, 10.0, 0.0, 0.0, 1.0, 50.0, 50.0, 0.0).append(stepper.trapq)
     stepper.run(12.0)
-    assert stepper.track.position == 40000
-    assert stepper.track.commands <= 40000 / 1000
+    assert stepper.trace.position == 40000
+    assert stepper.trace.commands <= 40000 / 1000
 
 
 def test_step_and_immediate_return_cancel() -> None:
@@ -124,8 +124,8 @@ def test_step_and_immediate_return_cancel() -> None:
         first.append(stepper.trapq)
         back.append(stepper.trapq)
         stepper.run(3.0)
-        assert len(stepper.track.clocks) == steps
-        assert stepper.track.position == 0
+        assert len(stepper.trace.clocks) == steps
+        assert stepper.trace.position == 0
 
 
 def test_a_long_rest_gets_a_new_clock_base() -> None:
@@ -138,9 +138,9 @@ def test_a_long_rest_gets_a_new_clock_base() -> None:
         move.append(stepper.trapq)
         place = move.end
         stepper.run(time + 2.0)
-    assert stepper.track.rebases == 2  # at the start and before the last; 7 s fit into an interval
-    assert stepper.track.position == 960
-    wrapped = [c & 0xFFFFFFFF for c in stepper.track.clocks[-320:]]
+    assert stepper.trace.rebases == 2  # at the start and before the last; 7 s fit into an interval
+    assert stepper.trace.position == 960
+    wrapped = [c & 0xFFFFFFFF for c in stepper.trace.clocks[-320:]]
     wanted = [int(t * 72e6) & 0xFFFFFFFF for t in (700.0, 702.0)]
     assert all(0 < (c - wanted[0]) & 0xFFFFFFFF < 2 * 72e6 for c in wrapped)
 
@@ -152,7 +152,7 @@ def test_position_lookup_knows_the_past() -> None:
     for move in moves:
         move.append(stepper.trapq)
     stepper.run(moves[-1].end_time + 0.1)
-    clocks, positions = stepper.track.clocks, stepper.track.positions
+    clocks, positions = stepper.trace.clocks, stepper.trace.positions
     for index in range(0, len(clocks), 37):
         assert LIB.stepcompress_position_at(stepper.sc, clocks[index]) == positions[index]
         assert LIB.stepcompress_position_at(stepper.sc, clocks[index] - 1) == (
@@ -171,11 +171,11 @@ def test_reset_places_the_stepper_where_the_mcu_says() -> None:
     LIB.trapq_set_position(stepper.trapq, 1.05, 3.0, 0.0, 0.0)
     LIB.itersolve_set_position(stepper.sk, 3.0, 0.0, 0.0)
     assert LIB.stepcompress_position_at(stepper.sc, int(2.0 * 72e6)) == halted
-    made = len(stepper.track.clocks)
+    made = len(stepper.trace.clocks)
     from_rest(2.0, 3.0, 1.0, 100.0, 3000.0).append(stepper.trapq)
     stepper.run(3.0)
-    assert stepper.track.rebases == 2
-    assert len(stepper.track.clocks) - made == 80
+    assert stepper.trace.rebases == 2
+    assert len(stepper.trace.clocks) - made == 80
 
 
 def test_move_queue_places_are_never_overbooked() -> None:
@@ -207,8 +207,8 @@ def test_a_step_solver_at_the_end_of_a_stop_finds_the_last_edge() -> None:
     move = from_rest(1.0, 0.0, 0.995, 50.0, 1000.0)
     move.append(stepper.trapq)
     stepper.run(2.0)
-    assert stepper.track.position in (99, 100)  # 99.5 steps: a hair's breadth decides
-    assert stepper.track.clocks[-1] <= move.end_time * 72e6 + 1
+    assert stepper.trace.position in (99, 100)  # 99.5 steps: a hair's breadth decides
+    assert stepper.trace.clocks[-1] <= move.end_time * 72e6 + 1
 
 
 # ---- pressure advance ----
@@ -260,10 +260,10 @@ def test_pressure_advance_follows_the_documented_formula() -> None:
     for until in np.arange(0.1, moves[-1].end_time + 0.2, 0.07):
         stepper.run(float(until), float(until) - 0.05)
     stepper.run(moves[-1].end_time + 0.5)
-    track = stepper.track
+    trace = stepper.trace
     # a slice boundary is a boundary of pieces only: the motion ends where the filament was asked to
-    assert abs(track.position * step - place) <= step / 2 + 1e-9
-    after = np.array(track.positions)
+    assert abs(trace.position * step - place) <= step / 2 + 1e-9
+    after = np.array(trace.positions)
     before = np.concatenate([[0], after[:-1]])
     edges, forward = 0.5 * (before + after) * step, np.sign(after - before)
     pick = slice(None, None, 7)
@@ -274,7 +274,7 @@ def test_pressure_advance_follows_the_documented_formula() -> None:
     slack = 2e-3 * step
     assert np.all(forward[pick] * (early - edges[pick]) <= slack)
     assert np.all(forward[pick] * (late - edges[pick]) >= -slack)
-    assert track.positions[-1] < max(track.positions), "the advance is taken back at the end"
+    assert trace.positions[-1] < max(trace.positions), "the advance is taken back at the end"
 
 
 def test_trapq_remembers_where_it_was() -> None:

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import pytest
 
+import deposit_reference
 from thermal.models import melt_exchange
 from thermal.plan import deposit, layer_time
 from thermal.plan.materials import MATERIALS
@@ -20,7 +21,7 @@ INTERFACE_C = 150.0
 
 def tower_c(age_s: float, thick_mm: float, filled: float) -> float:
     """What the hundredth layer meets in the map."""
-    deposited = deposit.DepositMap(ABS, AROUND)
+    deposited = deposit_reference.DepositMap(ABS, AROUND)
     met = 0.0
     for n in range(100):
         at = (1.0, 1.0, thick_mm * (n + 1))
@@ -121,9 +122,9 @@ def rings_s(options: PlanOptions, layers: int) -> tuple[float, TemperaturePlan]:
 
 
 def test_a_small_part_is_not_slowed_down_for_what_only_a_tall_one_would_need() -> None:
-    """12 layers, 3 mm: the interface is still a guess of what comes far above the bed (129 degC), who knows the file
-    holds 142. A print that has to find it takes little longer than one that was told; without allowance for the bed it
-    would be twice as long. What is slowed down is counted."""
+    """12 layers, 3 mm: the interface is a first guess of what comes far above the bed (129 degC); the true one is 142.
+    A print that has to find it takes little longer than one that is given it. Without the bed's allowance it would be
+    twice as long. What is slowed down is counted."""
     own_s = rings_s(replace(FOUND, interface_c=None), 12)[0]
     sent_s = rings_s(replace(FOUND, interface_c=142.0, follow_mm=0.0), 12)[0]
     found_s, plan = rings_s(FOUND, 12)
@@ -138,5 +139,5 @@ def test_away_from_the_bed_the_speed_is_that_of_the_interface_which_is_held() ->
         near.speed_interface_c <= near.summary().band_c[1]
     )  # what the hottest melt can hold on the coldest path
     assert far.speed_interface_c == pytest.approx(far.interface_c, abs=0.2)
-    told = rings_s(replace(FOUND, interface_c=135.0, follow_mm=0.0), 2)[1]
-    assert told.speed_interface_c == told.interface_c == 135.0  # a user's word has no allowance
+    given = rings_s(replace(FOUND, interface_c=135.0, follow_mm=0.0), 2)[1]
+    assert given.speed_interface_c == given.interface_c == 135.0  # a user's own value has no allowance

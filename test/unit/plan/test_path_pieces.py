@@ -52,7 +52,7 @@ def test_pieces_hold_all_the_filament_and_all_the_time(tmp_path: Path) -> None:
 
 
 def test_layers_are_seen_where_material_is_deposited(tmp_path: Path) -> None:
-    """What is asked for by place is asked for again at each: `seen` are the layers and heights it was told."""
+    """A request by place is made again at each place: `seen` are the layers and heights it got."""
     heights = (0.3, 0.3, 0.5, 0.7, 0.9, 0.2, 0.4)
     text = "".join(f"G1 Z{z}\nG1 X{10 * (1 + i % 2)} E1 F600\n" for i, z in enumerate(heights))
     path = collected(tmp_path, f"M83\n{text}").path
@@ -77,8 +77,8 @@ def test_layers_are_seen_where_material_is_deposited(tmp_path: Path) -> None:
     ]  # 0.2: another object
     assert [z for _, z in seen[1:]] == pytest.approx([0.3, 0.5, 0.7, 0.9, 0.2, 0.4])
     again = collected(tmp_path, f"M83\n{text}").path
-    told = taken(again, lambda t, layer, z: Asked(height_mm=0.15))
-    assert {p.height_mm for p in told if p.flow_mm3_s > 0.0} == {0.15}  # the slicer knows better
+    given = taken(again, lambda t, layer, z: Asked(height_mm=0.15))
+    assert {p.height_mm for p in given if p.flow_mm3_s > 0.0} == {0.15}  # the slicer knows better
 
 
 def test_another_request_begins_with_the_first_move_that_starts_behind_its_mark(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ from scipy import sparse
 from scipy.linalg import solve_banded
 from scipy.sparse.linalg import splu
 
+import deposit_reference
 from thermal.plan import deposit
 from thermal.plan.materials import MATERIALS, SOURCES
 
@@ -69,11 +70,11 @@ class Wall:
 def cooling_stack(material, deposited_c, base_c, air_c, h_w_m2k, thick_mm, ages_s, side_per_mm):
     """The same with the map a print uses: the two newest layers' temperatures at each age."""
     around = deposit.Surroundings(bed_c=air_c, chamber_c=air_c, still_w_m2k=h_w_m2k)
-    deposited, rows = deposit.DepositMap(material, around), []
+    deposited, rows = deposit_reference.DepositMap(material, around), []
     for age_s in ages_s:
-        thick = [thick_mm] * (deposit.NODES - 1) + [deposit.FAR_MM]
-        temps = [deposited_c] + [base_c] * (deposit.NODES - 1)
-        column = deposit.Column(0.0, 50.0, 0.0, base_c, 1.0, 1.0, side_per_mm, thick, temps)
+        thick = [thick_mm] * (deposit_reference.NODES - 1) + [deposit_reference.FAR_MM]
+        temps = [deposited_c] + [base_c] * (deposit_reference.NODES - 1)
+        column = deposit_reference.Column(0.0, 50.0, 0.0, base_c, 1.0, 1.0, side_per_mm, thick, temps)
         deposited.cool(column, age_s)
         rows.append(column.temp_c[:2])
     return np.array(rows)
@@ -179,7 +180,7 @@ def fine_stack(layers, thick_mm, layer_s, melt_c, around, side_per_mm, cells=20,
 
 
 def coarse_stack(layers, thick_mm, layer_s, melt_c, around, filled):
-    deposited = deposit.DepositMap(ABS, around)
+    deposited = deposit_reference.DepositMap(ABS, around)
     length_mm = filled * 4.0 / 0.45  # so much road in a column of 2 mm
     return np.array(
         [
@@ -226,7 +227,7 @@ def test_a_single_wall_cools_through_its_flanks():
 
 
 def test_a_road_is_not_its_own_substrate():
-    deposited = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=90.0))
+    deposited = deposit_reference.DepositMap(ABS, deposit.Surroundings(bed_c=90.0))
     met = [
         deposited.deposit((0.1 * n, 0.0, 0.2), 0.002 * n, 230.0, 0.2, 0.1 * n, length_mm=0.1)
         for n in range(60)
@@ -242,7 +243,7 @@ def test_a_road_is_not_its_own_substrate():
 
 def test_a_leaning_wall_lies_on_the_wall_beside_it():
     """Its road leaves a column for the next one, where nothing lies: no bed is met 8 mm above it."""
-    deposited = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=100.0))
+    deposited = deposit_reference.DepositMap(ABS, deposit.Surroundings(bed_c=100.0))
     met = [
         deposited.deposit((0.05 * n, 1.0, 0.2 * (n + 1)), 4.0 * n, 230.0, 0.2, 100.0 * n, length_mm=2.0)
         for n in range(60)
@@ -255,7 +256,7 @@ def test_a_leaning_wall_lies_on_the_wall_beside_it():
 
 def test_where_a_part_stood_the_next_one_finds_the_bed():
     """Two prints without a sign between them: the first is 4 mm high and still warm."""
-    deposited = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=60.0))
+    deposited = deposit_reference.DepositMap(ABS, deposit.Surroundings(bed_c=60.0))
     for i in range(20):
         deposited.deposit((1.0, 1.0, 0.2 * (i + 1)), 5.0 * i, 240.0, 0.2, 100.0 * i)
     assert (
@@ -266,7 +267,7 @@ def test_where_a_part_stood_the_next_one_finds_the_bed():
 
 
 def test_memory_goes_with_area_not_with_moves():
-    deposited = deposit.DepositMap(ABS, deposit.Surroundings())
+    deposited = deposit_reference.DepositMap(ABS, deposit.Surroundings())
     for n in range(20000):
         at = ((n * 7 % 200) / 10, (n * 13 % 200) / 10, 0.2 + n // 200 * 0.2)
         deposited.deposit(at, n * 0.05, 230.0, 0.2, odometer_mm=2.0 * n)
@@ -274,7 +275,7 @@ def test_memory_goes_with_area_not_with_moves():
 
 
 def test_empty_bed_is_the_first_substrate():
-    deposited = deposit.DepositMap(ABS, deposit.Surroundings(bed_c=100.0))
+    deposited = deposit_reference.DepositMap(ABS, deposit.Surroundings(bed_c=100.0))
     assert deposited.deposit((0.0, 0.0, 0.2), 0.0, 230.0, 0.2, odometer_mm=0.0) == 100.0
 
 

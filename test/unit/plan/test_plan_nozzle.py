@@ -39,7 +39,7 @@ def flow_at(segments, time_s):
 
 
 def slopes(limits, segments, points, start_c):
-    """(slope, least and most that the nozzle can) at every corner, K/s, on a nozzle whose holder is a node of its own.
+    """(slope, its min and max on the nozzle) at every corner, K/s, on a nozzle whose holder is a node of its own.
 
     The plan takes the holder as it was where each ramp piece of up to 5 degC begins: what it moves meanwhile is spare.
     """
@@ -57,9 +57,9 @@ def slopes(limits, segments, points, start_c):
             per_k_s = limits.holder_w_k / limits.capacity.at(temp_c)
             spare = per_k_s * abs(holder_c - before_c) + 0.02
             holder_k_s = per_k_s * (temp_c - before_c)
-            most = max(0.0, melt_exchange.heating_k_s(limits, temp_c, flow) - holder_k_s)
-            least = min(0.0, -melt_exchange.cooling_k_s(limits, temp_c, flow) - holder_k_s)
-            yield (b.temp_c - a.temp_c) / dt, least - spare, most + spare
+            highest = max(0.0, melt_exchange.heating_k_s(limits, temp_c, flow) - holder_k_s)
+            lowest = min(0.0, -melt_exchange.cooling_k_s(limits, temp_c, flow) - holder_k_s)
+            yield (b.temp_c - a.temp_c) / dt, lowest - spare, highest + spare
 
 
 @settings(max_examples=150, deadline=None)
@@ -75,8 +75,8 @@ def test_random_segments_never_break_a_limit(rows, start_c, power_w):
     assert points[0].time_s == segments[0].start_s and points[-1].time_s == segments[-1].end_s
     for p in points:
         assert limits.min_extrude_c - 1e-6 <= p.temp_c <= planner.ceiling_c + 1e-6 <= limits.max_c + 1e-5
-    for slope, least, most in slopes(limits, segments, points, start_c):
-        assert least <= slope <= most
+    for slope, lowest, highest in slopes(limits, segments, points, start_c):
+        assert lowest <= slope <= highest
 
 
 def lagged(times, values, tau):
@@ -155,15 +155,15 @@ def test_a_wrong_melt_exchange_adds_a_constant_error_and_nothing_else():
     st.floats(200.0, 280.0),
 )
 def test_no_path_within_the_limits_comes_nearer_to_what_is_wanted(rows, start_c):
-    """Against a general solver: T = start + sum of steps, each within the limits, least squares of w (T - target)^2."""
+    """Against a general solver: T = start + sum of steps, each within the limits, least squares w (T - target)^2."""
     step_s, fall_k_s, rise_k_s = 0.05, 12.0, 130.0
-    nodes = [Node(step_s * (i + 1), w, aim_c, 0.0, 500.0, 0.0) for i, (w, aim_c) in enumerate(rows)]
+    nodes = [Node(step_s * (i + 1), w, wanted_c, 0.0, 500.0, 0.0) for i, (w, wanted_c) in enumerate(rows)]
     temps = best_path(nodes, 0.0, start_c, lambda at_c, falls, melt_w_k: fall_k_s if falls else rise_k_s)
     steps = np.diff([start_c, *temps])
     assert steps.min() >= -step_s * fall_k_s - 1e-9 and steps.max() <= step_s * rise_k_s + 1e-9
     root = np.sqrt([node.weight for node in nodes])
     sums = np.tril(np.ones((len(nodes), len(nodes)))) * root[:, None]
-    wanted = root * (np.array([node.aim_c for node in nodes]) - start_c)
+    wanted = root * (np.array([node.wanted_c for node in nodes]) - start_c)
     best = scipy.optimize.lsq_linear(sums, wanted, (-step_s * fall_k_s, step_s * rise_k_s), tol=1e-12)
     cost = 0.5 * np.sum((sums @ steps - wanted) ** 2)
     assert cost <= best.cost * (1.0 + 1e-6) + 1e-6

@@ -68,9 +68,9 @@ def with_numbers(text: str) -> str:
     """As sent to a serial port: line numbers and check sums."""
     lines = []
     for number, line in enumerate(text.split("\n")):
-        told = f"N{number} {line}"
-        check = functools.reduce(operator.xor, told.encode())
-        lines.append(f"{told}*{check}" if line[:1] not in ("", ";") else line)
+        numbered = f"N{number} {line}"
+        check = functools.reduce(operator.xor, numbered.encode())
+        lines.append(f"{numbered}*{check}" if line[:1] not in ("", ";") else line)
     return "\n".join(lines)
 
 
@@ -127,7 +127,7 @@ def test_what_a_tool_with_another_nozzle_deposits_is_left_out(tmp_path: Path) ->
     assert [end[0] for end in ends(plan)] == [10.0, 20.0, 40.0, 50.0] and plan.other_tool_line == -1
 
 
-def test_macros_of_the_config_lay_what_they_move(tmp_path: Path) -> None:
+def test_macros_of_the_config_deposit_what_they_extrude(tmp_path: Path) -> None:
     """A purge line in a start macro is path, heated as the macro says, and belongs to the macro's line."""
     macro = (
         "[gcode_macro PRINT_START]\ngcode:\n  M104 S{params.HOT}\n  G1 Z0.3 F600\n"

@@ -76,7 +76,7 @@ def test_layers_named_by_the_slicer_count_before_those_seen() -> None:
     assert state.request_c(TABLE, 0.0, 1, 0.2) == 210.0
 
 
-def test_an_explicit_request_ends_where_it_was_told_to() -> None:
+def test_an_explicit_request_ends_where_its_command_says() -> None:
     for until, ender in (
         ("layer", lambda s: s.comment(Comment("layer"))),
         ("feature", lambda s: s.comment(Comment("feature", "infill"))),

@@ -11,8 +11,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import deposit_reference
 from thermal.control.control_api import Reference
-from thermal.models import melt_exchange
+from thermal.models import filament_heat, melt_exchange
 from thermal.plan import deposit, weld
 from thermal.plan.materials import MATERIALS
 from thermal.plan.planner import Piece, PlanOptions, TemperaturePlan
@@ -129,7 +130,7 @@ def test_the_map_is_that_of_the_reference(heights_mm, rows):
         ]
     plan = TemperaturePlan(LIMITS, ABS, AROUND, PlanOptions(interface_c=150.0))
     wanted = plan.add(pieces)
-    deposited = deposit.DepositMap(ABS, AROUND)
+    deposited = deposit_reference.DepositMap(ABS, AROUND)
     odometer_mm = 0.0
     for piece, (substrate_c, melt_c, _) in zip(pieces, wanted, strict=True):
         length = math.dist(piece.start_mm[:2], piece.end_mm[:2])
@@ -178,11 +179,10 @@ def test_the_core_of_a_fast_filament_asks_for_a_hotter_wall():
             line(0.5, 0.5, 9, 9, 20, 9, flow=fast_flow, request=220.0),
         ]
     )
-    from thermal.models.filament_heat import wall_for_core
-
     radius_m = 0.875e-3
     feed_m_s = fast_flow * 1e-9 / (math.pi * radius_m**2)
-    core_c = wall_for_core(ABS.flow_c, 25.0, feed_m_s, radius_m, 0.020, ABS.diffusivity_m2_s)
+    fourier = ABS.diffusivity_m2_s * 0.020 / (feed_m_s * radius_m**2)
+    core_c = 25.0 + (ABS.flow_c - 25.0) / filament_heat.core_fraction(fourier)
     exchange_c = wall_wanted(limits, 500.0, 220.0, fast_flow)
     assert fast_c == pytest.approx(min(500.0, max(core_c, exchange_c)), abs=0.5)  # the table's linear steps
     assert slow_c < fast_c

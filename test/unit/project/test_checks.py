@@ -91,6 +91,16 @@ def test_pure_c_may_not_know_the_board_and_nobody_a_port(tmp_path: Path) -> None
     assert found == {("guard.c", 3), ("phase.h", 1), ("stepper.c", 2)}
 
 
+def test_a_folder_of_too_many_files_is_found_and_those_of_its_folders_do_not_count() -> None:
+    names = [f"klippy/thermal/f{n}.py" for n in range(check_layers.FILES_MAX)]
+    assert list(check_layers.check_folders([*names, "klippy/thermal/plan/one.py"])) == []
+    (offence,) = check_layers.check_folders([*names, "klippy/thermal/one.py"])
+    assert offence.path == Path("klippy/thermal")
+    assert (
+        list(check_layers.check_folders([name.replace("klippy/thermal", "src") for name in names * 2])) == []
+    )
+
+
 # --- message formats
 
 
@@ -239,6 +249,15 @@ def test_plain_english_and_names_of_the_program_are_fine(text: str, tmp_path: Pa
 def test_names_and_comments_of_code_are_words(code: str, tmp_path: Path) -> None:
     assert len(word_offences(code, tmp_path, "file.py")) == 1
     assert len(word_offences("x = 1", tmp_path, "the_wishes.py")) == 1
+
+
+def test_a_documented_name_is_allowed_in_its_rooms_only(root: Path) -> None:
+    line = ["fade_start = 1.0"]
+    assert list(check_words.words(root / "klippy" / "extras" / "bed_mesh" / "config.py", line)) == []
+    assert list(check_words.words(root / "klippy" / "toolhead.py", line))
+    rooms = [room for _, rooms in check_words.DOCUMENTED for room in rooms.split()]
+    rooms += [*check_words.ROOMS_CHECKED, *check_words.ROOMS_NOT_YET]
+    assert [room for room in rooms if not (root / room).exists()] == []
 
 
 def test_a_long_sentence_is_found_wherever_its_lines_end(tmp_path: Path) -> None:

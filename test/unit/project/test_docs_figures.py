@@ -1,19 +1,40 @@
-"""The sections "Numbers in the program" against the program: each row of their tables is made of its values."""
+"""Figures of the documentation that the program has as well: each is made of the program's value.
+
+The sections "Numbers in the program" have no other figures. Other pages have measured ones beside them.
+"""
 
 from __future__ import annotations
 
+import inspect
+import json
+import re
 from collections.abc import Callable, Iterator
 from functools import cache
 from typing import Any
 
 import pytest
 
-from doc_rig import Figures
+import bench_plan
+import bench_plan_cost
+import full_load
+import rates
+from bus_rig import build_dictionary
+from doc_rig import ROOT, Figures
+from extras import temperature_plan
 from extras.induction import calibrate, mcu, settings
+from extras.temperature_plan import settings as plan_settings
 from heater_fakes import FakePrinter
 from thermal.control import bridge_driver, loop, nozzle_model
+from thermal.plan import session, set_points
+from thermal.plan.deposit import Surroundings
+from thermal.plan.materials import MATERIALS
+from thermal.plan.planner import TemperaturePlan
 from thermal.sensing import block_temperature, features, laws
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
+
+TIMING = re.findall(
+    r"^    (INDUCTION_\w+) =", (ROOT / "src" / "induction_timing.h").read_text(), re.MULTILINE
+)
 
 
 @cache
@@ -77,7 +98,7 @@ def control_rows() -> Iterator[str]:
     yield f"phases in a plan | max {mcu.PLAN_STEPS_MAX}"
     yield f"plan reaches ahead | {ms(nozzle_model.AHEAD_S)}"
     yield f"new plan when it differs by | {100.0 * bridge_driver.RESEND_SHARE:g} % of full power"
-    yield f"closed-loop time constant | {ms(nozzle_model.FADE_S)}"
+    yield f"closed-loop time constant | {ms(nozzle_model.TAU_S)}"
     yield f"lag from extruder motor to nozzle flow | {ms(nozzle_model.FLOW_LAG_S)}"
     yield f"disturbance: process noise | {nozzle_model.DISTURBANCE_W:g} W per √s"
     yield f"disturbance: largest | {nozzle_model.DISTURBANCE_MAX_W:g} W"
@@ -105,3 +126,90 @@ def test_the_tables_have_the_numbers_of_the_program(
     missing = section.missing(rows())
     assert not missing, f"{section.page}, {section.section}: should say {missing}"
     assert section.unchecked(rows()) == []
+
+
+def test_the_dictionary_has_the_hosts_timing_of_the_sampling_chain() -> None:
+    constants = json.loads(build_dictionary())["config"]
+    unit, parameters = options()
+    assert {name: value for name, value in constants.items() if name in TIMING} == {
+        "INDUCTION_FREQUENCY": unit.frequency_hz,
+        "INDUCTION_OVERSAMPLE": unit.oversample,
+        "INDUCTION_BLOCK_SAMPLES": unit.block_samples,
+        "INDUCTION_SETTLE_SAMPLES": unit.settle_samples,
+        "INDUCTION_RECORDS": unit.records,
+        "INDUCTION_LEAD_US": pytest.approx(1e6 * parameters.timing.lead_s),
+    }
+
+
+# ---- pages that repeat some figures of the program
+
+
+def source(path: str, name: str) -> float:
+    """A number that a C file, a header, a build file or a config gives a name."""
+    found = re.findall(rf"\b{name}\s*:?[=:]?\s*([\d.]+)", (ROOT / path).read_text(encoding="utf-8"))
+    assert len(set(found)) == 1, f"{path} should have one {name}, has {found}"
+    return float(found[0])
+
+
+def plan_claims() -> Iterator[str]:
+    plan = "klippy/thermal/plan"
+    around, pc = Surroundings(), MATERIALS["PC"]
+    cell = inspect.signature(TemperaturePlan.__init__).parameters["cell_mm"].default
+    yield f"cut into nodes of {1e3 * set_points.NODE_S:.0f} ms. They are earlier by"
+    yield f"when {source(f'{plan}/path_pieces.c', 'REPLAN_S'):g} s of new motion have come in"
+    yield f"in {source(f'{plan}/path_pieces.c', 'REPLAN_MOVES'):g} moves or more, or {temperature_plan.WORK_S:g} s."
+    yield f"It starts {session.COMMIT_S:g} s ahead of now."
+    yield f"The plan keeps {plan_settings.HEADROOM_C:g} °C below `max_temp`"
+    yield f"reference between `min_extrude_temp` and {plan_settings.HEADROOM_C:g} °C below `max_temp`"
+    yield f"the layer below has kept {100.0 * source(f'{plan}/planner.c', 'LEFT_OF_A_LAYER'):g} % of a road's excess"
+    yield f"counts as {1e-3 * source(f'{plan}/planner.c', 'GUESS_MM'):g} m of path"
+    yield f"A grid of {cell:g} mm columns"
+    yield f"a road more than {source(f'{plan}/deposit.c', 'TAKEN_OFF_MM'):g} mm below the top of its column"
+    yield f"Still air of {around.still_w_m2k:g} W/(m² K)"
+    yield f"decays by a factor e every {around.bed_reach_mm:g} mm of height"
+    yield f"`minimum_speed_factor` ({plan_settings.SLOWEST:g}) is the minimum share"
+    yield f"{pc.low_c:g} to {pc.high_c:g} °C is {0.5 * (pc.high_c - pc.low_c):g} °C at the weld"
+    yield f"below the bonding temperature ({MATERIALS['ABS'].bonding_c:g} °C) either way"
+    bed, chamber = (bench_plan.SECTION[name] for name in ("bed_temp", "chamber_temp"))
+    yield f"ABS at {bench_plan.NOZZLE_C} °C on a bed of {bed} °C in a chamber of {chamber} °C"
+    bed, chamber = (bench_plan.HARD_SECTION[name] for name in ("bed_temp", "chamber_temp"))
+    yield f"PC at {bench_plan.HARD_NOZZLE_C} °C on {bed} °C without an enclosure ({chamber} °C)"
+    yield f"Steps of {bench_plan.STEP_C:g} °C every {bench_plan.STEP_S:g} s at constant flow"
+    yield f"averaged over {bench_plan.AVERAGE_S:g} s"
+    yield f"over the first {bench_plan_cost.INSTRUCTION_MOVES} moves"
+
+
+def thousands(value: float) -> str:
+    return f"{round(value, -3):,.0f}"
+
+
+def emulation_claims() -> Iterator[str]:
+    core, port = "klippy/simulation/emulator/core.h", "src/stm32f334/port.mk"
+    cycles = source(core, "CORE_CYCLES_PER_INSTRUCTION")
+    yield f"**{cycles:g} cycles** of the processor clock (`CORE_CYCLES_PER_INSTRUCTION` in `core.h`)"
+    entry = source(core, "CORE_EXCEPTION_CYCLES")
+    yield f"| exception | {entry:g} cycles in, {entry:g} out |"
+    yield f"of {source(port, 'F334_STACK') / 1024:g} KiB"
+    yield f"of {source(port, 'F334_RAM_BUDGET') / 1024:g} KiB with objects, moves and stack"
+    yield f"({rates.STEPS:,} steps of each motor"
+    yield f"an axis at {full_load.TRAVEL_HZ:,} pulses/s beside it"
+    for bench in rates.BENCHES.values():
+        ours, theirs = bench.documented, bench.published
+        yield f"ticks between steps, 1 / 3 steppers together | {ours.ticks[1]} / {ours.ticks[3]} |"
+        yield f" {theirs.ticks[1]} / {theirs.ticks[3]} |"
+        yield f"that is steps a second | {thousands(bench.steps_per_s(1))} / {thousands(bench.steps_per_s(3))} |"
+        yield f" {thousands(theirs.steps_per_s(1))} / {thousands(theirs.steps_per_s(3))} |"
+        yield f"{ours.command_instructions} instructions each"
+        yield f"{theirs.commands_per_s:,} |"
+    f334, mega = (bench.documented.step_instructions for bench in rates.BENCHES.values())
+    yield f"its interrupt included | {f334[1]} instructions |"
+    yield f"its interrupt included | {mega[1]} / {mega[3]} instructions |"
+
+
+PAGES = ((Figures("Temperature_Plan.md"), plan_claims), (Figures("Emulation.md"), emulation_claims))
+
+
+@pytest.mark.parametrize(("page", "claims"), PAGES, ids=lambda part: getattr(part, "page", ""))
+def test_pages_repeat_the_figures_of_the_program(page: Figures, claims: Callable[[], Iterator[str]]) -> None:
+    missing = page.missing(claims())
+    assert not missing, f"{page.page} should say {missing}"

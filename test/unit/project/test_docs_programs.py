@@ -12,7 +12,7 @@ import pytest
 
 from doc_rig import PAGES, ROOT
 
-COMMAND = re.compile(r'^(?:    |S=")?((?:scripts|klippy)/[\w.]+)', re.MULTILINE)
+COMMAND = re.compile(r'^(?:    |S=")?((?:scripts|klippy)/[\w./]+)', re.MULTILINE)
 BLOCK = re.compile(r"^```\w*\n(.*?)^```|((?:^    .*\n)+)", re.MULTILINE | re.DOTALL)
 
 
@@ -23,9 +23,10 @@ def called() -> list[str]:
 
 
 def programs() -> list[str]:
-    """What can be started as it is, whether a block calls it or a sentence."""
-    files = [path for path in (ROOT / "scripts").glob("*.py") if os.access(path, os.X_OK)]
-    return sorted({f"scripts/{path.name}" for path in files} | {n for n in called() if n.endswith(".py")})
+    """What can be started as it is, whether a block calls it, a sentence or the Makefile."""
+    files = [*(ROOT / "scripts").glob("*.py"), *(ROOT / "scripts" / "bench").glob("*.py")]
+    found = {path.relative_to(ROOT).as_posix() for path in files if os.access(path, os.X_OK)}
+    return sorted(found | {name for name in called() if name.endswith(".py")})
 
 
 def test_the_documentation_calls_some_programs() -> None:

@@ -159,7 +159,7 @@ def test_every_documented_field_exists(printers: list[Loaded]) -> None:
 
 
 def _inner(fields: set[str], printers: list[Loaded], kind: str) -> set[str]:
-    """Fields, and the keys of those that are tables or lists of tables (their meaning is told in the same line)."""
+    """Fields, and the keys of those that are tables or lists of tables (their meaning is given in the same line)."""
     found = set(fields) | {"help", "type", "message", "stepper_x", "max_power_w"}
     for printer in printers:
         for name, status in printer.status.items():

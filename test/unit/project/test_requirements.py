@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[3]
+PACKAGES = importlib.metadata.packages_distributions()
 OWN = {path.stem for folder in ("klippy", "scripts", "test") for path in (ROOT / folder).rglob("*.py")}
 OWN |= {path.name for path in (ROOT / "klippy").iterdir()}
 
@@ -32,18 +33,19 @@ def pinned(name: str) -> set[str]:
 
 def needed(path: Path) -> Iterator[str]:
     """Packages a file imports, wherever in it."""
-    where = importlib.metadata.packages_distributions()
     for node in ast.walk(ast.parse(path.read_text())):
         names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
         if isinstance(node, ast.ImportFrom) and not node.level:
             names = [node.module or ""]
         for name in (full.partition(".")[0] for full in names):
             if name not in sys.stdlib_module_names and name not in OWN:
-                yield where[name][0].lower()
+                yield PACKAGES[name][0].lower()
 
 
 HOST = [p for p in (ROOT / "klippy").rglob("*.py") if "simulation" not in p.parts]
-PROGRAMS = [*(ROOT / "klippy" / "simulation").rglob("*.py"), *(ROOT / "scripts").glob("*.py")]
+STUDY = [*(ROOT / "klippy" / "simulation" / "study").rglob("*.py"), ROOT / "scripts" / "study.py"]
+SIMULATION = [p for p in (ROOT / "klippy" / "simulation").rglob("*.py") if p not in STUDY]
+PROGRAMS = [*SIMULATION, *(p for p in (ROOT / "scripts").glob("*.py") if p not in STUDY)]
 
 
 @pytest.mark.parametrize(
@@ -52,6 +54,7 @@ PROGRAMS = [*(ROOT / "klippy" / "simulation").rglob("*.py"), *(ROOT / "scripts")
         # a printer never plots; the swarm is an offline tool's
         ([p for p in HOST if p.name != "fit_thermistor.py"], "requirements.txt"),
         ([*HOST, *PROGRAMS], "requirements-sim.txt"),
+        ([*HOST, *PROGRAMS, *STUDY], "requirements-study.txt"),
     ],
 )
 def test_all_that_is_imported_is_on_the_list(files: list[Path], known: str) -> None:
@@ -66,10 +69,11 @@ def test_all_that_is_imported_is_on_the_list(files: list[Path], known: str) -> N
     ("files", "extras"),
     [
         ([p for p in HOST if p.name != "fit_thermistor.py"], []),
-        ([*(ROOT / "klippy" / "simulation").rglob("*.py"), ROOT / "scripts" / "simulate.py"], ["simulation"]),
+        ([*SIMULATION, ROOT / "scripts" / "simulate.py"], ["simulation"]),
+        ([*SIMULATION, *STUDY], ["simulation", "study"]),
         ([ROOT / "scripts" / "console.py"], ["console"]),
     ],
-    ids=["host", "simulation", "console"],
+    ids=["host", "simulation", "study", "console"],
 )
 def test_what_pip_installs_brings_what_its_programs_import(files: list[Path], extras: list[str]) -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]

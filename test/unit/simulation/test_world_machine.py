@@ -140,7 +140,7 @@ def test_the_bridge_heats_the_nozzle_with_the_power_of_its_phase(rig: Rig) -> No
     assert rig.world.lib.world_nozzle_temperature(rig.world.pointer, nozzle) == pytest.approx(300.0, abs=6.0)
 
 
-def test_samples_tell_the_temperature_and_the_same_seed_the_same_noise(fake: Path) -> None:
+def test_samples_carry_the_temperature_and_the_same_seed_the_same_noise(fake: Path) -> None:
     def codes(seed: int) -> bytes:
         rig = Rig(fake, seed)
         rig.world.add_nozzle(0, parameter_values("nozzle", "reference", {}))

@@ -74,12 +74,12 @@ def counted(fake: Path, seed: int, **chance: float) -> tuple[bytes, dict[str, in
     rig = Rig(fake, seed, **chance)
     rig.run(0.01)
     rig.world.drain_bytes(0)
-    heard = b""
+    received = b""
     for _ in range(500):
-        rig.world.feed_bytes(0, b"xxxxxxxxxx" * 4)  # orders that mean nothing, so nothing comes back for most
+        rig.world.feed_bytes(0, b"xxxxxxxxxx" * 4)  # orders that mean nothing: few are answered
         rig.run(0.001)
-        heard += rig.world.drain_bytes(0)
-    return heard, rig.world.link(0)
+        received += rig.world.drain_bytes(0)
+    return received, rig.world.link(0)
 
 
 def test_bytes_are_damaged_as_often_as_asked(fake: Path) -> None:

@@ -83,16 +83,16 @@ def test_what_is_printed_as_doubt_is_never_less_than_the_share_for_the_models_sh
     assert float(heat.split("+-")[1]) == pytest.approx(fit.doubt("model_heat_j_per_k"), rel=0.05)
 
 
-def test_a_number_the_run_cannot_tell_is_said_to_be_unknown() -> None:
+def test_a_number_the_run_does_not_determine_is_reported_as_unknown() -> None:
     rows = [row._replace(flow_mm3_s=1e-4 if row.stage == "hold" else 0.0) for row in recording(hotend())]
     rows = [row._replace(stage="flow") if row.flow_mm3_s else row for row in rows]
     fit = fit_load.fit_rows(rows, POWER_W, AMBIENT_C, is_nozzle=False)
     assert math.isinf(fit.sigma["model_melt_w_per_k"])
-    assert "the run does not tell" in "\n".join(fit_load.report(fit))
+    assert "not determined by the run" in "\n".join(fit_load.report(fit))
 
 
-def test_an_exchange_told_at_one_flow_is_in_doubt_by_what_it_rests_on() -> None:
-    """Filament 5 % heavier and 3 degC warmer than taken as given: nothing at UA/cf of 5 is told by that, much at 1."""
+def test_an_exchange_found_at_one_flow_is_in_doubt_by_its_assumptions() -> None:
+    """Filament 5 % heavier and 3 degC warmer than taken as given: no effect at UA/cf of 5, much at 1."""
     true = replace(hotend(), melt_ua_w_k=0.053, melt_j_mm3_k=1.05 * 2.1e-3, melt_in_c=AMBIENT_C + 3.0)
     slow, fast = (
         fit_load.fit_rows(recording(true, flow=flow), POWER_W, AMBIENT_C, is_nozzle=False)
@@ -119,7 +119,7 @@ def test_a_model_that_misses_the_segment_it_was_not_shown_is_refused() -> None:
 
 
 def test_a_wrong_power_scales_the_numbers() -> None:
-    """Heat, loss and power only show as ratios: twice the power told is twice the heat found,"""
+    """Heat, loss and power only show as ratios: twice the power given is twice the heat found."""
     rows = recording(hotend())
     once, twice = (fit_load.fit_rows(rows, p, AMBIENT_C, is_nozzle=False) for p in (POWER_W, 2.0 * POWER_W))
     for name in ("model_heat_j_per_k", "model_loss_w_per_k"):

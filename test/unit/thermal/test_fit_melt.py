@@ -34,7 +34,7 @@ class Nozzle:
     inlet_c: float = 25.0
     mass: float = 1.0
     loss: float = 1.0
-    coupling: float = 1.0  # heat over what the host believes
+    coupling: float = 1.0  # heat over what the host assumes
     max_mm3_s: float = math.inf  # beyond this the gear slips
     ua_per_k: float = 0.0  # the exchange grows with the wall's temperature, relative to 230 degC
     c_per_k: float = 0.0  # so does the heat of the filament, relative to its mean over 25..230 degC
@@ -141,7 +141,7 @@ OTHERS = (
 def test_the_exchange_of_another_nozzle_and_filament_is_found(n: Nozzle) -> None:
     melt = fitted(n)
     found, ratio = melt.exchange, n.ua / (1e3 * n.c)
-    # 1 %, which is 0.4 degC of the melt at its most sensitive; before, the belief is off by up to 50 %
+    # 1 %, which is 0.4 degC of the melt where it is sensitive; before, the host's value is off by up to 50 %
     assert found.ua_w_k / found.heat_mj_m3k == pytest.approx(ratio, rel=0.01)
     assert found.ua_w_k == pytest.approx(n.ua / n.coupling, abs=3.0 * melt.sigma["ua"] * n.ua)
     assert found.heat_mj_m3k == pytest.approx(1e3 * n.c / n.coupling, abs=3.0 * melt.sigma["c"] * 1e3 * n.c)
@@ -182,9 +182,9 @@ def test_filament_that_slips_at_the_fastest_flow_is_reported() -> None:
         fit_melt.fit_held(steps(Nozzle(max_mm3_s=9.0)), ROOM_C)
 
 
-def test_flows_too_slow_to_tell_the_exchange_are_refused() -> None:
+def test_flows_too_slow_to_determine_the_exchange_are_refused() -> None:
     """At 3 mm3/s the filament leaves as hot as the bore: its heat says nothing of how easily it got it."""
-    with pytest.raises(MeltFitError, match=r"too slow to tell the exchange .* give a higher FLOW"):
+    with pytest.raises(MeltFitError, match=r"too slow to determine the exchange .* give a higher FLOW"):
         fit_melt.fit_held(steps(Nozzle(), flow_mm3_s=3.0), ROOM_C)
 
 
@@ -274,5 +274,5 @@ def test_numbers_no_filament_has_are_refused() -> None:
 def test_what_is_saved_are_the_options_of_the_heater() -> None:
     fit = fit_melt.fit_held(steps(Nozzle()), ROOM_C)
     assert set(fit_melt.options(fit)) == {"melt_exchange", "melt_heat", "melt_inlet_temp"}
-    told = "\n".join(fit_melt.report(fit))
-    assert "(kept from the fit)" in told and "+-" in told
+    text = "\n".join(fit_melt.report(fit))
+    assert "(kept from the fit)" in text and "+-" in text

@@ -150,7 +150,7 @@ def test_a_recorded_sweep_is_fitted_by_either_recipe(tmp_path: Path, recipe: str
     args = [str(trace), "--recipe", recipe, "--json", str(out), "--plot", str(plot)]
     assert fit_sensor.main(args) == 0
     got = json.loads(out.read_text())["coefficients"]
-    # 0.3 units of noise on 500 points a run, and a quadratic laid over a run that is one: 1 % is ample
+    # 0.3 units of noise on 500 points a run, and a quadratic fitted to a run that is one: 1 % is ample
     assert got["a"] == pytest.approx(EXP_LAW["a"], rel=0.01)
     assert got["b"] == pytest.approx(EXP_LAW["b"], rel=0.02)
     assert plot.read_bytes().startswith(b"\x89PNG")

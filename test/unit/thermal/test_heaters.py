@@ -347,7 +347,7 @@ def deliver(printer: FakePrinter, sequence: int, temp: float, phase: int) -> Non
     packed = content(sequence, clock, blocks(temp, phase))
     pulled = chelper.get_ffi()[0].new("struct pull_message[]", 1)
     pulled[0].len, pulled[0].data, pulled[0].receive_time = len(packed), packed, printer.reactor.now_s
-    printer.mcu.lot(pulled, 1)
+    printer.mcu.on_batch(pulled, 1)
 
 
 def test_extruder_uses_the_induction_heater_under_its_own_name() -> None:
@@ -471,7 +471,7 @@ def test_blocks_become_temperature_and_phase_commands_ahead_of_time() -> None:
     plans = [message for message in printer.mcu.sent if len(message) == 3]
     clocks = [clock for _, clock, _ in plans]
     assert len(clocks) == 2  # the second takes the place of the first, which was for later
-    assert struct.unpack("<HH", plans[-1][2][:4]) == (0, 45000)
+    assert struct.unpack("<4H", plans[-1][2][:8]) == (0, 2012, 36, 45000)  # a look first
     assert clocks[-1] > 100.0 * 72e6 + 0.004 * 72e6
     detail = printer.lookup_object("induction_heater nozzle").get_status(100.0)
     assert detail["estimate"] == pytest.approx(200.0, abs=0.1)

@@ -31,7 +31,7 @@ def test_curve_goes_through_its_three_points() -> None:
         assert law.temp_c(ohm) == pytest.approx(temp, abs=1e-6)
 
 
-def test_beta_law_gives_source_001_s_thermistor() -> None:
+def test_beta_law_gives_the_thermistor_of_liu_2019() -> None:
     """R25 = 100 kohm, beta 3950, 4.7 kohm pull-up, 5 V: 25 degC is 4.776 V (100/104.7 of 5 V)."""
     curve = thermistor.Thermistor(4700.0, 0.0, LAWS["beta"])
     assert 5.0 * curve.calc_adc(25.0) == pytest.approx(5.0 * 100.0 / 104.7)

@@ -1,4 +1,4 @@
-"""The model law by itself: its plant model, its filter, its choice; on plants of the test's own."""
+"""Predictive control by itself: its plant model, its filter, its choice; on plants of the test's own."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ NOZZLE = ModelParameters(
     melt_ua_w_k=0.0276,
     bore_s=0.049,
     hold_s=0.008,
-    fade_s=0.03,
+    tau_s=0.03,
     ahead=7,
 )
 
@@ -45,7 +45,7 @@ def test_the_power_that_holds_a_temperature_holds_it(p: ModelParameters) -> None
 
 
 def test_static_losses_are_the_reference_nozzles() -> None:
-    # Oskolkov 2021: 3.9 / 4.7 / 11.0 W, told with two digits
+    # Oskolkov 2021: 3.9 / 4.7 / 11.0 W, published with two digits
     for temp_c, watts in ((212.0, 3.9), (250.0, 4.7), (500.0, 11.0)):
         assert hold_w(NOZZLE, temp_c, 0.0, 0.0) == pytest.approx(watts, rel=0.03)
 
@@ -113,7 +113,7 @@ def test_the_filter_reports_a_weak_drive_from_a_draught() -> None:
 
 
 def test_readings_that_lean_one_way_move_the_disturbance_and_noise_does_not() -> None:
-    """Heat nobody told of, 3 W: a walk of 0.3 W in a second alone would take most of a second for it."""
+    """An unknown disturbance of 3 W: a walk of 0.3 W in a second alone would take most of a second for it."""
     p, noise = replace(NOZZLE, disturbance_w=0.3), random.Random(1)
     truth = Truth(p, 250.0, 0.005)
     state = predictive_filter.taken_over(p, predictive_filter.begin(p, 250.0, 0.0), 0.0)
@@ -276,7 +276,7 @@ def test_flow_that_begins_within_the_plan_is_in_it_and_later_flow_makes_none() -
 
 def test_a_plan_fits_one_message() -> None:
     """Ten steps, the first output among them, with the product's own 90 ms."""
-    p = replace(NOZZLE, ahead=11, fade_s=0.045)
+    p = replace(NOZZLE, ahead=11, tau_s=0.045)
     flow = Schedule(tuple(10.0 + 0.005 * i for i in range(40)), tuple(25.0 * (i % 3) for i in range(40)))
     for temp_c in (230.0, 243.0, 249.0, 250.0, 251.0):
         output, _ = model_step(p, known(temp_c), ask(temp_c, 250.0, flow_mm3_s=flow), 10.0)
@@ -298,7 +298,7 @@ def test_off_is_off_and_nothing_known_is_off() -> None:
 
 def test_alone_it_remembers_its_own_outputs() -> None:
     """As an ordinary heater calls it: a reading and a time; delays are its own affair."""
-    p = replace(BLOCK, delay_s=0.6, sensor_s=1.5, sigma_c=0.05, horizon_s=2.0, fade_s=2.0)
+    p = replace(BLOCK, delay_s=0.6, sensor_s=1.5, sigma_c=0.05, horizon_s=2.0, tau_s=2.0)
     truth = Truth(replace(p, heat_j_k=18.0), 20.0, 0.3)
     duties = [0.0, 0.0]
     state, temps = MODEL.start, []

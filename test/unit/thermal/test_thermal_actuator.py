@@ -50,7 +50,7 @@ def test_a_request_beyond_the_drive_gives_full_phase() -> None:
 @given(st.floats(1.52, 81.3))
 def test_quantised_phase_costs_less_than_a_thousandth(power: float) -> None:
     command = actuate(PARAMETERS, actuator_state(), power, 1.0, False)[0]
-    # A tick at the least phase is 1.5/2012 of the power = 0.075 %; half of it is lost in rounding.
+    # A tick at the minimum phase is 1.5/2012 of the power = 0.075 %; half of it is lost in rounding.
     assert command.power_w == pytest.approx(power, rel=4e-4)
     assert command.time_s == 1.0
 

@@ -107,8 +107,8 @@ def compare(chain: Any, reference: chain_reference.Chain, got: blocks.Blocks, ne
 @given(seed=st.integers(0, 2**32), supply=st.sampled_from([1.0, 1.0, 0.85, 1.1]))
 def test_a_stream_gives_what_its_equations_say(name: str, seed: int, supply: float) -> None:
     rng, law = random.Random(seed), LAWS[name]
-    told = parameters(law, rng, supply)
-    chain, reference = new_chain(*told), chain_reference.Chain(*told)
+    given = parameters(law, rng, supply)
+    chain, reference = new_chain(*given), chain_reference.Chain(*given)
     stream = convert.Stream(WIRE)
     index = rng.choice([0, 65530])
     clock, temp_c = 72_000_000 * rng.randint(1, 10**6), rng.uniform(30.0, 260.0)
@@ -161,11 +161,11 @@ def test_each_law_is_its_equation_both_ways(
 def test_parameters_changed_between_messages_hold_from_the_next_one_on() -> None:
     rng = random.Random(7)
     law = LAWS["tank"]
-    told = parameters(law, rng, 1.0)
-    chain, reference = new_chain(*told), chain_reference.Chain(*told)
+    given = parameters(law, rng, 1.0)
+    chain, reference = new_chain(*given), chain_reference.Chain(*given)
     stream = convert.Stream(WIRE)
     for n, (supply, factor) in enumerate([(1.0, 1.0), (0.9, 1.0), (0.9, 1.3), (1.05, 0.8)]):
-        front, read, watch, drive, filtered = told
+        front, read, watch, drive, filtered = given
         read = replace(read, law=law.rezeroed(210.0, law.error(200.0, 5600), 5600), supply=supply)
         drive = replace(drive, vdc_v=24.0 * supply)
         filtered = replace(filtered, heat=heat_loss.HeatCapacity(0.4 * factor))
@@ -177,7 +177,7 @@ def test_parameters_changed_between_messages_hold_from_the_next_one_on() -> None
         compare(chain, reference, got, chain.take(got))
 
 
-def test_a_filter_told_to_forget_starts_anew() -> None:
+def test_a_filter_that_is_reset_starts_anew() -> None:
     chain = new_chain()
     law = laws.ExpLaw()
     rows = [block_codec.Row(192, int((256.0 + law.error(200.0, 5600)) * 192) >> 4, 5600, 400, 420)] * 3

@@ -172,7 +172,7 @@ def test_gains_with_which_nothing_can_work_are_refused(wrong: Callable[[], objec
 @pytest.mark.parametrize(("temp", "watts"), [(212.0, 3.9), (250.0, 4.7), (500.0, 11.0)])
 def test_loss_law_gives_the_static_losses_of_the_reference_nozzle(temp: float, watts: float) -> None:
     law = heat_loss.LossLaw(ambient_c=20.0)
-    # Static losses of the fitted plant, told with two digits; the law lumps its two paths into one.
+    # Static losses of the fitted plant, published with two digits; the law lumps its two paths into one.
     assert heat_loss.loss_w(law, temp) == pytest.approx(watts, rel=0.03)
 
 

@@ -55,7 +55,7 @@ def test_a_message_seen_before_is_dropped() -> None:
     assert (stream.counters.blocks, stream.counters.missing_blocks) == (2, 0)
 
 
-def test_losses_told_by_the_mcu_are_added_up() -> None:
+def test_losses_reported_by_the_mcu_are_added_up() -> None:
     stream = convert.Stream(PARAMETERS)
     blocks = convert_one(stream, 0, record(discarded=20, lost=7) + record(discarded=3))
     assert (blocks[0].discarded, blocks[0].lost) == (20, 7)
@@ -121,7 +121,7 @@ def test_a_message_cut_anywhere_gives_no_block() -> None:
         assert stream.complaint()
 
 
-def test_a_lot_of_messages_comes_as_one_and_its_times_are_those_of_the_clock_given_with_it() -> None:
+def test_a_batch_of_messages_comes_as_one_and_its_times_are_those_of_the_clock_given_with_it() -> None:
     stream = convert.Stream(PARAMETERS)
     pulled = chelper.get_ffi()[0].new("struct pull_message[]", 3)
     start = 5 << 32  # the messages' 32 bits wrap among them

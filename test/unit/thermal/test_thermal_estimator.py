@@ -1,4 +1,4 @@
-"""Error units to temperature: all laws invert exactly, Table 1 comes back, nonsense is invalid."""
+"""Signal units to temperature: all laws invert exactly, Table 1 comes back, nonsense is invalid."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_paper_law_is_as_far_off_as_its_residual_says() -> None:
 
 @pytest.mark.parametrize("law", LAWS, ids=["exp", "eq5", "tank"])
 @given(error=st.floats(-5000.0, 5000.0), phase=st.integers(0, 45000))
-def test_what_cannot_be_believed_is_never_a_number(law: laws.Law, error: float, phase: int) -> None:
+def test_an_impossible_signal_is_never_a_number(law: laws.Law, error: float, phase: int) -> None:
     parameters = block_temperature.EstimatorParameters(law)
     got = estimate(parameters, error, phase)
     if got.valid:
@@ -164,7 +164,7 @@ def test_guard_limits_refuse_a_front_end_that_cannot_show_them() -> None:
 
 @pytest.mark.parametrize("law", LAWS, ids=["exp", "eq5", "tank"])
 @given(temp=temps, seen_as=temps, phase=phases, supply=st.floats(0.8, 1.1))
-def test_a_rezeroed_law_reads_what_it_was_told(
+def test_a_rezeroed_law_reads_the_given_temperature(
     law: laws.Law, temp: float, seen_as: float, phase: int, supply: float
 ) -> None:
     error = law.error(seen_as, phase, supply)

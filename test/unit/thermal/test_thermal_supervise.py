@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from chain_rig import FFI, LIB, new_chain, told
+from chain_rig import FFI, LIB, c_params, new_chain
 from thermal.sensing import blocks, supervision
 
 PARAMETERS = supervision.SuperviseParameters(0.0, 300.0)
@@ -24,7 +24,7 @@ class Watched:
     seen: Any = field(default_factory=lambda: FFI.new("struct chain_watch *"))
 
     def __post_init__(self) -> None:
-        self.chain = told(new_chain(watch=self.parameters))
+        self.chain = c_params(new_chain(watch=self.parameters))
         supervision.start(self.state, self.seen, 0.0)
 
     def block(self, end_s: float, temp_c: float = 0.0, reason: str = "") -> None:
@@ -117,7 +117,7 @@ def test_limits_trip_on_the_sixth_block_in_a_row(within: float, beyond: float, w
     assert words in on.watch(0.1, 100.0, 200.0, 0.1)
 
 
-def test_the_temperature_that_tripped_is_kept_and_blocks_go_on_being_heard() -> None:
+def test_the_temperature_that_tripped_is_kept_and_blocks_still_count() -> None:
     on = Watched(supervision.SuperviseParameters(0.0, 300.0, limit_blocks=1))
     on.block(0.1, 306.0)
     on.block(5.0, 307.0)
@@ -134,12 +134,20 @@ def test_without_a_calibration_only_silence_is_a_fault() -> None:
     assert "no samples" in on.watch(7.0, 100.0, 250.0, 1.0)
 
 
-def test_before_the_first_temperature_nothing_is_said_of_warming() -> None:
+@pytest.mark.parametrize(("target", "power"), [(250.0, 1.0), (0.0, 0.0)])
+def test_before_the_first_temperature_nothing_is_said_of_warming(target: float, power: float) -> None:
     on = Watched()
     for time_s in (0.0, 1.0, 2.0):
-        assert on.watch(time_s, math.nan, 250.0, 1.0) == ""
+        assert on.watch(time_s, math.nan, target, power) == ""
         on.block(time_s, reason="bridge off")
-    assert on.state.demand_s == math.inf
+    assert on.state.demand_s == on.state.off_s == math.inf
+
+
+@pytest.mark.parametrize(("target", "power"), [(250.0, 1.0), (0.0, 0.0)])
+def test_without_a_calibration_nothing_is_said_of_warming(target: float, power: float) -> None:
+    on = Watched(supervision.SuperviseParameters(0.0, 300.0, calibrated=False))
+    for n in range(60):
+        assert on.see(0.1 * n, 100.0 if target else 20.0 + 4.0 * n, target, power) == ""
 
 
 def test_a_new_start_forgets_silence_counts_and_windows() -> None:
@@ -148,7 +156,7 @@ def test_a_new_start_forgets_silence_counts_and_windows() -> None:
         on.block(0.1, 306.0)
     assert on.watch(0.1, 100.0, 250.0, 1.0) == ""  # a window of demand begins
     supervision.start(on.state, on.seen, 50.0)
-    assert on.watch(51.0, math.nan, 250.0, 1.0) == ""  # heard and believed at the start
+    assert on.watch(51.0, math.nan, 250.0, 1.0) == ""  # a received and valid block at the start
     on.block(51.0, 306.0)
     assert on.watch(51.0, 100.0, 250.0, 1.0) == ""  # one beyond; the demand begins here
     assert on.see(53.9, 100.0, 250.0, 1.0) == ""

@@ -1,4 +1,4 @@
-"""What was told to the bridge, against what is meant now."""
+"""Powers sent to the bridge, against those planned now."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from bridge_rig import differs
 from thermal.control.timeline import Bridge
 from thermal.records import PhaseCommand, Planned
 
-TOLD = ((1.00, 5.0), (1.02, 9.0), (1.05, 7.0))
+SENT = ((1.00, 5.0), (1.02, 9.0), (1.05, 7.0))
 
 
 def line() -> Bridge:
-    told = Bridge()
-    told.note([PhaseCommand(time_s, 1000, power_w) for time_s, power_w in TOLD], 0.99)
-    return told
+    sent = Bridge()
+    sent.note([PhaseCommand(time_s, 1000, power_w) for time_s, power_w in SENT], 0.99)
+    return sent
 
 
 def plan(*steps: tuple[float, float]) -> list[Planned]:
     return [Planned(*step) for step in steps]
 
 
-def test_what_was_said_already_does_not_stray() -> None:
-    assert not differs(line(), plan(*TOLD), 0.5)
+def test_powers_sent_already_do_not_differ() -> None:
+    assert not differs(line(), plan(*SENT), 0.5)
     assert not differs(line(), plan((1.00, 5.2), (1.02, 8.9), (1.05, 7.3)), 0.5)
     assert not differs(line(), plan((1.02, 9.0), (1.05, 7.0)), 0.5)  # from a later start
 
@@ -46,6 +46,6 @@ def test_any_step_that_differs_is_found(steps: tuple[tuple[float, float], ...]) 
     ("from_s", "on"), [(0.99, True), (1.01, True), (1.02, True), (1.04, True), (1.05, False), (2.0, False)]
 )
 def test_a_line_of_commands_knows_whether_it_leaves_the_bridge_on(from_s: float, on: bool) -> None:
-    told = Bridge()
-    told.note([PhaseCommand(1.0, 0, 0.0), PhaseCommand(1.02, 2012, 1.5), PhaseCommand(1.05, 0, 0.0)], 0.99)
-    assert told.is_on_from(from_s) == on
+    sent = Bridge()
+    sent.note([PhaseCommand(1.0, 0, 0.0), PhaseCommand(1.02, 2012, 1.5), PhaseCommand(1.05, 0, 0.0)], 0.99)
+    assert sent.is_on_from(from_s) == on

@@ -6,7 +6,7 @@
 
 #include "chip.h"
 
-enum { AVR_DATA_SPACE = 0x800000 }; /* the linker's way to tell RAM from flash */
+enum { AVR_DATA_SPACE = 0x800000 }; /* where the linker places RAM, apart from flash */
 
 static struct {
     uint8_t *file;

@@ -66,7 +66,7 @@ t5_match(avr_t *avr, avr_cycle_count_t when, void *param)
 }
 
 static void
-t5_aim(void)
+t5_rearm(void)
 {
     uint16_t ahead = (uint16_t)(t5.compare - t5_count());
     after(ahead ? ahead : 0x10000, t5_match);
@@ -88,7 +88,7 @@ t5_write(uint16_t address, uint8_t value)
             t5.runs = 1;
             t5.zero = chip->cycle;
             after(0x10000, t5_overflow);
-            t5_aim();
+            t5_rearm();
         }
         break;
     case REG_OCR5AH:
@@ -97,7 +97,7 @@ t5_write(uint16_t address, uint8_t value)
     case REG_OCR5AL:
         t5.compare = (uint16_t)(t5.high_byte << 8 | value);
         if (t5.runs)
-            t5_aim();
+            t5_rearm();
         break;
     case REG_TIFR5:
         t5.flags &= (uint8_t)~value;

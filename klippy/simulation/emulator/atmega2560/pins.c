@@ -22,7 +22,7 @@ base_kind(uint16_t address)
     return (uint8_t)((address - (address >= REG_PINH ? REG_PINH : REG_PINA)) % 3);
 }
 
-/* Pins that are outputs and whose level or direction has changed are told. */
+/* Send the outputs whose level or direction has changed to the world. */
 static void
 change(uint16_t base, uint8_t direction, uint8_t level)
 {
@@ -101,7 +101,7 @@ static const struct output outputs[] = {
 };
 enum { OUTPUTS = sizeof outputs / sizeof outputs[0], WGM_PHASE_CORRECT_8 = 1, COUNTS = 510, STARTED = 1 << 16 };
 
-static uint32_t told[OUTPUTS]; /* value and STARTED, as the world last heard */
+static uint32_t sent[OUTPUTS]; /* value and STARTED, as last sent to the world */
 
 static uint32_t
 divider(const struct output *o)
@@ -123,9 +123,9 @@ pwm_look(void)
         if ((chip->data[o->control] & 3) != WGM_PHASE_CORRECT_8 || chip->data[o->control + 1] & ~7 || com != 2)
             chip_fault("register 0x%02x: the model has 8-bit phase correct PWM only", o->control);
         uint32_t state = STARTED | chip->data[o->compare];
-        if (state == told[i])
+        if (state == sent[i])
             continue;
-        told[i] = state;
+        sent[i] = state;
         board.pwm_write(board.ctx, o->pin, COUNTS * prescaler, chip->data[o->compare], chip_clock());
     }
 }
@@ -165,5 +165,5 @@ pwm_init(void)
 void
 pwm_reset(void)
 {
-    memset(told, 0, sizeof told);
+    memset(sent, 0, sizeof sent);
 }

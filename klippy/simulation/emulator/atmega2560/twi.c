@@ -113,7 +113,7 @@ control_write(uint8_t value)
     }
     chip->data[REG_TWCR] = value & (uint8_t)~TWINT;
     if (rate > SCL_MAX_HZ)
-        chip_fault("the TWI's clock runs at %u Hz; 400000 is the most", rate);
+        chip_fault("the TWI's clock runs at %u Hz; the maximum is 400000", rate);
     if (value & TWSTO) {
         after(bit_cycles(), stop_done);
     } else if (value & TWSTA) {

@@ -149,7 +149,7 @@ static struct {
     uint32_t cr1, cr2, timing, isr, txdr, rxdr;
     uint8_t out[BYTES], in[BYTES];
     unsigned out_count, in_count, in_read, left;
-    int reading, told;
+    int reading, sent;
     struct event byte;
 } i2c;
 
@@ -171,9 +171,9 @@ static uint8_t exchange(unsigned read)
 
 static void finish(void)
 {
-    if (!i2c.reading && i2c.out_count && !i2c.told)
+    if (!i2c.reading && i2c.out_count && !i2c.sent)
         exchange(0);
-    i2c.told = 1;
+    i2c.sent = 1;
     i2c.isr = (i2c.isr & ~(uint32_t)(BUSY | TC | TXIS)) | STOPF;
     i2c.out_count = 0;
 }
@@ -181,7 +181,7 @@ static void finish(void)
 static void refuse(void)
 {
     i2c.isr |= NACKF;
-    i2c.told = 1;
+    i2c.sent = 1;
     finish(); /* a master that is not acknowledged sends a stop by itself (26.4.8) */
 }
 
@@ -211,7 +211,7 @@ static void start(void)
     i2c.isr = (i2c.isr & ~(uint32_t)(TC | NACKF | STOPF)) | BUSY;
     i2c.reading = (i2c.cr2 & READ) != 0;
     i2c.in_read = 0;
-    i2c.told = 0;
+    i2c.sent = 0;
     uint8_t status;
     if (i2c.reading) {
         status = exchange(i2c.left);

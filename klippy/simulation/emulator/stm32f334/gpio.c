@@ -8,7 +8,7 @@ enum { MODER = 0x00, OTYPER = 0x04, OSPEEDR = 0x08, PUPDR = 0x0c, IDR = 0x10, OD
 
 static struct port {
     uint32_t mode, type, speed, pull, out, function[2];
-    uint16_t told, known; /* last level told to the world, and whether any was */
+    uint16_t sent, known; /* last level sent to the world, and whether any was */
     uint16_t peripheral;  /* level a peripheral drives on pins in alternate mode */
 } ports[PORTS];
 
@@ -34,14 +34,14 @@ unsigned gpio_pull(unsigned pin)
     return ports[pin / PINS].pull >> 2 * (pin % PINS) & 3u;
 }
 
-static void tell(unsigned port, unsigned i, int level)
+static void send(unsigned port, unsigned i, int level)
 {
     struct port *p = &ports[port];
     uint16_t bit = (uint16_t)(1u << i);
-    if (p->known & bit && !(p->told & bit) == !level)
+    if (p->known & bit && !(p->sent & bit) == !level)
         return;
     p->known |= bit;
-    p->told = (uint16_t)(level ? p->told | bit : p->told & ~bit);
+    p->sent = (uint16_t)(level ? p->sent | bit : p->sent & ~bit);
     board.pin_write(board.ctx, port * PINS + i, (uint8_t)level, now());
 }
 
@@ -52,13 +52,13 @@ static void send_outputs(unsigned port, uint32_t which)
     for (; which; which &= which - 1) {
         unsigned i = (unsigned)__builtin_ctz(which);
         if (mode_of(p, i) == MODE_OUTPUT)
-            tell(port, i, (int)(p->out >> i & 1u));
+            send(port, i, (int)(p->out >> i & 1u));
     }
 }
 
 void gpio_drive(unsigned pin, int level)
 {
-    tell(pin / PINS, pin % PINS, level);
+    send(pin / PINS, pin % PINS, level);
 }
 
 int gpio_level(unsigned pin)
@@ -130,9 +130,9 @@ static void mode_write(unsigned unit, uint32_t value)
             continue;
         unsigned mode = mode_of(p, i);
         if (mode == MODE_OUTPUT)
-            tell(unit, i, (int)(p->out >> i & 1u));
+            send(unit, i, (int)(p->out >> i & 1u));
         else if (mode == MODE_INPUT && (p->pull >> 2 * i & 3u) == 1 && p->known >> i & 1u)
-            tell(unit, i, 1); /* let go: its pull-up takes it */
+            send(unit, i, 1); /* let go: its pull-up takes it */
         timer_pin_changed(unit * PINS + i);
     }
 }
@@ -180,7 +180,7 @@ void gpio_write(unsigned unit, uint32_t offset, uint32_t value)
     }
 }
 
-/* Reset state (9.4): all analog or input; port A's debugger pins in alternate mode. The world hears nothing: whoever
+/* Reset state (9.4): all analog or input; port A's debugger pins in alternate mode. The world gets no report: whoever
  * restarts the chip switches off what it drives. */
 void gpio_reset(unsigned unit)
 {

@@ -441,7 +441,7 @@ void hrtim_reset(unsigned unit)
 {
     (void)unit;
     struct event update = h.update;
-    if (h.told && h.phase)
+    if (h.sent && h.phase)
         board.bridge_set(board.ctx, 0, now()); /* pins float: the drivers' pull-downs open the switches */
     memset(hr, 0, sizeof hr);
     memset(&h, 0, sizeof h);
@@ -462,7 +462,7 @@ int hrtim_peek(const char *what, uint32_t *value)
     else if (!strcmp(what, "faulted"))
         *value = h.faulted;
     else if (!strcmp(what, "phase"))
-        *value = h.told ? h.phase : 0;
+        *value = h.sent ? h.phase : 0;
     else if (!strcmp(what, "period"))
         *value = hr[1].active.per;
     else if (!strcmp(what, "lag") && hr_leg_on(1) && hr_leg_on(2))

@@ -28,8 +28,8 @@ struct hr_common {
     uint32_t enabled, faulted; /* outputs, a bit each: in RUN state, in FAULT state */
     uint64_t dll_at;
     struct event update;
-    uint16_t phase;            /* last told to the world */
-    int told;
+    uint16_t phase;            /* last sent to the world */
+    int sent;
 };
 extern struct hr_common h;
 

@@ -11,13 +11,13 @@ void hr_fault_irq(void)
 
 /* ---- what the bridge does --------------------------------------------------------------------------- */
 
-static void tell(uint16_t phase, int64_t lag)
+static void send(uint16_t phase, int64_t lag)
 {
-    if (h.told && phase == h.phase)
+    if (h.sent && phase == h.phase)
         return;
     adc_before_change();
     h.phase = phase;
-    h.told = 1;
+    h.sent = 1;
     counters.phase_writes++;
     record(RECORD_LAGS, now(), (uint32_t)lag);
     board.bridge_set(board.ctx, phase, now());
@@ -50,7 +50,7 @@ void hr_evaluate(void)
         if (hr_leg_on(t) && n < 2)
             legs[n++] = t;
     if (n < 2) {
-        tell(0, 0); /* one leg alone drives no current */
+        send(0, 0); /* one leg alone drives no current */
         return;
     }
     check_leg(legs[0]);
@@ -58,7 +58,7 @@ void hr_evaluate(void)
     uint32_t period;
     int64_t lag = hr_lag(legs[0], legs[1], &period);
     if (lag >= 0)
-        tell((uint16_t)((lag * 2 * PHASE_MAX + period / 2) / period), lag);
+        send((uint16_t)((lag * 2 * PHASE_MAX + period / 2) / period), lag);
 }
 
 /* ---- faults ------------------------------------------------------------------------------------------------ */

@@ -51,11 +51,11 @@ static void check_limits(void)
 {
     uint32_t states = flash_acr & 7u, needed = clocks.hclk > 48000000 ? 2 : clocks.hclk > 24000000 ? 1 : 0;
     if (clocks.hclk > 72000000)
-        fault("the processor clock is %u Hz; 72 MHz is the most (DS9994)", clocks.hclk);
+        fault("the processor clock is %u Hz; the maximum is 72 MHz (DS9994)", clocks.hclk);
     if (states < needed)
         fault("FLASH_ACR asks for %u wait states at %u Hz, which needs %u (RM0364, 3.5.1)", states, clocks.hclk, needed);
     if (clocks.pclk1 > 36000000)
-        fault("APB1 runs at %u Hz; 36 MHz is the most", clocks.pclk1);
+        fault("APB1 runs at %u Hz; the maximum is 36 MHz", clocks.pclk1);
 }
 
 static void recalculate(void)

@@ -1,6 +1,6 @@
 /* General purpose timers TIM1, 2, 3, 6, 7, 15, 16, 17 (RM0364 chapters 17 to 20): up-counters, compare interrupts, PWM.
  *
- * A counter is a start clock and a rate; flags are made when somebody looks or when an enabled interrupt is due.
+ * A counter is a start clock and a rate; flags are computed when they are read or when an enabled interrupt is due.
  */
 #include "chip.h"
 
@@ -17,7 +17,7 @@ static struct timer {
     uint64_t counted;   /* counts so far, of which CNT is the rest modulo ARR + 1 */
     uint64_t base, at;  /* the count there was at clock `at`, when the rate was last changed */
     struct event due;
-    uint8_t told[CHANNELS]; /* a PWM value has been told to the world */
+    uint8_t sent[CHANNELS]; /* a PWM value has been sent to the world */
     uint32_t sent_value[CHANNELS], sent_cycle[CHANNELS];
 } timers[UNITS];
 
@@ -170,9 +170,9 @@ static void send_pwm(unsigned unit)
             fault("%s channel %u drives pin P%c%u in a mode that is not PWM", FIXED[unit].name, c + 1, 'A' + PINS[i].pin / 16,
                   PINS[i].pin % 16u);
         uint32_t cycle = (uint32_t)ticks_of((uint32_t)(length(unit) * (t->psc + 1)), clock_hz(unit));
-        if (t->told[c] && t->sent_value[c] == value && t->sent_cycle[c] == cycle)
+        if (t->sent[c] && t->sent_value[c] == value && t->sent_cycle[c] == cycle)
             continue;
-        t->told[c] = 1;
+        t->sent[c] = 1;
         t->sent_value[c] = value;
         t->sent_cycle[c] = cycle;
         board.pwm_write(board.ctx, PINS[i].pin, cycle, value, now());
@@ -183,7 +183,7 @@ void timer_pin_changed(unsigned pin)
 {
     for (unsigned i = 0; i < sizeof PINS / sizeof *PINS; i++)
         if (PINS[i].pin == pin && timers[PINS[i].unit].cr1 & CEN) {
-            timers[PINS[i].unit].told[PINS[i].channel] = 0;
+            timers[PINS[i].unit].sent[PINS[i].channel] = 0;
             send_pwm(PINS[i].unit);
         }
 }

@@ -18,7 +18,7 @@ static struct usart {
     double next_receive, next_transmit; /* ticks, unrounded */
     uint8_t wire[WIRE];  /* bytes on their way in */
     uint32_t wire_first, wire_count;
-    uint8_t batch[BATCH]; /* bytes sent, not yet told to the world */
+    uint8_t batch[BATCH]; /* bytes transmitted, not yet sent to the world */
     uint32_t batch_count;
     uint8_t shifting, shift_full, last_idle;
 } usarts[UNITS];

@@ -1,6 +1,6 @@
 "use strict";
 // The page's behaviour: charts over time that zoom together, and the view of one layer.
-// The data element holds base64 arrays: per series the least and greatest value of each bucket of rows.
+// The data element holds base64 arrays: per series the lowest and greatest value of each bucket of rows.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const byId = (id) => document.getElementById(id);
@@ -102,23 +102,23 @@
   }
 
   function visibleRange(chart, first, last) {
-    let least = Infinity, greatest = -Infinity;
+    let lowest = Infinity, greatest = -Infinity;
     for (const s of chart.series) {
       if (!s.shown) continue;
       for (let i = first; i <= last; i++) {
-        if (s.low[i] < least) least = s.low[i];
+        if (s.low[i] < lowest) lowest = s.low[i];
         if (s.high[i] > greatest) greatest = s.high[i];
       }
     }
-    if (least > greatest) return [0, 1];
+    if (lowest > greatest) return [0, 1];
     const limit = chart.spec.limit;
     if (limit !== null) {
-      least = Math.max(-limit, Math.min(least, -data.band_c));
+      lowest = Math.max(-limit, Math.min(lowest, -data.band_c));
       greatest = Math.min(limit, Math.max(greatest, data.band_c));
     }
-    if (chart.spec.fromZero) least = Math.min(least, 0);
-    const room = Math.max(0.05 * (greatest - least), 1e-3);
-    return [chart.spec.fromZero && least === 0 ? 0 : least - room, greatest + room];
+    if (chart.spec.fromZero) lowest = Math.min(lowest, 0);
+    const room = Math.max(0.05 * (greatest - lowest), 1e-3);
+    return [chart.spec.fromZero && lowest === 0 ? 0 : lowest - room, greatest + room];
   }
 
   function drawChart(chart, hover) {
@@ -172,7 +172,7 @@
     g.stroke();
   }
 
-  // One vertical stroke a pixel column from the least to the greatest value in it, joined along the line.
+  // One vertical stroke a pixel column from the lowest to the greatest value in it, joined along the line.
   function drawSeries(g, series, first, last, x, y) {
     g.strokeStyle = css("--c-" + series.spec.colour);
     g.lineWidth = series.spec.dashed ? 1.4 : 1.2;
@@ -182,15 +182,15 @@
     let i = first;
     while (i <= last) {
       const column = Math.floor(x(time[i]));
-      let least = series.low[i], greatest = series.high[i], j = i + 1;
+      let lowest = series.low[i], greatest = series.high[i], j = i + 1;
       while (j <= last && Math.floor(x(time[j])) === column) {
-        if (series.low[j] < least) least = series.low[j];
+        if (series.low[j] < lowest) lowest = series.low[j];
         if (series.high[j] > greatest) greatest = series.high[j];
         j++;
       }
       const at = j === i + 1 ? x(time[i]) : column + 0.5;
       g.lineTo(at, y(greatest));
-      if (least !== greatest) g.lineTo(at, y(least));
+      if (lowest !== greatest) g.lineTo(at, y(lowest));
       i = j;
     }
     g.stroke();
@@ -309,7 +309,7 @@
   let current = Math.floor(layers.length / 2);
   let colour = COLOURS.error;
 
-  // Errors at which the colours end: most layers should show colour, an odd one may saturate.
+  // Errors at which the colours end: typical layers should show colour, an odd one may saturate.
   function niceSpan() {
     const sizes = layers.map((l) => Math.max(-l.min, l.max)).sort((a, b) => a - b);
     const typical = sizes[Math.floor(0.9 * (sizes.length - 1))];
@@ -335,13 +335,13 @@
   function drawBars() {
     const { g, width, height } = fitted(byId("layer-bars"), 190);
     const plot = { left: LEFT, right: width - RIGHT, top: TOP, bottom: height - BOTTOM };
-    const least = Math.min(-data.band_c, ...layers.map((l) => Math.max(l.min, -2 * data.band_c)));
+    const lowest = Math.min(-data.band_c, ...layers.map((l) => Math.max(l.min, -2 * data.band_c)));
     const greatest = Math.max(data.band_c, ...layers.map((l) => Math.min(l.max, 2 * data.band_c)));
-    const y = (v) => plot.bottom - ((v - least) / (greatest - least)) * (plot.bottom - plot.top);
+    const y = (v) => plot.bottom - ((v - lowest) / (greatest - lowest)) * (plot.bottom - plot.top);
     const step = (plot.right - plot.left) / layers.length;
     g.fillStyle = css("--band");
     g.fillRect(plot.left, y(data.band_c), plot.right - plot.left, y(-data.band_c) - y(data.band_c));
-    drawBarGrid(g, plot, y, least, greatest, step);
+    drawBarGrid(g, plot, y, lowest, greatest, step);
     g.beginPath();
     g.rect(plot.left, plot.top, plot.right - plot.left, plot.bottom - plot.top);
     g.clip(); // an odd layer may go beyond the scale
@@ -356,11 +356,11 @@
     });
   }
 
-  function drawBarGrid(g, plot, y, least, greatest, step) {
+  function drawBarGrid(g, plot, y, lowest, greatest, step) {
     g.strokeStyle = css("--grid");
     g.beginPath();
-    const dv = valueStep(greatest - least, 5);
-    for (let v = Math.ceil(least / dv) * dv; v <= greatest; v += dv) {
+    const dv = valueStep(greatest - lowest, 5);
+    for (let v = Math.ceil(lowest / dv) * dv; v <= greatest; v += dv) {
       const at = Math.round(y(v)) + 0.5;
       g.moveTo(plot.left, at);
       g.lineTo(plot.right, at);
@@ -369,7 +369,7 @@
     g.fillStyle = css("--soft");
     g.textAlign = "right";
     g.textBaseline = "middle";
-    for (let v = Math.ceil(least / dv) * dv; v <= greatest; v += dv) g.fillText(valueText(v, dv), plot.left - 7, y(v));
+    for (let v = Math.ceil(lowest / dv) * dv; v <= greatest; v += dv) g.fillText(valueText(v, dv), plot.left - 7, y(v));
     g.textAlign = "center";
     g.textBaseline = "top";
     const every = Math.max(1, valueStep(layers.length, (plot.right - plot.left) / 70));
@@ -418,7 +418,7 @@
       ["takes", layer.duration.toFixed(1) + " s"],
       ["true temperature, mean", layer.true.toFixed(1) + " °C"],
       ["error, mean", signed(layer.mean)],
-      ["error, least to greatest", signed(layer.min) + " to " + signed(layer.max)],
+      ["error, min to max", signed(layer.min) + " to " + signed(layer.max)],
       ["flow, mean", layer.flow.toFixed(2) + " mm³/s"],
       ["flow, greatest", layer.flowMax.toFixed(2) + " mm³/s"],
     ];
