@@ -55,18 +55,22 @@ class enumeration_error(error):
 # --- integers ---------------------------------------------------------------------------------------------------
 
 
+_SHORT = [bytes((number,)) for number in range(0x80)]
+
+
 def encode_vlq(value: int) -> bytes:
     """Big-endian groups of 7 bits, 0x80 = more follow. n groups hold -2**(7n-2) .. 3*2**(7n-2)-1, five all."""
-    shift, reach = 0, 1 << 5
-    while shift < 28 and not -reach <= value < 3 * reach:
-        shift += 7
+    if -32 <= value < 96:
+        return _SHORT[value & 0x7F]
+    if not -(1 << 26) <= value < 3 << 26:  # a clock, mostly
+        high = (value >> 28 & 0x7F | 0x80, value >> 21 & 0x7F | 0x80, value >> 14 & 0x7F | 0x80)
+        return bytes((*high, value >> 7 & 0x7F | 0x80, value & 0x7F))
+    groups = [value & 0x7F]
+    reach = 1 << 5
+    while not -reach <= value < 3 * reach:
         reach <<= 7
-    out = bytearray()
-    while shift:
-        out.append(value >> shift & 0x7F | 0x80)
-        shift -= 7
-    out.append(value & 0x7F)
-    return bytes(out)
+        groups.append(value >> 7 * len(groups) & 0x7F | 0x80)
+    return bytes(reversed(groups))
 
 
 def decode_vlq(data: Sequence[int], pos: int) -> tuple[int, int]:
@@ -214,9 +218,8 @@ class Param:
             if len(data) > CONTENT_MAX:
                 raise error(f"parameter '{self.name}' of {len(data)} bytes is too long for a message")
             return bytes((len(data),)) + data
-        if isinstance(value, str):
-            value = self._value_of(value)
-        value = int(value)
+        if type(value) is not int:
+            value = int(self._value_of(value) if isinstance(value, str) else value)
         kind = self.type
         if kind.low == kind.high:
             value = _wrap32(value, kind.signed)

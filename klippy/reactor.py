@@ -49,6 +49,7 @@ class FdPoll:
         self._poll = select.poll()
         self._handlers: dict[int, ReactorFileHandler] = {}
         self._ready: list[tuple[int, int]] = []
+        self.woken = False  # the reactor has written to its own pipe
 
     def watch(self, handler: ReactorFileHandler) -> None:
         """Start watching, or change what is watched for."""
@@ -68,6 +69,8 @@ class FdPoll:
     def poll(self, timeout_s: float) -> bool:
         """Collect ready descriptors, waiting at most `timeout_s`; True if there are any."""
         if not self._ready:
+            if timeout_s <= 0.0 and not self.woken and len(self._handlers) == 1:
+                return False  # only the pipe is watched, and nothing is in it
             self._ready = self._poll.poll(max(0.0, timeout_s) * 1000.0)
         return bool(self._ready)
 
@@ -332,6 +335,7 @@ class Reactor:
     def _wake_up(self) -> None:
         pipe = self._pipe
         if pipe is not None:
+            self._fds.woken = True
             try:
                 os.write(pipe[1], b".")
             except (BlockingIOError, OSError):
@@ -346,6 +350,7 @@ class Reactor:
 
     def _drain_pipe(self, eventtime: float) -> None:
         assert self._pipe is not None
+        self._fds.woken = False
         try:
             os.read(self._pipe[0], 4096)
         except BlockingIOError:

@@ -206,6 +206,8 @@ class SerialReader:
                         notice(params)
                 elif params:
                     self._dispatch(params)
+            if count < PULL_MAX:
+                break
         if self._on_batch is not None:
             self._drain_batch(self._on_batch)
 
@@ -216,6 +218,8 @@ class SerialReader:
                 handler(batch, count)
             except Exception:
                 logging.exception("%shandler of a batch of messages failed", self.warn_prefix)
+            if count < BATCH_MAX:
+                break
 
     def _unpack(self, message: Any) -> tuple[int, Params]:
         params: Params = {}

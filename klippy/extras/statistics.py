@@ -33,13 +33,10 @@ class SystemStats:
 
 def _available_kb() -> int:
     try:
-        with open("/proc/meminfo", encoding="ascii", errors="replace") as file:
-            for line in file:
-                if line.startswith("MemAvailable:"):
-                    return int(line.split()[1])
-    except (OSError, ValueError):
-        pass
-    return 0
+        with open("/proc/meminfo", "rb", buffering=0) as file:
+            return int(file.read(512).partition(b"MemAvailable:")[2].split(maxsplit=1)[0])
+    except (OSError, ValueError, IndexError):
+        return 0
 
 
 class PrinterStats:

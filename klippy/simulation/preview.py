@@ -6,9 +6,11 @@ certain: reading ends at the first command that may give coordinates another mea
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +29,9 @@ _HARMLESS = frozenset(
 _MOVES = frozenset(("G0", "G1", "G2", "G3"))
 _AXES = "XYZ"
 _PLACE = re.compile(r"([XYZ])([^A-Z]*)")
+_VALUE = {axis: re.compile(axis + "([^A-Z\n]*)") for axis in _AXES}
+_COMMENT = re.compile(r";[^\n]*")
+_PLAIN = ("G1 ", "G0 ", ";", "\n")  # lines that do no more than move
 _NAME = re.compile(r"[A-Z_][A-Z0-9_]*", re.IGNORECASE)
 _NUMBERED = re.compile(r"[GMT][0-9]")  # what every dialect's commands look like
 _HEAD_BYTES = 8192  # a binary file shows a zero byte within this
@@ -67,8 +72,9 @@ def objection(path: Path, machine: Machine) -> str | None:
             return f"{path.name} is not G-code: it is a binary file"
     is_gcode, head = False, _Head()
     watching = bool(machine.ranges)
+    plain = watching and all(machine.knows(move) and move not in machine.macros for move in ("G0", "G1"))
     with path.open(encoding="utf-8", errors="replace") as stream:
-        for number, line in enumerate(stream, 1):
+        for number, line in _lines(stream, head, machine.ranges if plain else {}):
             command, rest = _split(line)
             if not command:
                 continue
@@ -84,6 +90,40 @@ def objection(path: Path, machine: Machine) -> str | None:
             if is_gcode and not watching:
                 return None
     return None if is_gcode else f"{path.name} is not G-code: no line of it is a command"
+
+
+def _lines(
+    stream: Iterable[str], head: _Head, ranges: Mapping[str, tuple[float, float]]
+) -> Iterator[tuple[int, str]]:
+    """Lines with their numbers, without runs of plain moves that stay within the ranges: these are nearly all."""
+    run: list[str] = []
+    for number, line in enumerate(chain(stream, ("",)), 1):
+        if line.startswith(_PLAIN):
+            run.append(line)
+            continue
+        if run and not (ranges and _stay_within(head, run, ranges)):
+            yield from enumerate(run, number - len(run))
+        run = []
+        yield number, line
+
+
+def _stay_within(head: _Head, run: Sequence[str], ranges: Mapping[str, tuple[float, float]]) -> bool:
+    """Whether these moves surely do; then the head is where they end."""
+    if not head.absolute:
+        return False
+    text, ends = _COMMENT.sub("", "".join(run)).upper(), {}
+    for axis in _AXES:
+        try:
+            places = [head.origin[axis] + float(value) for value in _VALUE[axis].findall(text)]
+        except ValueError:
+            return False
+        if places:
+            low, high = ranges.get(axis, (-math.inf, math.inf))
+            if not low <= min(places) <= max(places) <= high:
+                return False
+            ends[axis] = places[-1]
+    head.position.update(ends)
+    return True
 
 
 def _split(line: str) -> tuple[str, str]:

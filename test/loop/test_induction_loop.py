@@ -169,8 +169,8 @@ def test_turned_off_while_the_plan_is_to_heat_again_the_bridge_stays_off(
     heat(rig, 2.0)
     rig.set_target(TARGET_C - down_c)
     rig.run(wait_s)
-    plan = [c.phase_ticks for c in rig.loop.state.line.commands if c.time_s > rig.now_s]
-    assert any(plan) and not rig.loop.state.actuator.driving
+    plan = [c.phase_ticks for c in rig.loop.state.bridge.commands if c.time_s > rig.now_s]
+    assert any(plan) and not rig.loop.state.bridge.driving
     rig.set_target(0.0)
     rig.run(0.02)
     start = rig.power_j
@@ -339,7 +339,7 @@ def test_below_the_lowest_drive_that_measures_each_message_comes_at_once() -> No
     rig.run(0.5)
     rig.set_target(60.0)
     rig.run(3.0)
-    assert not rig.loop.state.actuator.driving
+    assert not rig.loop.state.bridge.driving
     assert max(sizes_of_messages(rig, 0.2)) <= RECORDS
 
 

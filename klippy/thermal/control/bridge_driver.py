@@ -8,48 +8,72 @@ Two kinds of law, two drivers; the loop chooses once (driver_for):
                        next command's place is known ahead of time and may be filled anew by each message; what
                        follows is sent along, so a host that comes late has already sent it.
 
-Drivers remember nothing themselves: LoopState does.
+Drivers remember nothing themselves: LoopState does. Where a command may begin and what it is: bridge.h, in C. A step
+of the predictive law with its commands is one call.
 """
 
 from __future__ import annotations
 
 import math
+import struct
+from functools import partial
 
+import chelper
 from thermal.models import heat_loss
-from thermal.records import PhaseCommand, Planned, PowerRequest, Sample, TempEstimate
+from thermal.records import PhaseCommand, PowerRequest, Sample, TempEstimate
 from thermal.sensing import features
 from thermal.sensing.pipeline import Chain
 
-from . import actuator, control_api
+from . import control_api, predictive
 from .loop_records import Ahead, LoopParameters, LoopState
-from .timeline import TIME_SLACK_S
+from .timeline import commands_of
 
 PULSE_DELAY_S = (
     0.15  # delay from a sensing pulse until its blocks reach the host, one batch of messages included
 )
 PROMPT_S = 0.005  # to the MCU, when it matters more that a command comes soon than that it comes in time
-RESAY_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
+RESEND_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
+PLAN_MAX = 66  # commands of one step, as in bridge.h
+_INPUTS = struct.Struct("=6di4x")  # head of struct bridge_inputs
+_new_request = partial(tuple.__new__, PowerRequest)
 
 
 class BridgeDriver:
     """What both kinds have in common. `apart_s`: minimum time after the last command; 0 for a new target."""
 
+    PLANS = False  # the next command's place may be filled anew
+
     def __init__(self, parameters: LoopParameters, state: LoopState, chain: Chain) -> None:
         self.parameters, self.state, self.chain = parameters, state, chain
+        self._ffi, self._lib = chelper.get_ffi()
+        timing = parameters.timing
+        packed = {
+            "timing": {
+                name: getattr(timing, name)
+                for name in ("block_s", "settle_s", "lead_s", "control_s", "stale_s")
+            },
+            "actuator": parameters.actuator.packed(),
+            "prompt_s": PROMPT_S,
+            "resend_w": RESEND_SHARE * parameters.control.power_max_w,
+            "pulse_delay_s": PULSE_DELAY_S,
+            "heat_25c_j_k": parameters.filter.heat.at_25c_j_k,
+            "heat_slope_per_k": parameters.filter.heat.slope_per_k,
+            "plans": self.PLANS,
+        }
+        self._packed = self._ffi.new("struct bridge_params *", packed)
+        if parameters.supervise.calibrated:
+            self._packed.drive = self._ffi.addressof(chain.state, "drive")
+        self._commands = self._ffi.new("struct phase_command[]", PLAN_MAX)
 
-    def decide(
+    def step(
         self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf
-    ) -> None:
-        """The law's step. `before`: the estimate before the newest one; None: there is no new one."""
-        raise NotImplementedError
+    ) -> list[PhaseCommand]:
+        """The law's step and its commands. `before`: the estimate before the newest one; None: there is no new one."""
+        self._decide(before, ahead, now_s)
+        return self.command(now_s, apart_s)
 
-    def slot(self, now_s: float, apart_s: float) -> float | None:
-        """Where a command sent now may begin; None: it is too soon after the last."""
+    def _decide(self, before: TempEstimate | None, ahead: Ahead, now_s: float) -> None:
         raise NotImplementedError
-
-    def improves(self, taken: PhaseCommand, power_w: float, horizon: tuple[Planned, ...]) -> bool:
-        """Is it worth a message to send anew what was sent for this edge?"""
-        return False
 
     def is_held(self) -> bool:
         """Does the drive hold the nozzle with no change planned?"""
@@ -77,41 +101,23 @@ class BridgeDriver:
 
     def command(self, now_s: float, apart_s: float = math.inf) -> list[PhaseCommand]:
         """The request as commands from the next usable edge on."""
-        state, parameters = self.state, self.parameters
-        at_s = self.slot(now_s, apart_s)
-        if at_s is None:
-            return []
-        power_w = state.request.power_w if state.target_c > 0.0 else 0.0
-        horizon = state.horizon if state.target_c > 0.0 else ()
-        if power_w > 0.0 and not now_s - state.estimate.time_s <= self._stale_s():
-            power_w, horizon = parameters.actuator.power_low_w, ()
-        taken = state.line.at(at_s)
-        if taken is not None and apart_s > 0.0 and not self.improves(taken, power_w, horizon):
-            return []
-        idle = state.target_c <= 0.0 and self._pulses_arrive(now_s)
-        # A horizon may turn on again a bridge that is off; a booked pulse ends by itself and stays.
-        is_on = state.line.is_on_from(max(at_s, state.actuator.last_excited_s))
-        commands = actuator.actuate(parameters.actuator, state.actuator, power_w, at_s, is_on, idle)
-        if len(commands) == 1 and horizon:
-            commands += actuator.ahead(parameters.actuator, commands[0], horizon)
-        if commands and parameters.supervise.calibrated:
-            rate_k_s = power_w / parameters.filter.heat.at(state.estimate.temp_c)
-            doubt_c = math.sqrt(self.chain.state.drive.variance)
-            looked = actuator.with_look(parameters.actuator, state.actuator, commands, rate_k_s, doubt_c)
-            state.line.note(looked, now_s)
-            state.line.head = commands[0]
-            return looked
-        state.line.note(commands, now_s)
-        return commands
+        state = self.state
+        horizon = self._ffi.new("struct model_planned[]", state.horizon)
+        request = self._ffi.new("struct bridge_request *", (now_s, apart_s, state.target_c))
+        request.power_w, request.estimate_s = state.request.power_w, state.estimate.time_s
+        request.estimate_c = state.estimate.temp_c
+        request.horizon, request.horizon_count = horizon, len(state.horizon)
+        count = self._lib.bridge_command(self._packed, state.bridge.raw, request, self._commands)
+        return commands_of(self._commands, count)
 
     def off(self, now_s: float) -> list[PhaseCommand]:
         """The bridge off, as soon as may be."""
-        state = self.state
-        if not state.line.is_on_from(now_s):
+        bridge = self.state.bridge
+        if not bridge.is_on_from(now_s):
             return []
-        time_s = max(now_s + self.parameters.timing.lead_s, state.line.last_before(now_s).time_s)
+        time_s = max(now_s + self.parameters.timing.lead_s, bridge.last_before_s(now_s))
         commands = [PhaseCommand(time_s, 0, 0.0)]
-        state.line.note(commands, now_s)
+        bridge.note(commands, now_s)
         return commands
 
     def take_over(self, ahead: Ahead) -> None:
@@ -131,15 +137,6 @@ class BridgeDriver:
         )
         state.law = chosen.law.follow(chosen.parameters, state.law, inputs, holding_w)
 
-    def _pulses_arrive(self, now_s: float) -> bool:
-        """Do blocks of the idle bridge's pulses arrive? On a line that loses some the next pulse comes sooner."""
-        return now_s - self.state.estimate.time_s <= self.parameters.actuator.idle_interval_s + PULSE_DELAY_S
-
-    def _stale_s(self) -> float:
-        """A temperature older than this is none, in the present mode of the actuator."""
-        parameters, driving = self.parameters, self.state.actuator.driving
-        return parameters.timing.stale_s + (0.0 if driving else parameters.actuator.idle_interval_s)
-
 
 class OneOutputDriver(BridgeDriver):
     """For laws without a model."""
@@ -147,9 +144,7 @@ class OneOutputDriver(BridgeDriver):
     def switched(self) -> None:
         self.state.law = self.parameters.control.law.start
 
-    def decide(
-        self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf
-    ) -> None:
+    def _decide(self, before: TempEstimate | None, ahead: Ahead, now_s: float) -> None:
         state, parameters = self.state, self.parameters
         if before is None:
             return
@@ -169,63 +164,88 @@ class OneOutputDriver(BridgeDriver):
         )
         self._apply(inputs, news.time_s, now_s)
 
-    def slot(self, now_s: float, apart_s: float) -> float | None:
-        state, timing = self.state, self.parameters.timing
-        at_s = state.line.edge(timing, now_s + timing.lead_s)
-        apart_s = min(apart_s, timing.control_s)
-        taken_s = state.line.newest.time_s + max(TIME_SLACK_S, apart_s - TIME_SLACK_S)
-        return at_s if at_s > taken_s else None
-
 
 class PredictiveDriver(BridgeDriver):
-    """For laws that plan ahead by a model."""
+    """For laws that plan ahead by a model, and for the runs of a calibration."""
+
+    PLANS = True
+
+    def __init__(self, parameters: LoopParameters, state: LoopState, chain: Chain) -> None:
+        super().__init__(parameters, state, chain)
+        self._inputs = self._ffi.new("struct bridge_inputs *")
+        self._figures = self._ffi.buffer(self._inputs)
+        self._found = predictive.StepOutput()
+        self._ahead: Ahead | None = None  # what the inputs point to
 
     def is_held(self) -> bool:
-        return self.state.actuator.driving and not self.state.horizon
+        return not self.state.horizon and self.state.bridge.driving
 
     def limit_w(self, below_c: float) -> float:
         limit_w = super().limit_w(below_c)
         # With a sensing law that follows the drive the control law knows when to stop.
         return math.inf if self.parameters.approach.rebase_fraction == math.inf else limit_w
 
-    def decide(
+    def step(
         self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf
-    ) -> None:
+    ) -> list[PhaseCommand]:
         """Blocks without a temperature carry the heat that went in."""
-        state, samples = self.state, self.chain.samples()
-        apply_s = self.slot(now_s, apart_s)
-        since_s = samples.end_s if samples else state.line.edge_s
-        inputs = control_api.ControlInput(
+        if self.parameters.control.law is not predictive.MODEL:
+            return super().step(before, ahead, now_s, apart_s)
+        state, inputs, found, samples = self.state, self._inputs, self._found, self.chain.samples()
+        _INPUTS.pack_into(
+            self._figures,
+            0,
+            now_s,
+            apart_s,
             state.target_c,
+            self._limit_now_w(),
+            state.estimate.time_s,
+            state.estimate.temp_c,
+            samples.size,
+        )
+        inputs.samples = samples.raw
+        if ahead != self._ahead:
+            self._point_to(ahead)
+        after = found.new_state()
+        count = self._lib.bridge_step(
+            self._packed,
+            state.bridge.raw,
+            self.parameters.control.parameters.packed(),
+            state.law.raw,
+            inputs,
+            after,
+            found.raw,
+            self._commands,
+        )
+        state.law = predictive.ModelState(after)
+        figures, state.horizon = found.read()
+        state.request = _new_request((now_s, *figures[:6]))
+        return commands_of(self._commands, count)
+
+    def _point_to(self, ahead: Ahead) -> None:
+        inputs, self._ahead = self._inputs, ahead
+        inputs.flow, inputs.fan = ahead.flow.packed(), ahead.fan.packed()
+        inputs.reference = ahead.reference.packed() if ahead.reference is not None else self._ffi.NULL
+
+    def _limit_now_w(self) -> float:
+        state = self.state
+        return self.limit_w(state.target_c - state.estimate.temp_c) if state.target_c > 0.0 else 0.0
+
+    def _decide(self, before: TempEstimate | None, ahead: Ahead, now_s: float) -> None:
+        """The step of a calibration's run."""
+        inputs = control_api.ControlInput(
+            self.state.target_c,
             math.nan,
-            limit=self.limit_w(state.target_c - state.estimate.temp_c) if state.target_c > 0.0 else 0.0,
-            applied=samples.output if samples else state.line.last_before(since_s).power_w,
-            apply_s=apply_s,
-            samples=samples,
-            pending=state.line.pending(since_s - TIME_SLACK_S, apply_s - TIME_SLACK_S),
+            limit=self._limit_now_w(),
+            samples=self.chain.samples(),
             reference=ahead.reference,
             flow_mm3_s=ahead.flow,
             fan=ahead.fan,
         )
-        self._apply(inputs, state.estimate.time_s, now_s)
-
-    def slot(self, now_s: float, apart_s: float) -> float:
-        timing = self.parameters.timing
-        # A new target need not wait for a late host: late, it holds from its arrival on.
-        lead_s = timing.lead_s if apart_s > 0.0 else min(timing.lead_s, PROMPT_S)
-        apart_s = min(apart_s, timing.control_s)
-        return self.state.line.slot(timing, now_s, apart_s - TIME_SLACK_S, lead_s)
-
-    def improves(self, taken: PhaseCommand, power_w: float, horizon: tuple[Planned, ...]) -> bool:
-        """Pulses are booked and stay."""
-        parameters = self.parameters
-        driving = self.state.actuator.driving and power_w >= parameters.actuator.power_low_w
-        if not driving or not taken.phase_ticks:
-            return False
-        plan = (Planned(taken.time_s, power_w), *horizon)
-        return self.state.line.differs(plan, RESAY_SHARE * parameters.control.power_max_w)
+        self._apply(inputs, self.state.estimate.time_s, now_s)
 
 
 def driver_for(parameters: LoopParameters, state: LoopState, chain: Chain) -> BridgeDriver:
+    """The kind that the control law needs."""
     kind = PredictiveDriver if parameters.control.models else OneOutputDriver
     return kind(parameters, state, chain)

@@ -22,7 +22,7 @@ from thermal.sensing import heat_balance_monitor, supervision
 from thermal.sensing.blocks import Blocks
 from thermal.sensing.pipeline import Chain
 
-from . import actuator, control_api
+from . import control_api
 from .bridge_driver import driver_for
 from .loop_records import NO_REQUEST, NOT_MEASURED, Ahead, Approach, Control, LoopParameters, LoopState
 from .timeline import Timing
@@ -75,8 +75,9 @@ class InductionLoop:
         state, before = self.state, None
         news = self.chain.take(blocks)
         if blocks.count:
-            state.line.edge_s = blocks.end_s
-        self.publish(blocks, now_s)
+            state.bridge.edge(blocks.end_s)
+        if self.listeners:
+            self.publish(blocks, now_s)
         if news is not None:
             before, state.estimate = state.estimate, news
             state.latency_s = now_s - news.time_s
@@ -96,8 +97,7 @@ class InductionLoop:
         if self._watch(now_s):
             state.target_c = 0.0
             return self._driver.off(now_s)
-        self._driver.decide(before, self._ahead(), now_s)
-        return self._driver.command(now_s)
+        return self._driver.step(before, self._ahead(), now_s)
 
     def _watch(self, now_s: float) -> str:
         """A fault once seen stays."""
@@ -126,7 +126,7 @@ class InductionLoop:
         state.settled_s = math.inf
         state.arriving = False
         if state.estimate.valid:
-            self._driver.decide(state.estimate, self._ahead(), now_s, apart_s=0.0)
+            return self._driver.step(state.estimate, self._ahead(), now_s, apart_s=0.0)
         return self._driver.command(now_s, apart_s=0.0)
 
     def set_reference(
@@ -166,9 +166,9 @@ class InductionLoop:
         self.start(now_s)
         self.restart_filter()
         self.state.estimate = NOT_MEASURED
-        self.state.line.note([PhaseCommand(now_s, 0, 0.0)], now_s)
+        self.state.bridge.note([PhaseCommand(now_s, 0, 0.0)], now_s)
         self.chain.samples()
-        self.state.actuator = actuator.ActuatorState()
+        self.state.bridge.restart_actuator()
         self.state.request = NO_REQUEST
 
     def restart_filter(self) -> None:
@@ -185,8 +185,6 @@ class InductionLoop:
 
         A listener that fails is removed and its error reported once: control goes on without it.
         """
-        if not self.listeners:
-            return
         for i, block in enumerate(blocks):
             found = blocks.tracked(i) if measured else None
             for listener in tuple(self.listeners):
@@ -204,7 +202,7 @@ class InductionLoop:
 
     def is_steady(self) -> bool:
         """Off, or held with no change planned: messages of blocks may come in batches."""
-        return self.state.target_c <= 0.0 or (self.is_settled() and self._driver.is_held())
+        return self.state.target_c <= 0.0 or (self._driver.is_held() and self.is_settled())
 
     def _note_settled(self, news: TempEstimate) -> None:
         state = self.state

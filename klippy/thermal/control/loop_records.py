@@ -12,7 +12,7 @@ from thermal.records import PhaseCommand, Planned, PowerRequest, TempEstimate
 from thermal.sensing import block_temperature, features, heat_balance_monitor, supervision, temperature_filter
 
 from . import actuator, control_api
-from .timeline import Timeline, Timing
+from .timeline import Bridge, Timing
 
 # Where a chain begins.
 NO_REQUEST = PowerRequest(-math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -82,13 +82,12 @@ class LoopState:
     target_c: float = 0.0
     estimate: TempEstimate = NOT_MEASURED  # newest valid one
     request: PowerRequest = NO_REQUEST
-    line: Timeline = field(default_factory=Timeline)  # commands sent
+    bridge: Bridge = field(default_factory=Bridge)  # commands sent, and what the actuator owes
     horizon: tuple[Planned, ...] = ()  # what the law means to do after its request
     decided_s: float = -math.inf  # last control step
     settled_s: float = math.inf  # since when the estimate has been near the target
     arriving: bool = False  # near the target, power limited
     law: Any = None  # memory of the control law
-    actuator: actuator.ActuatorState = field(default_factory=actuator.ActuatorState)
     supervise: supervision.SuperviseState = field(default_factory=supervision.SuperviseState)
     heat_balance: heat_balance_monitor.HeatBalanceState = field(
         default_factory=heat_balance_monitor.HeatBalanceState
@@ -100,4 +99,4 @@ class LoopState:
     @property
     def commanded(self) -> PhaseCommand:
         """Newest command sent; of a plan its first."""
-        return self.line.head
+        return self.bridge.head

@@ -27,7 +27,9 @@ All of it is thermal/control/predictive.c; here it is given its input, and its o
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
 from functools import cache, partial
+from typing import Any
 
 import chelper
 from thermal.models.heater_model import ModelParameters
@@ -48,16 +50,36 @@ _new_output = partial(tuple.__new__, ControlOutput)
 _new_planned = partial(tuple.__new__, Planned)
 
 
+class StepOutput:
+    """Where C leaves what a step has found."""
+
+    def __init__(self) -> None:
+        self._ffi = chelper.get_ffi()[0]
+        self._state_type = self._ffi.typeof("struct model_state *")
+        self.raw = self._ffi.new("struct model_output *")
+        self._bytes = self._ffi.buffer(self.raw)
+
+    def new_state(self) -> Any:
+        """For the memory after a step."""
+        return self._ffi.new(self._state_type)
+
+    def read(self) -> tuple[Sequence[float], tuple[Planned, ...]]:
+        """The figures of ControlOutput, and its horizon."""
+        *figures, count = _OUTPUT.unpack_from(self._bytes)
+        if not count:
+            return figures, ()
+        rows = self._bytes[_OUTPUT.size : _OUTPUT.size + count * _PLANNED.size]
+        return figures, tuple(map(_new_planned, _PLANNED.iter_unpack(rows)))
+
+
 class _Buffers:
     """Where a step's input and output lie in C: one for all heaters, one step after another."""
 
     def __init__(self) -> None:
         self.ffi, self.lib = chelper.get_ffi()
-        self.state_type = self.ffi.typeof("struct model_state *")
         self.given = self.ffi.new("struct model_inputs *")
-        self.found = self.ffi.new("struct model_output *")
+        self.found = StepOutput()
         self._figures = self.ffi.buffer(self.given)
-        self._found = self.ffi.buffer(self.found)
         self._room = 0
         self._make_room(PENDING_ROOM)
 
@@ -94,15 +116,6 @@ class _Buffers:
         given.flow, given.fan = inputs.flow_mm3_s.packed(), inputs.fan.packed()
         given.reference = inputs.reference.packed() if inputs.reference is not None else self.ffi.NULL
 
-    def output(self) -> ControlOutput:
-        """What the step has found."""
-        *figures, count = _OUTPUT.unpack_from(self._found)
-        horizon: tuple[Planned, ...] = ()
-        if count:
-            rows = self._found[_OUTPUT.size : _OUTPUT.size + count * _PLANNED.size]
-            horizon = tuple(map(_new_planned, _PLANNED.iter_unpack(rows)))
-        return _new_output((*figures, horizon))
-
 
 _buffers = cache(_Buffers)
 
@@ -113,9 +126,10 @@ def model_step(
     """One step with the measurements up to `time_s`; the output is meant from apply_s on."""
     buffers, samples = _buffers(), Samples.of(inputs.samples)
     buffers.put(inputs, time_s, samples)
-    after = buffers.ffi.new(buffers.state_type)
-    buffers.lib.model_step(p.packed(), state.raw, buffers.given, after, buffers.found)
-    return buffers.output(), ModelState(after)
+    after = buffers.found.new_state()
+    buffers.lib.model_step(p.packed(), state.raw, buffers.given, after, buffers.found.raw)
+    figures, horizon = buffers.found.read()
+    return _new_output((*figures, horizon)), ModelState(after)
 
 
 def model_follow(p: ModelParameters, state: ModelState, inputs: ControlInput, output: float) -> ModelState:

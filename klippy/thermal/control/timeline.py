@@ -1,4 +1,4 @@
-"""The commands sent to the bridge, and where its next command may begin.
+"""The commands sent to the bridge, and where its next command may begin. The work is done in C (bridge.h).
 
 A list of commands sent replaces everything pending from its first time on (induction_plan), so what is known of
 the future is always the newest plan. Commands begin on edges between two blocks, so that no block is cut:
@@ -10,17 +10,18 @@ the future is always the newest plan. Commands begin on edges between two blocks
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
-from thermal.records import PhaseCommand, Planned
-
-TIME_SLACK_S = 1e-7  # rounding of print times against clocks, far below a bridge period
+import chelper
+from thermal.records import PhaseCommand
 
 REFRESH_SHARE = 1.0 / 3.0
-KEEP_S = 0.4  # a block comes this late at most before the loop counts as blind
-
-NOT_COMMANDED = PhaseCommand(-math.inf, 0, 0.0)
+_COMMAND = struct.Struct("=dqd")  # struct phase_command
+_new_command = partial(tuple.__new__, PhaseCommand)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,11 +34,10 @@ class Timing:
     max_duration_s: float  # the bridge turns itself off when no command holds for so long
     stale_s: float = 0.15  # no temperature for this long: stop heating blindly
     control_s: float = 0.0  # commands are at least this much apart: a step costs settling samples
+    refresh_s: float = field(init=False)  # longest time between commands while the bridge is on
 
-    @property
-    def refresh_s(self) -> float:
-        """Longest time between commands while the bridge is on."""
-        return self.max_duration_s * REFRESH_SHARE
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "refresh_s", self.max_duration_s * REFRESH_SHARE)
 
     @property
     def stride_s(self) -> float:
@@ -46,80 +46,59 @@ class Timing:
         return self.settle_s + blocks * self.block_s
 
 
-@dataclass(slots=True)
-class Timeline:
-    """Commands of one bridge in order of time: the newest that is surely in force, and all after it."""
+def commands_of(raw: Any, count: int) -> list[PhaseCommand]:
+    """Python's records of C's struct phase_command."""
+    if not count:
+        return []
+    data = chelper.get_ffi()[0].buffer(raw, count * _COMMAND.size)
+    return list(map(_new_command, _COMMAND.iter_unpack(data)))
 
-    edge_s: float = -math.inf  # an edge between two blocks
-    commands: list[PhaseCommand] = field(default_factory=lambda: [NOT_COMMANDED])
-    head: PhaseCommand = NOT_COMMANDED  # first of the newest plan
+
+class Bridge:
+    """What was sent to one bridge and what its actuator owes: C's struct bridge_state, `raw`."""
+
+    __slots__ = ("_lib", "_line", "raw")
+
+    def __init__(self) -> None:
+        ffi, self._lib = chelper.get_ffi()
+        self.raw: Any = ffi.new("struct bridge_state *")
+        self._line = ffi.addressof(self.raw, "line")
+        self._lib.timeline_reset(self._line)
+        self.restart_actuator()
+
+    def restart_actuator(self) -> None:
+        """Nothing is owed, and nothing is known of the drive."""
+        self._lib.actuator_reset(chelper.get_ffi()[0].addressof(self.raw, "actuator"))
 
     @property
-    def newest(self) -> PhaseCommand:
-        return self.commands[-1]
+    def driving(self) -> bool:
+        """Continuous drive, no pulses."""
+        return bool(self.raw.actuator.driving)
 
-    def note(self, commands: list[PhaseCommand], now_s: float) -> None:
+    @property
+    def commands(self) -> list[PhaseCommand]:
+        """In order of time: the newest that is surely in force, and all after it."""
+        return commands_of(self._line.commands, self._line.count)
+
+    @property
+    def head(self) -> PhaseCommand:
+        """First of the newest plan."""
+        head = self._line.head
+        return PhaseCommand(head.time_s, head.phase_ticks, head.power_w)
+
+    def edge(self, edge_s: float) -> None:
+        """An edge between two blocks."""
+        self._line.edge_s = edge_s
+
+    def note(self, commands: Sequence[PhaseCommand], now_s: float) -> None:
         """These are sent now."""
-        if not commands:
-            return
-        self.head = commands[0]
-        start_s = commands[0].time_s - TIME_SLACK_S
-        kept = [c for c in self.commands if c.time_s < start_s]
-        past = sum(1 for c in kept if c.time_s <= now_s - KEEP_S)
-        self.commands = kept[max(0, past - 1) :] + commands
+        raw = chelper.get_ffi()[0].new("struct phase_command[]", list(commands))
+        self._lib.timeline_note(self._line, raw, len(commands), now_s)
 
-    def last_before(self, time_s: float) -> PhaseCommand:
-        """The command in force just before `time_s`."""
-        for command in reversed(self.commands):
-            if command.time_s < time_s:
-                return command
-        return self.commands[0]
+    def last_before_s(self, time_s: float) -> float:
+        """When the command in force just before `time_s` began."""
+        return float(self._lib.timeline_last_before(self._line, time_s).time_s)
 
     def is_on_from(self, time_s: float) -> bool:
-        """Is the bridge on at `time_s` or later, if nothing more is said?"""
-        if self.last_before(time_s + TIME_SLACK_S).phase_ticks:
-            return True
-        return any(c.phase_ticks for c in self.commands if c.time_s > time_s)
-
-    def at(self, time_s: float) -> PhaseCommand | None:
-        """The command that begins at `time_s`, if one does."""
-        for command in reversed(self.commands):
-            if command.time_s <= time_s + TIME_SLACK_S:
-                return command if command.time_s >= time_s - TIME_SLACK_S else None
-        return None
-
-    def pending(self, after_s: float, until_s: float) -> tuple[Planned, ...]:
-        """Heat (W) of the commands that begin within this time."""
-        return tuple(Planned(c.time_s, c.power_w) for c in self.commands if after_s <= c.time_s < until_s)
-
-    def differs(self, plan: Sequence[Planned], by_w: float) -> bool:
-        """Whether, from the plan's first time on, what was sent differs from it by more than this anywhere."""
-        first_s = plan[0].time_s + TIME_SLACK_S
-        for planned in plan:
-            if abs(self.last_before(planned.time_s + TIME_SLACK_S).power_w - planned.value) > by_w:
-                return True
-        i = 0
-        for command in self.commands:
-            if command.time_s > first_s:
-                while i + 1 < len(plan) and plan[i + 1].time_s <= command.time_s + TIME_SLACK_S:
-                    i += 1
-                if abs(command.power_w - plan[i].value) > by_w:
-                    return True
-        return False
-
-    def edge(self, timing: Timing, earliest_s: float) -> float:
-        """First edge between two blocks not before `earliest_s`, given the commands already sent."""
-        edge_s = self.edge_s
-        before = self.last_before(earliest_s + TIME_SLACK_S)
-        if before.time_s > edge_s:
-            edge_s = before.time_s + timing.settle_s
-        if edge_s == -math.inf:
-            return earliest_s
-        blocks = math.ceil((earliest_s - edge_s) / timing.block_s - 1e-6)
-        return edge_s + max(0, blocks) * timing.block_s
-
-    def slot(self, timing: Timing, now_s: float, apart_s: float, lead_s: float) -> float:
-        """Where a command sent now may begin: lead time ahead and `apart_s` after the last that stays."""
-        earliest_s = now_s + lead_s
-        settled = self.last_before(earliest_s)
-        return self.edge(timing, max(earliest_s, settled.time_s + apart_s))
+        """Is the bridge on at `time_s` or later, if nothing more is sent?"""
+        return bool(self._lib.timeline_is_on_from(self._line, time_s))

@@ -51,8 +51,11 @@ def plain(value: Any) -> Plain:
         if value.name not in _CONTROL:
             raise UnknownType(f"control law '{value.name}' cannot be recorded")
         return {"law": value.name}
-    if isinstance(value, predictive.ModelState):
-        return {"type": "ModelState", "raw": of_struct(value.raw)}
+    if isinstance(value, (predictive.ModelState, timeline.Bridge)):
+        raw = of_struct(value.raw)
+        if "line" in raw:
+            del raw["line"]["commands"][raw["line"]["count"] :]
+        return {"type": type(value).__name__, "raw": raw}
     if isinstance(value, control_api.Reference):
         return {"type": "Reference", "times_s": list(value.times_s), "temps_c": list(value.temps_c)}
     if type(value).__name__ in _TYPES:
@@ -81,8 +84,8 @@ def restored(value: Plain) -> Any:
 
 
 def _record(name: str, value: dict[str, Plain]) -> Any:
-    if name == "ModelState":
-        state = predictive.ModelState()
+    if name in ("ModelState", "Bridge"):
+        state = predictive.ModelState() if name == "ModelState" else timeline.Bridge()
         fill_struct(state.raw, value["raw"])
         return state
     if name == "Reference":

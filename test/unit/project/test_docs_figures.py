@@ -97,7 +97,7 @@ def control_rows() -> Iterator[str]:
     yield f"command lead | {ms(p.timing.lead_s)}"
     yield f"phases in a plan | max {mcu.PLAN_STEPS_MAX}"
     yield f"plan reaches ahead | {ms(nozzle_model.AHEAD_S)}"
-    yield f"new plan when it differs by | {100.0 * bridge_driver.RESAY_SHARE:g} % of full power"
+    yield f"new plan when it differs by | {100.0 * bridge_driver.RESEND_SHARE:g} % of full power"
     yield f"closed-loop time constant | {ms(nozzle_model.TAU_S)}"
     yield f"lag from extruder motor to nozzle flow | {ms(nozzle_model.FLOW_LAG_S)}"
     yield f"disturbance: process noise | {nozzle_model.DISTURBANCE_W:g} W per √s"

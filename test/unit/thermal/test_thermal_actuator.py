@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from bridge_rig import actuate, actuator_state, ahead
 from thermal.control import actuator
 from thermal.models.drive_law import DriveLaw
 from thermal.records import PhaseCommand, Planned
@@ -48,7 +49,7 @@ def test_a_request_beyond_the_drive_gives_full_phase() -> None:
 
 @given(st.floats(1.52, 81.3))
 def test_quantised_phase_costs_less_than_a_thousandth(power: float) -> None:
-    command = actuator.actuate(PARAMETERS, actuator.ActuatorState(), power, 1.0, False)[0]
+    command = actuate(PARAMETERS, actuator_state(), power, 1.0, False)[0]
     # A tick at the minimum phase is 1.5/2012 of the power = 0.075 %; half of it is lost in rounding.
     assert command.power_w == pytest.approx(power, rel=4e-4)
     assert command.time_s == 1.0
@@ -56,13 +57,13 @@ def test_quantised_phase_costs_less_than_a_thousandth(power: float) -> None:
 
 def mean_power(request: float, duration_s: float, idle: bool = False) -> tuple[float, list[PhaseCommand]]:
     """Mean delivered power and all commands of a constant request, stepped as the loop does."""
-    state = actuator.ActuatorState()
+    state = actuator_state()
     commands: list[PhaseCommand] = []
     time_s = 0.0
     while time_s < duration_s:
         at_s = max(time_s, commands[-1].time_s if commands else 0.0)
         is_on = bool(commands and commands[-1].phase_ticks)
-        commands += actuator.actuate(PARAMETERS, state, request, at_s, is_on, idle)
+        commands += actuate(PARAMETERS, state, request, at_s, is_on, idle)
         time_s += STEP_S
     ends = [c.time_s for c in commands[1:]] + [duration_s]
     energy = sum(c.power_w * (min(e, duration_s) - c.time_s) for c, e in zip(commands, ends, strict=True))
@@ -91,24 +92,24 @@ PULSE_J = PARAMETERS.power_low_w * PULSE_S
 
 
 def test_heat_owed_through_a_pause_of_the_host_is_paid_back_by_four_pulses_at_most() -> None:
-    state = actuator.ActuatorState()
-    actuator.actuate(PARAMETERS, state, 1.45, 0.0, False)
+    state = actuator_state()
+    actuate(PARAMETERS, state, 1.45, 0.0, False)
     time_s, energy_j = 10.0, 0.0  # 14.5 J were asked for meanwhile
     while time_s < 10.4:  # before the next pulse for sensing is due
-        commands = actuator.actuate(PARAMETERS, state, 0.0, time_s, False, idle=True)
+        commands = actuate(PARAMETERS, state, 0.0, time_s, False, idle=True)
         energy_j += sum(b.time_s - a.time_s for a, b in zip(commands[::2], commands[1::2], strict=True))
         time_s = max(time_s + STEP_S, commands[-1].time_s if commands else 0.0)
     assert energy_j * PARAMETERS.power_low_w == pytest.approx(DEBT_PULSES * PULSE_J)
 
 
 def test_heat_of_sensing_is_taken_off_later_requests_up_to_four_pulses() -> None:
-    state = actuator.ActuatorState()
+    state = actuator_state()
     time_s = 0.0
     while time_s < 60.0:  # 600 pulses nobody asked for
-        actuator.actuate(PARAMETERS, state, 0.0, time_s, False)
+        actuate(PARAMETERS, state, 0.0, time_s, False)
         time_s += STEP_S
     start_s = time_s
-    while not actuator.actuate(PARAMETERS, state, 1.0, time_s, False, idle=True):
+    while not actuate(PARAMETERS, state, 1.0, time_s, False, idle=True):
         time_s += 0.001
     # from four pulses overdrawn to half a pulse owed
     assert time_s - start_s == pytest.approx((DEBT_PULSES + 0.5) * PULSE_J / 1.0, abs=0.002)
@@ -122,25 +123,25 @@ def test_each_pulse_holds_a_whole_block_and_ends_by_itself() -> None:
 
 
 def test_from_driving_to_no_request_turns_the_bridge_off() -> None:
-    state = actuator.ActuatorState()
-    actuator.actuate(PARAMETERS, state, 20.0, 0.0, False)
-    assert actuator.actuate(PARAMETERS, state, 0.0, STEP_S, True) == [PhaseCommand(STEP_S, 0, 0.0)]
+    state = actuator_state()
+    actuate(PARAMETERS, state, 20.0, 0.0, False)
+    assert actuate(PARAMETERS, state, 0.0, STEP_S, True) == [PhaseCommand(STEP_S, 0, 0.0)]
 
 
 def test_no_request_withdraws_what_was_said_ahead_to_a_bridge_that_is_off() -> None:
-    state = actuator.ActuatorState()
-    actuator.actuate(PARAMETERS, state, 20.0, 0.0, False)
-    off = actuator.actuate(PARAMETERS, state, 0.0, STEP_S, True)[0]
-    assert actuator.ahead(PARAMETERS, off, [Planned(3 * STEP_S, 1.5)])
-    assert actuator.actuate(PARAMETERS, state, 0.0, 2 * STEP_S, True) == [PhaseCommand(2 * STEP_S, 0, 0.0)]
+    state = actuator_state()
+    actuate(PARAMETERS, state, 20.0, 0.0, False)
+    off = actuate(PARAMETERS, state, 0.0, STEP_S, True)[0]
+    assert ahead(PARAMETERS, off, [Planned(3 * STEP_S, 1.5)])
+    assert actuate(PARAMETERS, state, 0.0, 2 * STEP_S, True) == [PhaseCommand(2 * STEP_S, 0, 0.0)]
 
 
 @given(st.lists(st.floats(0.0, 90.0), min_size=1, max_size=60))
 def test_commands_come_in_order_and_never_exceed_full_phase(requests: list[float]) -> None:
-    state = actuator.ActuatorState()
+    state = actuator_state()
     time_s, last_s, is_on = 0.0, -1.0, False
     for request in requests:
-        for command in actuator.actuate(PARAMETERS, state, request, time_s, is_on):
+        for command in actuate(PARAMETERS, state, request, time_s, is_on):
             is_on = command.phase_ticks > 0
             assert command.time_s >= last_s
             assert 0 <= command.phase_ticks <= 45000

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from thermal.control.timeline import Timeline
+from bridge_rig import differs
+from thermal.control.timeline import Bridge
 from thermal.records import PhaseCommand, Planned
 
 SENT = ((1.00, 5.0), (1.02, 9.0), (1.05, 7.0))
 
 
-def line() -> Timeline:
-    sent = Timeline()
+def line() -> Bridge:
+    sent = Bridge()
     sent.note([PhaseCommand(time_s, 1000, power_w) for time_s, power_w in SENT], 0.99)
     return sent
 
@@ -21,9 +22,9 @@ def plan(*steps: tuple[float, float]) -> list[Planned]:
 
 
 def test_powers_sent_already_do_not_differ() -> None:
-    assert not line().differs(plan(*SENT), 0.5)
-    assert not line().differs(plan((1.00, 5.2), (1.02, 8.9), (1.05, 7.3)), 0.5)
-    assert not line().differs(plan((1.02, 9.0), (1.05, 7.0)), 0.5)  # from a later start
+    assert not differs(line(), plan(*SENT), 0.5)
+    assert not differs(line(), plan((1.00, 5.2), (1.02, 8.9), (1.05, 7.3)), 0.5)
+    assert not differs(line(), plan((1.02, 9.0), (1.05, 7.0)), 0.5)  # from a later start
 
 
 @pytest.mark.parametrize(
@@ -38,13 +39,13 @@ def test_powers_sent_already_do_not_differ() -> None:
     ],
 )
 def test_any_step_that_differs_is_found(steps: tuple[tuple[float, float], ...]) -> None:
-    assert line().differs(plan(*steps), 0.5)
+    assert differs(line(), plan(*steps), 0.5)
 
 
 @pytest.mark.parametrize(
     ("from_s", "on"), [(0.99, True), (1.01, True), (1.02, True), (1.04, True), (1.05, False), (2.0, False)]
 )
 def test_a_line_of_commands_knows_whether_it_leaves_the_bridge_on(from_s: float, on: bool) -> None:
-    sent = Timeline()
+    sent = Bridge()
     sent.note([PhaseCommand(1.0, 0, 0.0), PhaseCommand(1.02, 2012, 1.5), PhaseCommand(1.05, 0, 0.0)], 0.99)
     assert sent.is_on_from(from_s) == on
