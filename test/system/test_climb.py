@@ -1,12 +1,13 @@
 """A cold start on a machine that is not the one of the calibration: the looks at the sensing phase find the difference.
 
-True skin temperature of whole simulated prints, the shipped calibration, one thing changed. Before the looks the first of
-these rows peaked at 281 degC for 250, the second at 307, ripple at 296, and the others shut down in the first 30 degC.
+True skin temperature of whole simulated prints, the shipped calibration, one thing changed. Without looks the first row
+peaks at 281 degC for 250, the second at 307, ripple at 296. The others shut down in the first 30 degC.
 """
 
 from __future__ import annotations
 
 import pytest
+
 from conftest import Simulate
 
 TARGET_C = 250.0
