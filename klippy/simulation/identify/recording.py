@@ -185,6 +185,10 @@ def _triples(values: Array) -> Array:
 def _merged(header: dict[str, Any], blocks: Array, flow: _Schedules, fan: _Schedules) -> Recording:
     """Blocks in a row that differ in nothing become one step; what settles after a phase step is a step of its own."""
     parameters = plain.restored(header["parameters"])
+    noise_lsb, noise_sigma_lsb, unit = _noise(blocks)
+    # With little noise the mean of rounded codes is off by a sine of the signal.
+    sine_lsb = math.exp(-2.0 * (math.pi * noise_lsb) ** 2) / math.pi
+    codes = blocks["raw"] + sine_lsb * np.sin(2.0 * np.pi * blocks["raw"])
     phase, time_s = blocks["phase"], blocks["time_s"]
     end_s = time_s + blocks["lasts_s"]
     drive = np.column_stack([phase, flow.ramped(0.5 * (time_s + end_s)), fan.at(time_s)])
@@ -203,17 +207,15 @@ def _merged(header: dict[str, Any], blocks: Array, flow: _Schedules, fan: _Sched
         if gap_s[begin] > 0.0:
             rows.append((gap_s[begin], *drive[begin], time_s[begin], np.nan, 0))
         count = blocks["count"][begin:i]
-        mean = np.average(blocks["raw"][begin:i], weights=count) if usable[begin] else np.nan
+        mean = np.average(codes[begin:i], weights=count) if usable[begin] else np.nan
         rows.append((end_s[i - 1] - time_s[begin], *drive[begin], end_s[i - 1], mean, count.sum()))
         begin = i
     table = np.array(rows)
     steps, count = np.ascontiguousarray(table[:, :4]), np.maximum(table[:, 6], 1.0)
     raw = np.where(table[:, 6] >= COUNT_MIN, table[:, 5], np.nan)
-    noise_lsb, noise_sigma_lsb, unit = _noise(blocks)
-    # A block's sum is rounded to its unit, blocks in a row alike. Codes with little noise are off by a sine of the
-    # signal: Gaussian noise leaves exp(-2 (pi noise)^2)/pi of the rounding to a code.
-    sine = math.exp(-2.0 * (math.pi * noise_lsb) ** 2) / math.pi
-    lasting = (unit / blocks["count"].max()) ** 2 / 12.0 + 0.5 * sine**2
+    lasting = (
+        unit / blocks["count"].max()
+    ) ** 2 / 12.0  # a sum is rounded to its unit, blocks in a row alike
     sigma = np.sqrt((noise_lsb**2 + 1.0 / 12.0) / count + lasting)
     end_s = table[:, 4] - time_s[0]
     return Recording(header["heater"], parameters, steps, end_s, raw, sigma, noise_lsb, noise_sigma_lsb)
