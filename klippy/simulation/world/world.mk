@@ -26,5 +26,5 @@ $(WORLD_LIB): $(WORLD_OBJECTS)
 	@mv $@.new $@
 
 -include $(WORLD_OBJECTS:.o=.d)
-# Sources that lay there before 0.2.0: what was built from them is built anew.
+# Sources that were there before 0.2.0: what was built from them is built anew.
 src/simulator/%.c: ;
