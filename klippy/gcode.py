@@ -57,8 +57,8 @@ class Coord(NamedTuple):
 # Commands that Klipper does not have. A config written for it may have a macro of that name, which then takes the place
 # of the command. Macros with the name of any other command need `rename_existing`, as in Klipper.
 OWN_COMMANDS = frozenset({
-    "DRY_RUN", "EXTRUSION_CALIBRATE", "HEATER_PROFILE", "INDUCTION_CALIBRATE", "INDUCTION_DUMP",
-    "INDUCTION_RECORD", "INDUCTION_REFERENCE", "INDUCTION_STATUS", "INDUCTION_ZERO", "M104.1", "M17", "MODEL_CALIBRATE", "PRIME_OOZE",
+    "DRY_RUN", "EXTRUSION_CALIBRATE", "HEATER_PROFILE", "INDUCTION_CALIBRATE", "INDUCTION_DUMP", "INDUCTION_RECORD",
+    "INDUCTION_REFERENCE", "INDUCTION_STATUS", "INDUCTION_ZERO", "M104.1", "M17", "MODEL_CALIBRATE", "PRIME_OOZE",
     "SET_SEGMENT_TEMPERATURE", "TEMPERATURE_PLAN",
 })  # fmt: skip
 MACRO_INSTEAD = "A macro has the name of the command %s and takes its place"
