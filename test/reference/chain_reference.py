@@ -203,21 +203,23 @@ class Chain:
         if self.last is not None and own.time_s > self.last[0].time_s:
             before, temp_c, h_before, before_w, half_s = self.last
             dt, p = own.time_s - before.time_s, self.filter
-            other = abs(h - self.strong) if h > 0.02 else 0.0
-            walk = dt / 16 + 0.49 * abs(own.temp_c - k * h - temp_c) + 100.0 * other
-            variance = min(3600.0, variance + walk)
             first = min(half_s, dt)
             kelvin, air = temp_c + 273.15, p.loss.ambient_c + 273.15
             lost_w = p.loss.conductance_w_k * (kelvin - air)
             lost_w += heat_loss.STEFAN_BOLTZMANN * p.loss.radiation_m2 * (kelvin**4 - air**4)
             heat_j = before_w * first + heat_w * (dt - first) - max(0.0, lost_w) * dt
             rise_c = heat_j / p.heat.at(temp_c) + self.x[1] * dt
+            other = abs(h - self.strong) if h > 0.02 else 0.0
+            walk = (0.25 + 20 * h * h) ** 2 * dt + 0.49 * abs(rise_c) + (9 + k * k / 4) * other
+            variance = min(3600.0, variance + walk)
             step = h - h_before
             if dt < 0.006 and abs(step) > 0.02:
                 off_c = own.temp_c - before.temp_c - rise_c - k * step
                 noise = own.sigma_noise_c**2 + before.sigma_noise_c**2 + (0.15 * rise_c) ** 2
                 total = step**2 * variance + noise
-                if off_c**2 <= 25 * total:
+                if off_c**2 > 25 * total:
+                    variance = min(3600.0, variance + (off_c / step) ** 2)
+                else:
                     k += variance * step / total * off_c
                     variance *= 1 - step**2 * variance / total
         self.offset = k, variance
@@ -225,7 +227,8 @@ class Chain:
         corrected = own.temp_c - k * h
         self.last = own, corrected, h, heat_w, block.duration_s / 2
         doubt = h * math.hypot(math.sqrt(variance), 0.15 * k * (1 - h))
-        return own._replace(temp_c=corrected, sigma_c=math.hypot(own.sigma_c, doubt))
+        sigma_c, noise_c = math.hypot(own.sigma_c, doubt), math.hypot(own.sigma_noise_c, doubt)
+        return own._replace(temp_c=corrected, sigma_c=sigma_c, sigma_noise_c=noise_c)
 
     def _filter(
         self, block: SampleBlock, own: TempEstimate, heat_w: float, end_s: float

@@ -35,6 +35,7 @@ def new_chain(
         watch or supervision.SuperviseParameters(0.0, 300.0),
         drive or DriveLaw(),
         filtered or temperature_filter.FilterParameters(heat_loss.LossLaw()),
+        has_looks=True,
     )
     return made
 

@@ -32,7 +32,7 @@ def climb(simulate: Simulate, *settings: str) -> tuple[float, float, float]:
         ("supply_v=25.0",),
         ("supply_v=23.5",),
         ("supply_ohm=0.03",),
-        ("ripple_v=2", "ripple_hz=100"),
+        ("ripple_v=1", "ripple_hz=100"),
         ("preset=strong", "supply_v=24.5"),
     ],
     ids=["2 % more", "4 % more", "2 % less", "sag", "ripple", "strong, 2 % more"],

@@ -61,7 +61,7 @@ class BridgeDriver:
             "plans": self.PLANS,
         }
         self._packed = self._ffi.new("struct bridge_params *", packed)
-        if parameters.supervise.calibrated:
+        if parameters.has_looks:
             self._packed.drive = self._ffi.addressof(chain.state, "drive")
         self._commands = self._ffi.new("struct phase_command[]", PLAN_MAX)
 

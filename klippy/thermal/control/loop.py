@@ -60,7 +60,7 @@ class InductionLoop:
     @parameters.setter
     def parameters(self, p: LoopParameters) -> None:
         self._parameters = p
-        self.chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.filter)
+        self.chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.filter, p.has_looks)
         self._driver = driver_for(p, self.state, self.chain)
 
     @property

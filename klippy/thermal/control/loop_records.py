@@ -9,7 +9,14 @@ from typing import Any, NamedTuple
 from thermal.models import heat_loss
 from thermal.models.melt_exchange import MeltExchange
 from thermal.records import PhaseCommand, Planned, PowerRequest, TempEstimate
-from thermal.sensing import block_temperature, features, heat_balance_monitor, supervision, temperature_filter
+from thermal.sensing import (
+    block_temperature,
+    features,
+    heat_balance_monitor,
+    laws,
+    supervision,
+    temperature_filter,
+)
 
 from . import actuator, control_api
 from .timeline import Bridge, Timing
@@ -65,6 +72,12 @@ class LoopParameters:
     filter: temperature_filter.FilterParameters
     heat_balance: heat_balance_monitor.HeatBalanceParameters
     melt: MeltExchange = field(default_factory=MeltExchange)
+
+    @property
+    def has_looks(self) -> bool:
+        """Strong drives have looks at the sensing phase: with a calibrated tank law, which follows the drive."""
+        calibrated = self.supervise.calibrated and isinstance(self.estimator.law, laws.TankLaw)
+        return calibrated and self.actuator.look_s > 0.0
 
 
 class Ahead(NamedTuple):

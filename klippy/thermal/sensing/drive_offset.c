@@ -6,14 +6,16 @@
 
 #define SHAPE 1.3           // between the exponents of detuning (1.2), supply (1.6) and resistance (1.4)
 #define START_C 60.0        // 1 sigma of k before any step: what 4 % of supply and 0.1 % of C1 make together
-#define WALK_C 0.25         // of k within a second ...
+#define WALK_C 0.25         // of k within a second at little drive ...
+#define STRONG_C 20.0       // ... and at full drive, by h^2: ripple and sag of the supply
 #define WARM_C 0.7          // ... and while the nozzle warms by a degree: the law's error changes with the temperature
-#define OTHER_C 10.0        // ... and while the strong drive moves by the whole of h: the shape is not quite right
+#define OTHER_C 3.0         // ... and while the strong drive moves by the whole of h: the shape is not quite right ...
+#define OTHER_SHARE 0.5     // ... by this share of k
 #define STEP_MIN 0.02       // of h: smaller steps show too little
 #define GAP_S 0.006         // longer after the block before, too little is known of what happened between
 #define RISE_DOUBT 0.15     // of the temperature's own change between the two blocks
 #define SHAPE_DOUBT 0.15    // of the correction, between drives
-#define GATE_SIGMA 5.0      // a reading farther off is a disturbance
+#define GATE_SIGMA 5.0      // a reading farther off is a disturbance, or k has jumped: the next step decides
 
 void
 drive_offset_reset(struct drive_offset *s)
@@ -37,8 +39,10 @@ learn(struct drive_offset *s, const struct coil_block *b, double step, double ri
     double off_c = b->temp_c - s->reading_c - rise_c - s->full_c * step;
     double noise = b->noise_c * b->noise_c + s->noise_c * s->noise_c + pow(RISE_DOUBT * rise_c, 2.0);
     double spread = step * step * s->variance + noise;
-    if (off_c * off_c > GATE_SIGMA * GATE_SIGMA * spread)
+    if (off_c * off_c > GATE_SIGMA * GATE_SIGMA * spread) {
+        s->variance = fmin(START_C * START_C, s->variance + pow(off_c / step, 2.0));
         return;
+    }
     double gain = s->variance * step / spread;
     s->full_c += gain * off_c;
     s->variance -= gain * step * s->variance;
@@ -53,19 +57,22 @@ drive_offset_block(struct drive_offset *s, const struct filter_params *p, double
     double share = b->phase_ticks / phase_max, h = pow(share * share, SHAPE), reading_c = b->temp_c;
     if (b->centre_s > s->time_s) {
         double dt_s = b->centre_s - s->time_s, rise_c = rise_between(s, p, rate_k_s, b);
-        double warmed_c = fabs(reading_c - s->full_c * h - s->temp_c);
         double other = h > STEP_MIN ? fabs(h - s->strong) : 0.0;
-        double walk = WALK_C * WALK_C * dt_s + WARM_C * WARM_C * warmed_c + OTHER_C * OTHER_C * other;
+        double walk_c = WALK_C + STRONG_C * h * h;
+        double shape_c = hypot(OTHER_C, OTHER_SHARE * s->full_c);
+        double walk = walk_c * walk_c * dt_s + WARM_C * WARM_C * fabs(rise_c) + shape_c * shape_c * other;
         s->variance = fmin(START_C * START_C, s->variance + walk);
         if (dt_s < GAP_S && fabs(h - s->lever) > STEP_MIN)
             learn(s, b, h - s->lever, rise_c);
     }
+    double doubt_c = h * hypot(sqrt(s->variance), SHAPE_DOUBT * s->full_c * (1.0 - h));
+    s->noise_c = b->noise_c;
     b->temp_c -= s->full_c * h;
-    b->sigma_c = hypot(b->sigma_c, h * hypot(sqrt(s->variance), SHAPE_DOUBT * s->full_c * (1.0 - h)));
+    b->sigma_c = hypot(b->sigma_c, doubt_c);
+    b->noise_c = hypot(b->noise_c, doubt_c);
     s->time_s = b->centre_s;
     s->reading_c = reading_c;
     s->temp_c = b->temp_c;
-    s->noise_c = b->noise_c;
     s->lever = h;
     s->strong = h > STEP_MIN ? h : s->strong;
     s->heat_w = b->heat_w;

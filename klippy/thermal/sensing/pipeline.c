@@ -120,7 +120,7 @@ sample_of(const struct chain_params *p, struct chain_state *s, const struct coil
     s->usual_share += jump ? away : away * b->duration_s / (b->duration_s + p->usual_s);
     sample.temp_c = b->temp_c;
     sample.sigma_c = b->sigma_c; // with the law's residual, not the noise alone
-    sample.is_rebased = (uint8_t)(jump && !p->is_calibrated);
+    sample.is_rebased = (uint8_t)(jump && !p->has_looks);
     return sample;
 }
 
@@ -139,7 +139,7 @@ chain_take(const struct chain_params *p, struct chain_state *s, struct coil_bloc
         chain_estimate(p, b);
         b->heat_w = drive_power_w(p->power_max_w, p->power_exponent, p->power_phase_max_ticks, b->phase_ticks);
         s->heat_j += b->heat_w * (b->duration_s + b->discarded * b->duration_s / b->count);
-        if (p->is_calibrated)
+        if (p->has_looks)
             drive_offset_block(&s->drive, &p->filter, s->filter.rate_k_s, p->phase_max_ticks, b);
         chain_watch_block(p, &s->watch, b);
         chain_note_span(p, s, b);

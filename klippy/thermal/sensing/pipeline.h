@@ -53,7 +53,7 @@ struct chain_params {
     double temp_low_c, temp_high_c, empty_c;        // valid; above empty_c the signal is not a nozzle's
     int32_t phase_low_ticks;
     double limit_low_c, limit_high_c;               // watch
-    int32_t limit_blocks, is_calibrated;
+    int32_t limit_blocks, is_calibrated, has_looks;
     double power_max_w, power_exponent, power_phase_max_ticks;
     struct filter_params filter;
     int32_t span_samples, span_blocks;              // noise from the span of blocks: nominal length, memory

@@ -50,8 +50,12 @@ class Chain:
         supervise: SuperviseParameters,
         drive: DriveLaw,
         filter: FilterParameters,
+        has_looks: bool = False,
     ) -> None:
-        """Work with these from the next block on. The one place where parameters become C's."""
+        """Work with these from the next block on. The one place where parameters become C's.
+
+        `has_looks`: a strong drive has looks at the sensing phase, and its reading is corrected by what they show.
+        """
         p = self._parameters
         p.front = features.front_params(front)
         p.law = laws.packed(estimator.law)[0][0]
@@ -61,6 +65,7 @@ class Chain:
         p.phase_low_ticks = estimator.phase_low_ticks
         p.limit_low_c, p.limit_high_c = supervise.temp_low_c, supervise.trip_high_c
         p.limit_blocks, p.is_calibrated = supervise.limit_blocks, supervise.calibrated
+        p.has_looks = has_looks and supervise.calibrated
         p.power_max_w, p.power_exponent = drive.power_max_w, drive.exponent
         p.power_phase_max_ticks = drive.phase_max_ticks
         p.filter = filter_params(filter)

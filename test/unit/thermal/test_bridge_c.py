@@ -10,7 +10,7 @@ import pytest
 
 from bridge_reference import Bridge as Reference
 from bridge_reference import Request
-from induction_rig import default_parameters
+from induction_rig import default_parameters, true_law
 from thermal.control import loop_records
 from thermal.control.bridge_driver import BridgeDriver, OneOutputDriver, PredictiveDriver
 from thermal.records import Planned, PowerRequest, TempEstimate
@@ -20,7 +20,7 @@ STEPS = 3000
 
 
 def driver_of(kind: type[BridgeDriver]) -> BridgeDriver:
-    return kind(default_parameters(), loop_records.LoopState(), Chain())
+    return kind(default_parameters(law=true_law()), loop_records.LoopState(), Chain())
 
 
 def random_request(rng: random.Random, now_s: float, power_max_w: float) -> Request:
@@ -55,7 +55,7 @@ def command(driver: BridgeDriver, request: Request) -> list[Any]:
 def test_commands_are_those_of_the_plain_version(kind: type[BridgeDriver], seed: int) -> None:
     rng, driver = random.Random(seed), driver_of(kind)
     p = driver.parameters
-    assert p.supervise.calibrated and p.actuator.look_s
+    assert p.has_looks
     plain = Reference(p.timing, p.actuator, p.control.power_max_w, kind is PredictiveDriver, p.filter.heat)
     now_s, sent = 1.0, 0
     for _ in range(STEPS):

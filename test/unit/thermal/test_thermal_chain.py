@@ -169,7 +169,7 @@ def test_parameters_changed_between_messages_hold_from_the_next_one_on() -> None
         read = replace(read, law=law.rezeroed(210.0, law.error(200.0, 5600), 5600), supply=supply)
         drive = replace(drive, vdc_v=24.0 * supply)
         filtered = replace(filtered, heat=heat_loss.HeatCapacity(0.4 * factor))
-        chain.use(front, read, watch, drive, filtered)
+        chain.use(front, read, watch, drive, filtered, has_looks=True)
         reference.estimator, reference.drive, reference.filter = read, drive, filtered
         rows = [block_codec.Row(192, int((256.0 + law.error(200.0, 5600)) * 192) >> 4, 5600, 400, 420)] * 3
         clock = 576 * PERIOD_TICKS * n
