@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 
 import pytest
@@ -9,6 +10,8 @@ import pytest
 from sample_gcode import SampleMissing, sample_path
 
 ROOT = Path(__file__).resolve().parent.parent
+# Tests that press Ctrl-C: a shell ignores it for what it runs in the background, and programs inherit that.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(scope="session")

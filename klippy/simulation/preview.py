@@ -61,6 +61,7 @@ class _Head:
     """Modal state; None: not known."""
 
     absolute: bool = True
+    has_moved: bool = False  # a move was among the lines passed over
     origin: dict[str, float] = field(default_factory=lambda: dict.fromkeys(_AXES, 0.0))
     position: dict[str, float | None] = field(default_factory=lambda: dict.fromkeys(_AXES))
 
@@ -89,7 +90,7 @@ def objection(path: Path, machine: Machine) -> str | None:
                     return f"{path.name}, line {number}: '{line.strip()[:60]}' is out of range: {problem}"
             if is_gcode and not watching:
                 return None
-    return None if is_gcode else f"{path.name} is not G-code: no line of it is a command"
+    return None if is_gcode or head.has_moved else f"{path.name} is not G-code: no line of it is a command"
 
 
 def _lines(
@@ -123,6 +124,7 @@ def _stay_within(head: _Head, run: Sequence[str], ranges: Mapping[str, tuple[flo
                 return False
             ends[axis] = places[-1]
     head.position.update(ends)
+    head.has_moved = head.has_moved or "G" in text
     return True
 
 
