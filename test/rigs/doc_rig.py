@@ -12,7 +12,6 @@ Config blocks of docs/reference/Config_Reference.md are fenced texts in the form
 from __future__ import annotations
 
 import ast
-import os
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -21,6 +20,7 @@ from typing import Any
 
 import pytest
 
+from batch_messages import batch_args
 from bus_rig import all_boards_dictionary
 from printer import Printer
 from reactor import Reactor
@@ -55,19 +55,7 @@ def load(folder: Path, config: str) -> Loaded:
     (folder / "in.gcode").write_text("")
     (folder / "printer_data" / "plugins").mkdir(parents=True, exist_ok=True)
     reactor = Reactor()
-    start_args = {
-        "config_file": str(folder / "printer.cfg"),
-        "config_overrides": [],
-        "apiserver": None,
-        "start_reason": "startup",
-        "software_version": "test",
-        "cpu_info": "test",
-        "debuginput": str(folder / "in.gcode"),
-        "gcode_fd": os.open(folder / "in.gcode", os.O_RDONLY),
-        "debugoutput": str(folder / "out"),
-        "dictionary": str(folder / "dict"),
-        "dictionary_board": str(folder / "dict"),
-    }
+    start_args = {**batch_args(folder), "dictionary_board": str(folder / "dict")}
     printer = Printer(reactor, start_args)
     texts: list[str] = []
     printer.register_event_handler("klippy:ready", lambda: texts.append(printer.get_state_message()[0]))

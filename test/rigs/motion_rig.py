@@ -6,7 +6,6 @@ Nothing here shares code with what it checks: commands are decoded and positions
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,7 +15,16 @@ import numpy as np
 
 import chelper
 import msgproto
-from batch_messages import CLOCK_HZ, MAX_ERROR_S, QUEUE_STEP, RESET_CLOCK, SET_DIR, decode, dictionary
+from batch_messages import (
+    CLOCK_HZ,
+    MAX_ERROR_S,
+    QUEUE_STEP,
+    RESET_CLOCK,
+    SET_DIR,
+    batch_args,
+    decode,
+    dictionary,
+)
 from printer import Printer
 from reactor import Reactor
 
@@ -265,22 +273,7 @@ def batch(
     (folder / "in.gcode").write_text(gcode)
     (folder / "dict").write_bytes(dictionary(clock_hz))
     reactor = Reactor()
-    printer = Printer(
-        reactor,
-        {
-            "config_file": str(folder / "printer.cfg"),
-            "config_overrides": [],
-            "apiserver": None,
-            "start_reason": "startup",
-            "software_version": "test",
-            "cpu_info": "test",
-            "debuginput": str(folder / "in.gcode"),
-            "gcode_fd": os.open(folder / "in.gcode", os.O_RDONLY),
-            "debugoutput": str(folder / "out"),
-            "dictionary": str(folder / "dict"),
-            **files,
-        },
-    )
+    printer = Printer(reactor, {**batch_args(folder), **files})
     replies: list[str] = []
     printer.lookup_object("gcode").register_output_handler(replies.append)
     result = printer.run()

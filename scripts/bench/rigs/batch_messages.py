@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import msgproto
@@ -66,3 +68,19 @@ def decode(contents: Sequence[bytes], clock_hz: float = CLOCK_HZ) -> list[dict[s
     """All commands of a row of message contents."""
     reader = parser(clock_hz)
     return [params for content in contents for params in reader.parse_content(content)]
+
+
+def batch_args(folder: Path) -> dict[str, Any]:
+    """Start of a host in batch mode: printer.cfg, in.gcode and dict of the folder; steps go to its file out."""
+    return {
+        "config_file": str(folder / "printer.cfg"),
+        "config_overrides": [],
+        "apiserver": None,
+        "start_reason": "startup",
+        "software_version": "test",
+        "cpu_info": "test",
+        "debuginput": str(folder / "in.gcode"),
+        "gcode_fd": os.open(folder / "in.gcode", os.O_RDONLY),
+        "debugoutput": str(folder / "out"),
+        "dictionary": str(folder / "dict"),
+    }

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import configparser
 import math
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
@@ -21,7 +20,7 @@ from typing import Any
 import numpy as np
 
 import msgproto
-from batch_messages import CLOCK_HZ, MAX_ERROR_S, decode, dictionary
+from batch_messages import CLOCK_HZ, MAX_ERROR_S, batch_args, decode, dictionary
 from motion_exact import Array, Epoch, Ramps, filament_epochs, geometry, head_epochs
 from printer import Printer
 from reactor import Reactor
@@ -149,19 +148,7 @@ def run_batch(folder: Path, gcode: str, config: str, record: bool = True) -> Run
         (folder / name).write_text(text)
     (folder / "dict").write_bytes(dictionary())
     reactor = Reactor()
-    start_args: dict[str, Any] = {
-        "config_file": str(folder / "printer.cfg"),
-        "config_overrides": [],
-        "apiserver": None,
-        "start_reason": "startup",
-        "software_version": "test",
-        "cpu_info": "test",
-        "debuginput": str(folder / "in.gcode"),
-        "gcode_fd": os.open(folder / "in.gcode", os.O_RDONLY),
-        "debugoutput": str(folder / "out"),
-        "dictionary": str(folder / "dict"),
-    }
-    printer = Printer(reactor, start_args)
+    printer = Printer(reactor, batch_args(folder))
     recording = Recording()
     if record:
         printer.register_event_handler("klippy:connect", lambda: recording.attach(printer))
