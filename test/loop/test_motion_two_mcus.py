@@ -57,15 +57,19 @@ def run(tmp_path: Path, gcode: str, *overrides: tuple[str, str, str], seed: int 
     return WatchedSimulation(RunOptions(CONFIG, path, seed, overrides))
 
 
-@pytest.mark.parametrize("seed", [2, 3])  # of 16 seeds one goes to 12 us, the others stay below 8
-def test_boards_agree_to_10_us_within_seconds(tmp_path: Path, seed: int) -> None:
-    sim = run(tmp_path, "G4 P25000\nG28 X\nG1 X50 F6000\nM400\n", *jittery(), seed=seed)
-    outcome = sim.run()
-    assert outcome.status == PRINTED, outcome.reason
-    settled = [abs(error) for at_s, error in sim.errors if at_s > 8.0]
-    assert len(settled) > 500
+def test_boards_agree_to_10_us_within_seconds(tmp_path: Path) -> None:
+    """Three of four seeds to 10 us, and none is off by more than 15. Of 16 seeds one, the first, goes to 12 us."""
+    widest_s = []
+    for seed in (1, 2, 3, 4):
+        sim = run(tmp_path, "G4 P25000\nG28 X\nG1 X50 F6000\nM400\n", *jittery(), seed=seed)
+        outcome = sim.run()
+        assert outcome.status == PRINTED, outcome.reason
+        settled = [abs(error) for at_s, error in sim.errors if at_s > 8.0]
+        assert len(settled) > 500
+        widest_s.append(max(settled))
     # the strip between several hundred answers with 250 us of jitter each way: a few us; 100 ppm are 100 us a second
-    assert max(settled) < 10e-6
+    assert sorted(widest_s)[2] < 10e-6
+    assert max(widest_s) < 15e-6
 
 
 @pytest.mark.parametrize("seed", [1, 2])
