@@ -13,6 +13,7 @@ from thermal.models.drive_law import DriveLaw
 from thermal.records import ParameterError
 from thermal.sensing import (
     block_temperature,
+    drift_observer,
     features,
     guard_limits,
     heat_balance_monitor,
@@ -26,7 +27,7 @@ from .mcu import UnitSettings
 
 LOOK_SAMPLES, LONG_LOOK_SAMPLES = 16, 64
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
-GUARD_LOW_C = -60.0  # below any workshop by more than the law's error
+GUARD_LOW_C = -250.0  # dead time may read -190 before a calibration; an open coil reads far below
 ADC_MAX_12_BIT = 4095
 UNCALIBRATED = "uncalibrated"
 
@@ -247,6 +248,13 @@ def _heat_balance(
     )
 
 
+def _drift(config: ConfigWrapper, loss: heat_loss.LossLaw) -> drift_observer.DriftParameters:
+    """What may be wrong by how much; a measured supply is known better."""
+    default = drift_observer.DriftParameters(room_c=loss.ambient_c)
+    is_measured = config.get("vdc_pin", None, note_valid=False) is not None
+    return replace(default, supply=0.003) if is_measured else default
+
+
 def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParameters:
     """All parameters of the chain of one nozzle."""
     law, calibrated = read_law(config)
@@ -277,6 +285,7 @@ def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParam
         temperature_filter.FilterParameters(loss, heat),
         balance,
         melt,
+        _drift(config, loss),
     )
 
 

@@ -85,6 +85,8 @@ class BridgeDriver:
     def limit_w(self, below_c: float) -> float:
         """Power allowed this far below the target."""
         approach, state = self.parameters.approach, self.state
+        if state.is_waiting:
+            return 0.0
         if below_c < approach.band_c:
             state.arriving = True
         elif below_c > approach.leave_c:
@@ -183,7 +185,8 @@ class PredictiveDriver(BridgeDriver):
     def limit_w(self, below_c: float) -> float:
         limit_w = super().limit_w(below_c)
         # With a sensing law that follows the drive the control law knows when to stop.
-        return math.inf if self.parameters.approach.rebase_fraction == math.inf else limit_w
+        unlimited = self.parameters.approach.rebase_fraction == math.inf and not self.state.is_waiting
+        return math.inf if unlimited else limit_w
 
     def step(
         self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf

@@ -18,12 +18,13 @@ import math
 from collections.abc import Callable, Sequence
 
 from thermal.records import PhaseCommand, SampleBlock, TempEstimate
-from thermal.sensing import heat_balance_monitor, supervision
+from thermal.sensing import drift, heat_balance_monitor, supervision
 from thermal.sensing.blocks import Blocks
 from thermal.sensing.pipeline import Chain
 
 from . import control_api
 from .bridge_driver import driver_for
+from .drift_correction import drift_correction
 from .loop_records import NO_REQUEST, NOT_MEASURED, Ahead, Approach, Control, LoopParameters, LoopState
 from .timeline import Timing
 
@@ -60,8 +61,10 @@ class InductionLoop:
     @parameters.setter
     def parameters(self, p: LoopParameters) -> None:
         self._parameters = p
-        self.chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.filter, p.has_looks)
+        estimator = drift.corrected(p.estimator, self.state.drift.applied_c)
+        self.chain.use(p.front, estimator, p.supervise, p.actuator.law, p.filter, p.has_looks)
         self._driver = driver_for(p, self.state, self.chain)
+        self._drift = drift_correction(p, self.state, self.chain)
 
     @property
     def fault(self) -> str:
@@ -83,6 +86,8 @@ class InductionLoop:
             state.latency_s = now_s - news.time_s
             self._note_settled(news)
             self._note_balance(news)
+        if self._drift is not None:
+            self._drift.on_blocks(blocks, now_s)
         return self._step(before, now_s)
 
     def on_timer(self, now_s: float) -> list[PhaseCommand]:
@@ -125,6 +130,8 @@ class InductionLoop:
         self.reference = None
         state.settled_s = math.inf
         state.arriving = False
+        if self._drift is not None:
+            self._drift.on_target(target_c, now_s)
         if state.estimate.valid:
             return self._driver.step(state.estimate, self._ahead(), now_s, apart_s=0.0)
         return self._driver.command(now_s, apart_s=0.0)
@@ -176,6 +183,8 @@ class InductionLoop:
         self.chain.restart_filter()
         self.state.law = self._parameters.control.law.start
         self.state.heat_balance = heat_balance_monitor.HeatBalanceState()
+        self.state.drift = drift.DriftMemory()
+        self.parameters = self._parameters
         self.state.warning = ""
 
     # Listeners and state
@@ -218,8 +227,12 @@ class InductionLoop:
         if news.time_s - state.balanced_s < BALANCE_S or not p.supervise.calibrated:
             return
         heat_j = self.chain.take_heat_j()
+        if self._drift is not None:
+            self._drift.on_balance(news, heat_j)
         heat_balance_monitor.observe(
             p.heat_balance, state.heat_balance, news.time_s, news.temp_c, heat_j, self.quiet
         )
         state.balanced_s = news.time_s
-        state.warning = heat_balance_monitor.warning(p.heat_balance, state.heat_balance)
+        state.warning = heat_balance_monitor.warning(p.heat_balance, state.heat_balance) or drift.warning(
+            state.drift
+        )

@@ -11,6 +11,8 @@ from thermal.models.melt_exchange import MeltExchange
 from thermal.records import PhaseCommand, Planned, PowerRequest, TempEstimate
 from thermal.sensing import (
     block_temperature,
+    drift,
+    drift_observer,
     features,
     heat_balance_monitor,
     laws,
@@ -72,6 +74,7 @@ class LoopParameters:
     filter: temperature_filter.FilterParameters
     heat_balance: heat_balance_monitor.HeatBalanceParameters
     melt: MeltExchange = field(default_factory=MeltExchange)
+    drift: drift_observer.DriftParameters | None = None  # None: the law stays as it is
 
     @property
     def has_looks(self) -> bool:
@@ -106,6 +109,8 @@ class LoopState:
         default_factory=heat_balance_monitor.HeatBalanceState
     )
     balanced_s: float = -math.inf  # when that was
+    drift: drift.DriftMemory = field(default_factory=drift.DriftMemory)
+    is_waiting: bool = False  # no heat before the zero at rest
     warning: str = ""  # plausibility: text for people
     latency_s: float = 0.0  # newest: from the centre of a block to its value here
 

@@ -16,9 +16,12 @@ from thermal.control import actuator, control_api, loop, pid, predictive, timeli
 from thermal.models import drive_law, heat_loss, heater_model, melt_exchange
 from thermal.sensing import (
     block_temperature,
+    drift,
+    drift_observer,
     features,
     heat_balance_monitor,
     laws,
+    rest,
     supervision,
     temperature_filter,
 )
@@ -28,7 +31,8 @@ Plain = Any  # what json takes: None, bool, int, float, str, list, dict
 _MODULES = (
     *(records, actuator, control_api, loop, pid, predictive, timeline, two_period),
     *(drive_law, heat_loss, heater_model, melt_exchange),
-    *(block_temperature, features, heat_balance_monitor, laws, supervision, temperature_filter),
+    *(block_temperature, drift, drift_observer, features, heat_balance_monitor, laws, rest, supervision),
+    temperature_filter,
 )
 _TYPES = {
     name: kind

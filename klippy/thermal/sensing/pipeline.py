@@ -74,6 +74,17 @@ class Chain:
         p.phase_max_ticks = front.phase_max_ticks
         p.step_share, p.usual_s = STEP_SHARE, USUAL_S
 
+    def correct(self, estimator: EstimatorParameters, moved_c: float, drive_moved_c: float) -> None:
+        """A corrected law from now on: readings rise by `moved_c`, those of full drive by `drive_moved_c` more."""
+        self._parameters.law = laws.packed(estimator.law)[0][0]
+        self._filter.temp_c += moved_c
+        self.state.drive.full_c += drive_moved_c
+        self.state.drive.time_s = math.nan  # the newest reading was by the law before
+
+    def set_doubt(self, sigma_c: float) -> None:
+        """1 sigma of what the law may have drifted."""
+        self._parameters.drift_sigma_c = sigma_c
+
     @property
     def watch(self) -> Any:
         """C's struct chain_watch: what supervision has seen."""

@@ -1,0 +1,190 @@
+"""Corrects the sensing law by what drift_observer.py finds: which witness is asked when, and how fast the law follows.
+
+    heater off      readings of a nozzle at rest against the room (rest.py): the automatic zero
+    heater on       k of the looks, gain of the drive, heat balance
+    correction      at once with the heater off, quickly on the way, slowly near the target
+
+A first heat waits up to WAIT_S if the cold reading is off the room's temperature and nobody knows yet why.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+from thermal.sensing import drift_observer as observer
+from thermal.sensing.block_temperature import SENSING_PHASE_TICKS, EstimatorParameters
+from thermal.sensing.blocks import Blocks
+from thermal.sensing.drift_observer import DriftParameters, DriftState
+from thermal.sensing.heat_balance_monitor import HeatBalanceParameters
+from thermal.sensing.laws import TankLaw
+from thermal.sensing.rest import Rest
+
+# A zero farther off is another nozzle or coil. Readings below the room's may be raised further: that heats less.
+ZERO_LOW_C, ZERO_HIGH_C = -250.0, 60.0
+ZERO_SIGMA_C = 3.0  # the excess at rest must be known so well
+ZERO_EACH_S = 60.0
+WAIT_S, WAIT_C = 2.0, 2.5
+GLANCE_SIGMA_C = 2.0
+LOOKS_EACH_S = 0.1
+LOOKS_SIGMA_C = 8.0  # k in more doubt says nothing
+WAY_C = 20.0  # farther from the target than this is the way to it
+WAY_C_S, NEAR_C_S = 20.0, 0.5  # the correction moves so fast
+NAMED_C = 10.0  # drift beyond this is named, if it is surely so much
+
+
+@dataclass(slots=True)
+class DriftMemory:
+    """Times are print times."""
+
+    state: DriftState = field(default_factory=DriftState)
+    rest: Rest = field(default_factory=Rest)
+    applied_c: float = 0.0
+    time_s: float = math.nan  # of the state
+    noise_c: float = 0.2
+    zeroed_s: float = -math.inf
+    judged_s: float = -math.inf  # newest reading at rest that has been asked
+    since_s: float = math.nan  # target on, or off
+    looked_c: float = 0.0  # k when it was last asked
+    looked_s: float = -math.inf
+    balanced_s: float = -math.inf
+    is_on: bool = False
+
+
+def tau_s(balance: HeatBalanceParameters) -> float:
+    """Of a nozzle that cools near the room's temperature, with its second mass."""
+    loss = balance.loss
+    return (balance.heat.at_25c_j_k + loss.second_j_k) / loss.slope_w_k(loss.ambient_c)
+
+
+def begin(p: DriftParameters, m: DriftMemory, time_s: float) -> None:
+    """Nothing is known of the nozzle."""
+    m.state, m.time_s = observer.fresh(p), time_s
+    m.rest.restart()
+    m.zeroed_s = m.judged_s = m.looked_s = m.balanced_s = -math.inf
+    m.since_s, m.is_on = time_s, False
+
+
+def advance(p: DriftParameters, m: DriftMemory, time_s: float, heat_j: float) -> None:
+    if math.isnan(m.time_s):
+        begin(p, m, time_s)
+    if time_s > m.time_s:
+        observer.advance(p, m.state, time_s - m.time_s, heat_j)
+        m.time_s = time_s
+
+
+def note_target(m: DriftMemory, is_on: bool, time_s: float) -> bool:
+    """Was the target turned on or off?"""
+    if is_on == m.is_on:
+        return False
+    m.is_on, m.since_s = is_on, time_s
+    if not is_on:
+        m.rest.restart()
+    return True
+
+
+def note_rest(m: DriftMemory, estimator: EstimatorParameters, raw_blocks: Blocks) -> None:
+    """Blocks with the heater off, or before the first heat. A reading outside the law's range counts, too."""
+    law = estimator.law
+    for b in raw_blocks.raw[0 : raw_blocks.count]:
+        if b.phase_ticks != SENSING_PHASE_TICKS or b.lost or not 0 < b.min_raw <= b.max_raw < 4095:
+            continue
+        temp_c, c_per_unit = law.invert(b.signal_units, b.phase_ticks, estimator.supply)
+        if math.isfinite(temp_c):
+            m.noise_c = b.noise_units * c_per_unit
+            m.rest.note(b.centre_s, temp_c, b.heat_w * b.duration_s)
+
+
+def zero(p: DriftParameters, m: DriftMemory, balance: HeatBalanceParameters, time_s: float) -> bool:
+    """The automatic zero, if it is due and the nozzle's rest is known well enough."""
+    newest_s = m.rest.readings[-1][0] if m.rest.readings else m.judged_s
+    if newest_s == m.judged_s or time_s - m.zeroed_s < ZERO_EACH_S:
+        return False
+    m.judged_s = newest_s
+    is_late = m.is_on and time_s - m.since_s > WAIT_S  # what is known has to do
+    excess_c, sigma_c = m.rest.excess_c(tau_s(balance), balance.heat.at_25c_j_k, m.noise_c, p.room_c)
+    below = m.rest.readings and m.rest.mean_c() < p.room_c
+    if not (
+        sigma_c <= (ZERO_SIGMA_C if not below else 2.0 * ZERO_SIGMA_C) or (is_late and sigma_c < math.inf)
+    ):
+        return False
+    off_c = m.rest.mean_c() - p.room_c - excess_c
+    if not ZERO_LOW_C <= off_c <= ZERO_HIGH_C:
+        return False
+    observer.cold_zero(m.state, off_c, math.hypot(sigma_c, m.noise_c))
+    m.zeroed_s = time_s
+    return True
+
+
+def glance(p: DriftParameters, m: DriftMemory) -> None:
+    """Heat goes in before the rest is known: a reading near the room's is that of a cold nozzle."""
+    if m.zeroed_s == -math.inf and m.rest.readings:
+        off_c = m.rest.mean_c() - p.room_c
+        if abs(off_c) <= WAIT_C:
+            observer.cold_zero(m.state, off_c, GLANCE_SIGMA_C)
+
+
+def waits(p: DriftParameters, m: DriftMemory, time_s: float) -> bool:
+    """Is the first heat to wait for the zero? `m.since_s`: when the target was turned on."""
+    if m.zeroed_s > -math.inf or not m.is_on or time_s - m.since_s > WAIT_S:
+        return False
+    if not m.rest.readings:
+        return True
+    off_c = m.rest.mean_c() - p.room_c
+    return ZERO_LOW_C < off_c < -WAIT_C or WAIT_C < off_c < ZERO_HIGH_C
+
+
+def note_looks(
+    m: DriftMemory, estimator: EstimatorParameters, drive: object, temp_c: float, phase_max: float
+) -> None:
+    """k of the looks, when it has learned something. `drive`: C's struct drive_offset."""
+    d: object = drive
+    full_c, variance, strong = d.full_c, d.variance, d.strong  # type: ignore[attr-defined]
+    if full_c == m.looked_c or m.time_s - m.looked_s < LOOKS_EACH_S or strong <= 0.0:
+        return
+    if not isinstance(estimator.law, TankLaw) or variance > LOOKS_SIGMA_C**2:
+        return
+    m.looked_c, m.looked_s = full_c, m.time_s
+    observer.looks(
+        m.state,
+        estimator.law,
+        m.applied_c,
+        full_c * strong,
+        math.sqrt(variance) * strong,
+        temp_c=temp_c,
+        lever=strong,
+        strong=phase_max * strong ** (1.0 / LEVER_EXPONENT),
+        weak=SENSING_PHASE_TICKS,
+        supply=estimator.supply,
+    )
+
+
+LEVER_EXPONENT = 2.6  # drive_offset.h: h = (phase/phase_max)^2.6
+
+
+def follow(m: DriftMemory, dt_s: float, below_c: float) -> float:
+    """The correction from now on, `below_c` under the target; infinite: no heat goes in."""
+    wanted_c = m.state.drift_c
+    if below_c < math.inf:
+        step_c = dt_s * (WAY_C_S if below_c > WAY_C else NEAR_C_S)
+        wanted_c = max(m.applied_c - step_c, min(m.applied_c + step_c, wanted_c))
+    return wanted_c
+
+
+def corrected(estimator: EstimatorParameters, applied_c: float) -> EstimatorParameters:
+    """With the law that is in use."""
+    law = estimator.law
+    if not applied_c or not isinstance(law, TankLaw):
+        return estimator
+    return replace(estimator, law=replace(law, delta=law.delta + applied_c))
+
+
+def warning(m: DriftMemory) -> str:
+    """Text for people, "" for a thermometer that is as calibrated."""
+    drift_c, sigma_c = m.state.drift_c, m.state.sigma_c
+    if abs(drift_c) - sigma_c <= NAMED_C:
+        return ""
+    return (
+        f"the thermometer has drifted by {drift_c:+.0f} C (within {2.0 * sigma_c:.0f} C); the reading is corrected."
+        " Check with a reference, then run INDUCTION_ZERO or INDUCTION_CALIBRATE"
+    )
