@@ -27,7 +27,7 @@ from .mcu import UnitSettings
 
 LOOK_SAMPLES, LONG_LOOK_SAMPLES = 16, 64
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
-GUARD_LOW_C = -250.0  # dead time may read -190 before a calibration; an open coil reads far below
+GUARD_LOW_C = -150.0  # a tank detuned by 0.2 % of C1 reads -90 at full drive; an open coil reads far below
 ADC_MAX_12_BIT = 4095
 UNCALIBRATED = "uncalibrated"
 

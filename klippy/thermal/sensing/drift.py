@@ -21,7 +21,7 @@ from thermal.sensing.laws import TankLaw
 from thermal.sensing.rest import Rest
 
 # A zero farther off is another nozzle or coil. Readings below the room's may be raised further: that heats less.
-ZERO_LOW_C, ZERO_HIGH_C = -250.0, 60.0
+ZERO_LOW_C, ZERO_HIGH_C = -150.0, 60.0
 ZERO_SIGMA_C = 3.0  # the excess at rest must be known so well
 ZERO_EACH_S = 60.0
 WAIT_S, WAIT_C = 2.0, 2.5
