@@ -143,7 +143,9 @@ class InductionCalibrate:
 
     def _take(self, result: dict[str, Any]) -> None:
         """Use a fit's result from now on, and offer it to SAVE_CONFIG."""
-        law = laws.law_of(result["law"], result["coefficients"], result["residual_units"])
+        rows = result["table"]
+        table = laws.LawTable.of_rows(rows) if rows else None
+        law = laws.law_of(result["law"], result["coefficients"], result["residual_units"], table)
         self._apply(law, result)
         self._stage(law, result)
         self._say("\n".join(result["report"]))
@@ -179,6 +181,8 @@ class InductionCalibrate:
         options = {"estimator": name, **{f"{name}_{key}": f"{value:.7g}" for key, value in values.items()}}
         options["law_residual"] = f"{law.residual_units:.3g}"
         if result is not None:
+            rows = result["table"] or ()
+            options["tank_table"] = "".join("\n" + ", ".join(f"{value:.6g}" for value in row) for row in rows)
             more = {
                 "heat_capacity_j_per_k": result["capacity_j_k"],
                 "loss_factor": result["loss_factor"],

@@ -61,12 +61,25 @@ def read_law(config: ConfigWrapper) -> tuple[laws.Law, bool]:
         values = {
             f.name: config.getfloat(f"{name}_{f.name}", getattr(default, f.name))
             for f in fields(kind)
-            if f.name != "residual_units"
+            if f.name not in laws.NO_COEFFICIENTS
         }
         found[name] = replace(default, **values)
     law = found["exp" if choice == UNCALIBRATED else choice]
     residual = config.getfloat("law_residual", law.residual_units, minval=0.0)
-    return laws.law_of(*laws.coefficients_of(law), residual), choice != UNCALIBRATED
+    table = _read_table(config)
+    return laws.law_of(*laws.coefficients_of(law), residual, table), choice != UNCALIBRATED
+
+
+def _read_table(config: ConfigWrapper) -> laws.LawTable | None:
+    rows = config.getlists("tank_table", None, seps=(",", "\n"), parser=float)
+    if not rows:
+        return None
+    try:
+        return laws.LawTable.of_rows(rows)
+    except ValueError as e:
+        raise config.error(
+            f"Option 'tank_table' in section '{config.get_name()}' {e} ({config.where('tank_table')})."
+        ) from None
 
 
 def read_unit(config: ConfigWrapper) -> UnitSettings:

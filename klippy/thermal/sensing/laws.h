@@ -6,12 +6,15 @@
 #include <stdint.h>
 
 enum sensing_kind { SENSING_EXP, SENSING_EQ5, SENSING_TANK };
-enum { SENSING_COEFFICIENTS = 9 };
+enum { SENSING_COEFFICIENTS = 9, SENSING_LEVELS = 16, SENSING_NODES = 8 };
 
 struct sensing_law {
     int32_t kind;
     double phase_max_ticks;                 // 180 degrees
     double k[SENSING_COEFFICIENTS];         // in the order of the fields in laws.py
+    // Of the tank law: what is added to its temperature, bilinear over drive and temperature; levels 0: nothing.
+    int32_t levels, nodes;
+    double level_ticks[SENSING_LEVELS], node_c[SENSING_NODES], added_c[SENSING_LEVELS][SENSING_NODES];
 };
 
 struct sensing_reading {
