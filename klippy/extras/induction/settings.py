@@ -261,9 +261,11 @@ def _heat_balance(
     )
 
 
-def _drift(config: ConfigWrapper, loss: heat_loss.LossLaw) -> drift_observer.DriftParameters:
+def _drift(config: ConfigWrapper, loss: heat_loss.LossLaw, law: laws.Law) -> drift_observer.DriftParameters:
     """What may be wrong by how much; a measured supply is known better."""
     default = drift_observer.DriftParameters(room_c=loss.ambient_c)
+    if isinstance(law, laws.TankLaw) and law.table is not None:
+        default = replace(default, law_c=max(default.law_c, 2.0 * law.table.error_c[-1]))
     is_measured = config.get("vdc_pin", None, note_valid=False) is not None
     return replace(default, supply=0.003) if is_measured else default
 
@@ -298,7 +300,7 @@ def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParam
         temperature_filter.FilterParameters(loss, heat),
         balance,
         melt,
-        _drift(config, loss),
+        _drift(config, loss, law),
     )
 
 

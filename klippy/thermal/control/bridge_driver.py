@@ -87,11 +87,12 @@ class BridgeDriver:
         approach, state = self.parameters.approach, self.state
         if state.is_waiting:
             return 0.0
+        trusted_w = self.parameters.trusted_w
         if below_c < approach.band_c:
             state.arriving = True
         elif below_c > approach.leave_c:
             state.arriving = False
-        return approach.power_w if state.arriving else math.inf
+        return min(trusted_w, approach.power_w) if state.arriving else trusted_w
 
     def _apply(self, inputs: control_api.ControlInput, time_s: float, now_s: float) -> None:
         state, chosen = self.state, self.parameters.control
@@ -186,7 +187,7 @@ class PredictiveDriver(BridgeDriver):
         limit_w = super().limit_w(below_c)
         # With a sensing law that follows the drive the control law knows when to stop.
         unlimited = self.parameters.approach.rebase_fraction == math.inf and not self.state.is_waiting
-        return math.inf if unlimited else limit_w
+        return self.parameters.trusted_w if unlimited else limit_w
 
     def step(
         self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf

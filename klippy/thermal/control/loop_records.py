@@ -82,6 +82,15 @@ class LoopParameters:
         calibrated = self.supervise.calibrated and isinstance(self.estimator.law, laws.TankLaw)
         return calibrated and self.actuator.look_s > 0.0
 
+    @property
+    def trusted_w(self) -> float:
+        """The strongest drive at which the reading can be trusted; infinite: any."""
+        law = self.estimator.law
+        if not isinstance(law, laws.TankLaw) or law.table is None:
+            return math.inf
+        ticks = law.table.trusted_ticks()
+        return math.inf if ticks >= self.actuator.law.phase_max_ticks else self.actuator.law.power_w(ticks)
+
 
 class Ahead(NamedTuple):
     """What is known of the time ahead; set from outside."""

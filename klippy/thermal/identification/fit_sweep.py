@@ -48,7 +48,7 @@ READINGS_MIN, READINGS_FEW = 12, 40  # a person types some twenty, a sensor give
 LAG_LIMITS_S = (0.02, 12.0)
 WORKING_POWER = 0.2015
 HELD_OUT = 3  # every third point
-TABLE_WORTH = 0.7  # the table's held-out error over all drives, as a share of the plain law's
+TABLE_WORTH = 0.7  # the table's held-out error as a share of the plain law's
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,7 +306,7 @@ def choose(laws: dict[str, LawFigures]) -> str:
     plain = min((name for name in laws if name != "table"), key=lambda name: laws[name].held_out_rms_c)
     if "table" not in laws:
         return plain
-    is_worth = laws["table"].all_powers_rms_c < TABLE_WORTH * laws[plain].all_powers_rms_c
+    is_worth = laws["table"].held_out_rms_c < TABLE_WORTH * laws[plain].held_out_rms_c
     return "table" if is_worth else plain
 
 

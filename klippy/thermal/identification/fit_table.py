@@ -34,8 +34,14 @@ def _row(temp_c: Array, left_c: Array, nodes_c: Array) -> Array:
         design = np.vstack([hats / scatter_c, bends])
         wanted = np.concatenate([left_c / scatter_c, np.zeros(len(bends))])
         values = np.asarray(np.linalg.lstsq(design, wanted, rcond=None)[0])
-        scatter_c = max(SCATTER_C, 1.4826 * float(np.median(np.abs(left_c - hats @ values))))
+        left = np.abs(left_c - hats @ values)
+        scatter_c = max(SCATTER_C, 1.4826 * float(np.median(left)))
     return values
+
+
+def _error_c(left_c: Array) -> float:
+    """1 sigma of the law's error: what is left beyond the scatter of a visit."""
+    return float(max(0.0, float(np.mean(left_c**2)) - SCATTER_C**2) ** 0.5)
 
 
 def fit(values: dict[str, float], points: Points) -> laws.LawTable:
@@ -45,18 +51,20 @@ def fit(values: dict[str, float], points: Points) -> laws.LawTable:
     if np.mean(known) < 0.97:
         raise FitError("the tank law has no answer at many points")
     nodes_c = np.linspace(float(tank_c[known].min()), float(tank_c[known].max()), laws.NODES_MAX)
-    levels, rows = [], []
+    levels, rows, errors = [], [], []
     for ticks in np.unique(points.phase_ticks):
         mask = known & (points.phase_ticks == ticks)
         if int(mask.sum()) < POINTS_MIN:
             continue
-        row = _row(tank_c[mask], points.temp_c[mask] - tank_c[mask], nodes_c)
+        left_c = points.temp_c[mask] - tank_c[mask]
+        row = _row(tank_c[mask], left_c, nodes_c)
         if np.any(np.diff(nodes_c + row) < SLOPE_MIN * np.diff(nodes_c)):
             percent = 100.0 * float(fit_sensing.power_of_ticks(ticks))
             raise FitError(f"at {percent:.1f} % power the signal does not rise with the temperature")
         levels.append(float(ticks))
         rows.append(tuple(float(value) for value in row))
-    return laws.LawTable(tuple(levels), tuple(float(c) for c in nodes_c), tuple(rows))
+        errors.append(_error_c(left_c - _hats(tank_c[mask], nodes_c) @ row))
+    return laws.LawTable(tuple(levels), tuple(float(c) for c in nodes_c), tuple(rows), tuple(errors))
 
 
 def residuals(values: dict[str, float], table: laws.LawTable, points: Points) -> Array:

@@ -12,7 +12,7 @@ enum { EXP_A, EXP_B, EXP_C, EXP_D };
 enum { EQ5_A, EQ5_B, EQ5_AB, EQ5_BB, EQ5_ABB, EQ5_C };
 enum { TANK_G, TANK_T0, TANK_W, TANK_DELTA, TANK_B, TANK_Q, TANK_C, TANK_D, TANK_M };
 
-static const struct sensing_reading no_reading = {NAN, NAN};
+static const struct sensing_reading no_reading = {NAN, NAN, 0.0};
 
 // p: share of the full phase, squared.
 static double
@@ -100,7 +100,7 @@ tank_invert(const struct sensing_law *law, double error, double phase_ticks, dou
     // d(-ln S)/dpsi = (b + 4 q u^3) du/dpsi, du/dpsi = -2 u tan(psi)
     double bend = (k[TANK_B] + 4.0 * k[TANK_Q] * u * u * u) * 2.0 * u * tangent;
     double slope = growth * (k[TANK_W] / (cosine * cosine) - reach * bend) / k[TANK_G];
-    return slope > 0.0 ? (struct sensing_reading){k[TANK_T0] + reach * growth, slope} : no_reading;
+    return slope > 0.0 ? (struct sensing_reading){k[TANK_T0] + reach * growth, slope, 0.0} : no_reading;
 }
 
 // --- the table beside the tank law ---
@@ -140,7 +140,9 @@ with_table(const struct sensing_law *law, struct sensing_reading tank, double ph
     double slope = rise_c / (law->node_c[at.below + 1] - law->node_c[at.below]);
     int outside = tank.temp_c < law->node_c[0] || tank.temp_c > law->node_c[law->nodes - 1];
     double c_per_unit = tank.c_per_unit * (outside ? 1.0 : 1.0 + slope);
-    return (struct sensing_reading){tank.temp_c + low_c + at.share * rise_c, c_per_unit};
+    const double *error_c = law->error_c + level.below;
+    return (struct sensing_reading){tank.temp_c + low_c + at.share * rise_c, c_per_unit,
+                                    error_c[0] + level.share * (error_c[1] - error_c[0])};
 }
 
 // The reverse; the fit keeps it unique.
@@ -181,7 +183,8 @@ sensing_invert(const struct sensing_law *law, double error, double phase_ticks, 
     if (law->kind == SENSING_TANK)
         return with_table(law, tank_invert(law, error, phase_ticks, supply), phase_ticks);
     struct line at = line_at(law, phase_ticks, supply);
-    return at.slope > 0.0 ? (struct sensing_reading){(error - at.offset) / at.slope, 1.0 / at.slope} : no_reading;
+    return at.slope > 0.0 ? (struct sensing_reading){(error - at.offset) / at.slope, 1.0 / at.slope, 0.0}
+                          : no_reading;
 }
 
 double

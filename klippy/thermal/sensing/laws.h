@@ -15,11 +15,13 @@ struct sensing_law {
     // Of the tank law: what is added to its temperature, bilinear over drive and temperature; levels 0: nothing.
     int32_t levels, nodes;
     double level_ticks[SENSING_LEVELS], node_c[SENSING_NODES], added_c[SENSING_LEVELS][SENSING_NODES];
+    double error_c[SENSING_LEVELS];         // what is left then, 1 sigma
 };
 
 struct sensing_reading {
     double temp_c;                          // NaN: the law has no answer
     double c_per_unit;                      // dT/derror, likewise
+    double error_c;                         // 1 sigma of the law's own error at this drive, where a table knows it
 };
 
 // `supply`: the bridge's voltage over the one the law was taken at.

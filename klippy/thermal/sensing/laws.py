@@ -37,6 +37,7 @@ import chelper
 from thermal.records import PHASE_MAX_TICKS
 
 NO_COEFFICIENTS = ("residual_units", "table")  # of the laws' fields
+TRUSTED_C = 10.0  # a drive at which the law errs by more is not used to heat
 LEVELS_MAX, NODES_MAX = 16, 8  # of a table, as in thermal/sensing/laws.h
 PSI_MAX_RAD = 1.35  # of the tank law, as in thermal/sensing/laws.c; the fits keep inside, too
 
@@ -75,7 +76,7 @@ def packed(law: Law) -> tuple[Any, Any]:
     table = getattr(law, "table", None)
     if table is not None:
         values |= {"levels": len(table.level_ticks), "nodes": len(table.node_c)}
-        values |= {name: getattr(table, name) for name in ("level_ticks", "node_c", "added_c")}
+        values |= {name: getattr(table, name) for name in ("level_ticks", "node_c", "added_c", "error_c")}
     return ffi.new("struct sensing_law *", values), lib
 
 
@@ -124,27 +125,38 @@ class LawTable:
     level_ticks: tuple[float, ...]
     node_c: tuple[float, ...]
     added_c: tuple[tuple[float, ...], ...]
+    error_c: tuple[float, ...]  # what is left at each level, 1 sigma
 
     def rows(self) -> list[tuple[float, ...]]:
-        """As in the config: the temperatures behind a 0, then each level with its values."""
-        first = (0.0, *self.node_c)
-        return [first, *((t, *row) for t, row in zip(self.level_ticks, self.added_c, strict=True))]
+        """As in the config: the temperatures behind two zeros, then each level with what is left and its values."""
+        levels = zip(self.level_ticks, self.error_c, self.added_c, strict=True)
+        return [(0.0, 0.0, *self.node_c), *((ticks, left, *row) for ticks, left, row in levels)]
+
+    def trusted_ticks(self) -> float:
+        """The strongest drive up to which the law is right within TRUSTED_C."""
+        levels = zip(self.level_ticks, self.error_c, strict=True)
+        return [ticks for ticks, _ in itertools.takewhile(lambda level: level[1] <= TRUSTED_C, levels)][-1]
 
     @staticmethod
     def of_rows(rows: Sequence[Sequence[float]]) -> LawTable:
         """Raises ValueError with a text for people."""
         widths = {len(row) for row in rows}
-        if len(widths) != 1 or not 3 <= len(rows) <= LEVELS_MAX + 1 or not 3 <= min(widths) <= NODES_MAX + 1:
+        if len(widths) != 1 or not 3 <= len(rows) <= LEVELS_MAX + 1 or not 4 <= min(widths) <= NODES_MAX + 2:
             raise ValueError(
                 f"needs 2 to {LEVELS_MAX} rows below the first, of one length with 2 to {NODES_MAX} values each"
             )
         first, rest = rows[0], rows[1:]
         table = LawTable(
-            tuple(row[0] for row in rest), tuple(first[1:]), tuple(tuple(row[1:]) for row in rest)
+            tuple(row[0] for row in rest),
+            tuple(first[2:]),
+            tuple(tuple(row[2:]) for row in rest),
+            tuple(row[1] for row in rest),
         )
         for what in (table.level_ticks, table.node_c):
             if any(b <= a for a, b in itertools.pairwise(what)):
                 raise ValueError("drives (first column) and temperatures (first row) must ascend")
+        if not 0.0 <= table.error_c[0] <= TRUSTED_C:
+            raise ValueError(f"has an error of {table.error_c[0]:g} C at its smallest drive, where it must be right")
         for added in table.added_c:
             read = [c + a for c, a in zip(table.node_c, added, strict=True)]
             if any(b <= a for a, b in itertools.pairwise(read)):

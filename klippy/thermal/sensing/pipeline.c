@@ -63,8 +63,8 @@ chain_estimate(const struct chain_params *p, struct coil_block *b)
         return;
     }
     b->temp_c = read.temp_c;
-    b->sigma_c = hypot(b->noise_units, p->residual_units) * read.c_per_unit;
-    b->noise_c = b->noise_units * read.c_per_unit;
+    b->sigma_c = hypot(hypot(b->noise_units, p->residual_units) * read.c_per_unit, read.error_c);
+    b->noise_c = hypot(b->noise_units * read.c_per_unit, read.error_c); // the filter trusts drives that the law fits
     b->c_per_unit = read.c_per_unit;
 }
 
