@@ -111,6 +111,8 @@ class ActuatorState:
     last_excited_s: float = -math.inf  # end of the last pulse or continuous drive
     driving: bool = False  # continuous drive (phase above the smallest) since last_s
     look_s: float = -math.inf  # start of the newest look at the sensing phase
+    hold_look_s: float = -math.inf  # start of the newest look out of a weak drive ...
+    hold_look: int = 0  # ... and its number
 
 
 def _account(parameters: ActuatorParameters, state: ActuatorState, time_s: float) -> None:
@@ -198,7 +200,9 @@ def with_look(
     """
     first = commands[0]
     strong = (first.phase_ticks / parameters.law.phase_max_ticks) ** 2 >= LOOK_SHARE
-    if not strong or not parameters.look_s:
+    if not strong:
+        return with_hold_look(parameters, state, commands)
+    if not parameters.look_s:
         return commands
     apart_s = min(LOOK_MAX_S, max(LOOK_MIN_S, LOOK_C / max(1e-3, rate_k_s)))
     if 0.0 < first.time_s - state.look_s < (0.0 if doubt_c > LOOK_DOUBT_C else apart_s):
@@ -207,6 +211,29 @@ def with_look(
     after_s = first.time_s + (parameters.long_look_s if apart_s >= LOOK_RARE_S else parameters.look_s)
     look = PhaseCommand(first.time_s, parameters.phase_low_ticks, parameters.power_low_w)
     return [look, first._replace(time_s=after_s), *(c for c in commands[1:] if c.time_s > after_s)]
+
+
+def with_hold_look(
+    parameters: ActuatorParameters, state: ActuatorState, commands: list[PhaseCommand]
+) -> list[PhaseCommand]:
+    """A weak drive begins with a look at one phase after the other, if one is due; a pulse keeps its length."""
+    first, phases, look_s = commands[0], parameters.hold_look_ticks, parameters.look_s
+    if not phases or not parameters.hold_look_s or not look_s or not first.phase_ticks:
+        return commands
+    since_s = first.time_s - state.hold_look_s
+    if 0.0 < since_s < parameters.hold_look_s:
+        return commands
+    if since_s != 0.0:
+        state.hold_look = (state.hold_look + 1) % len(phases)
+    state.hold_look_s = first.time_s
+    rest = commands[1:]
+    if not state.driving:
+        state.last_excited_s = rest[0].time_s + look_s
+        rest = [rest[0]._replace(time_s=state.last_excited_s)]
+    phase, after_s = phases[state.hold_look], first.time_s + look_s
+    look = PhaseCommand(first.time_s, phase, parameters.law.power_w(phase))
+    state.owed_j -= look.power_w * look_s
+    return [look, first._replace(time_s=after_s), *(c for c in rest if c.time_s > after_s)]
 
 
 @dataclass(frozen=True, slots=True)

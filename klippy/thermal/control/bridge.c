@@ -124,7 +124,8 @@ at_phase(const struct actuator_params *p, double time_s, int64_t phase)
 void
 actuator_reset(struct actuator_state *s)
 {
-    *s = (struct actuator_state){.last_s = -INFINITY, .last_excited_s = -INFINITY, .look_s = -INFINITY};
+    *s = (struct actuator_state){.last_s = -INFINITY, .last_excited_s = -INFINITY, .look_s = -INFINITY,
+                                  .hold_look_s = -INFINITY};
 }
 
 // Add the request of the interval that ends now. Continuous drive delivers what is requested.
@@ -184,28 +185,54 @@ actuator_ahead(const struct actuator_params *p, const struct model_planned *hori
     return (int)(last - out);
 }
 
-int
-actuator_look(const struct actuator_params *p, struct actuator_state *s, double rate_k_s, double doubt_c,
-              struct phase_command *commands, int count)
+// Begin with `phase` for `look_s`; what was to begin then follows.
+static int
+begin_with_look(const struct actuator_params *p, struct phase_command *commands, int count, int64_t phase, double look_s)
 {
-    struct phase_command first = commands[0];
-    if (!(pow(first.phase_ticks / p->phase_max_ticks, 2.0) >= LOOK_SHARE) || p->look_s == 0.0)
-        return count;
-    double apart_s = lesser(LOOK_MAX_S, greater(LOOK_MIN_S, LOOK_C / greater(1e-3, rate_k_s)));
-    double since_s = first.time_s - s->look_s;
-    if (0.0 < since_s && since_s < (doubt_c > LOOK_DOUBT_C ? 0.0 : apart_s))
-        return count;
-    s->look_s = first.time_s;
-    struct phase_command after = first, rest[PLAN_MAX];
-    after.time_s += apart_s >= LOOK_RARE_S ? p->long_look_s : p->look_s;
+    struct phase_command after = commands[0], rest[PLAN_MAX];
+    after.time_s += look_s;
     memcpy(rest, commands + 1, (count - 1) * sizeof(*rest));
-    commands[0] = (struct phase_command){first.time_s, p->phase_low_ticks, p->power_low_w};
+    commands[0] = at_phase(p, commands[0].time_s, phase);
     commands[1] = after;
     int made = 2;
     for (int i = 0; i < count - 1; i++)
         if (rest[i].time_s > after.time_s)
             commands[made++] = rest[i];
     return made;
+}
+
+static int
+hold_look(const struct actuator_params *p, struct actuator_state *s, struct phase_command *commands, int count)
+{
+    double start_s = commands[0].time_s, since_s = start_s - s->hold_look_s;
+    if (!p->hold_looks || p->hold_look_s == 0.0 || p->look_s == 0.0 || !commands[0].phase_ticks
+        || (0.0 < since_s && since_s < p->hold_look_s))
+        return count;
+    if (since_s != 0.0)
+        s->hold_look = (s->hold_look + 1) % p->hold_looks;
+    s->hold_look_s = start_s;
+    if (!s->driving) { // the pulse keeps its length
+        commands[1].time_s += p->look_s;
+        s->last_excited_s = commands[1].time_s;
+    }
+    count = begin_with_look(p, commands, count, p->hold_look_ticks[s->hold_look], p->look_s);
+    s->owed_j -= commands[0].power_w * p->look_s;
+    return count;
+}
+
+int
+actuator_look(const struct actuator_params *p, struct actuator_state *s, double rate_k_s, double doubt_c,
+              struct phase_command *commands, int count)
+{
+    struct phase_command first = commands[0];
+    if (!(pow(first.phase_ticks / p->phase_max_ticks, 2.0) >= LOOK_SHARE))
+        return hold_look(p, s, commands, count);
+    double apart_s = lesser(LOOK_MAX_S, greater(LOOK_MIN_S, LOOK_C / greater(1e-3, rate_k_s)));
+    double since_s = first.time_s - s->look_s;
+    if (p->look_s == 0.0 || (0.0 < since_s && since_s < (doubt_c > LOOK_DOUBT_C ? 0.0 : apart_s)))
+        return count;
+    s->look_s = first.time_s;
+    return begin_with_look(p, commands, count, p->phase_low_ticks, apart_s >= LOOK_RARE_S ? p->long_look_s : p->look_s);
 }
 
 double

@@ -16,7 +16,7 @@
 #define LOOK_DOUBT_C 20.0   // more doubt about full drive than this: a look at each command
 #define KEEP_S 0.4          // a block comes this late at most before the loop counts as blind
 
-enum { TIMELINE_MAX = 512, PLAN_MAX = 2 + MODEL_HORIZON };
+enum { TIMELINE_MAX = 512, PLAN_MAX = 3 + MODEL_HORIZON, HOLD_LOOKS_MAX = 4 };
 
 // records.PhaseCommand
 struct phase_command {
@@ -41,7 +41,9 @@ struct actuator_params {
     double power_max_w, exponent, phase_max_ticks;  // drive law
     double power_low_w, pulse_s, sense_interval_s, idle_interval_s;
     double look_s, long_look_s;     // at the sensing phase within a strong drive; 0: none
+    double hold_look_s;             // from one look out of a weak drive, a pulse or idle to the next; 0: none
     int32_t phase_low_ticks, pulses_max;
+    int32_t hold_looks, hold_look_ticks[HOLD_LOOKS_MAX];    // phases of those looks, in turn
 };
 
 struct actuator_state {
@@ -50,6 +52,8 @@ struct actuator_state {
     double owed_j;          // requested minus delivered
     double last_excited_s;  // end of the last pulse or continuous drive
     double look_s;          // start of the newest look at the sensing phase
+    double hold_look_s;     // start of the newest look out of a weak drive ...
+    int32_t hold_look;      // ... and its number
     int32_t driving;        // continuous drive (phase above the smallest) since last_s
 };
 
@@ -106,6 +110,8 @@ int actuator_ahead(const struct actuator_params *p, const struct model_planned *
 
 // A strong drive begins with a look at the sensing phase, if one is due: where the reading is true. It shows by how much
 // that of the strong drive is off (thermal/sensing/drive_offset.h). `doubt_c`: 1 sigma of what full drive adds to it.
+// A weaker drive, a pulse also while idle, begins with a look at the next of hold_look_ticks, each hold_look_s. The heat
+// of a look stands in the timeline, where the law's prediction finds it, and in owed_j.
 int actuator_look(const struct actuator_params *p, struct actuator_state *s, double rate_k_s, double doubt_c,
                   struct phase_command *commands, int count);
 

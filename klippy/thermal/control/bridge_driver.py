@@ -33,7 +33,7 @@ PULSE_DELAY_S = (
 )
 PROMPT_S = 0.005  # to the MCU, when it matters more that a command comes soon than that it comes in time
 RESEND_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
-PLAN_MAX = 66  # commands of one step, as in bridge.h
+PLAN_MAX = 67  # commands of one step, as in bridge.h
 _INPUTS = struct.Struct("=6di4x")  # head of struct bridge_inputs
 _new_request = partial(tuple.__new__, PowerRequest)
 
