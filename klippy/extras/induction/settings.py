@@ -26,6 +26,7 @@ from ..heater import laws as heater_laws
 from .mcu import UnitSettings
 
 LOOK_SAMPLES, LONG_LOOK_SAMPLES = 16, 64
+HOLD_LOOK_S = 1.0  # a look at full drive out of a hold: 24 mJ on the reference nozzle, 85 on a strong one
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
 GUARD_LOW_C = -150.0  # a tank detuned by 0.2 % of C1 reads -90 at full drive; an open coil reads far below
 ADC_MAX_12_BIT = 4095
@@ -144,6 +145,8 @@ def _drive(config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings) -> ac
         pulses_max=max(2, math.ceil(timing.control_s / pulse_s) + 1),
         look_s=look_s,
         long_look_s=long_look_s,
+        hold_look_s=HOLD_LOOK_S,
+        hold_look_ticks=(round(law.phase_max_ticks),),
     )
 
 
