@@ -28,6 +28,8 @@ DRIFT, SUPPLY, COPPER, BALANCE, LAW, AMBIENT = range(6)
 COUNT = 6
 GATE_SIGMA = 4.0  # farther off than this: what is believed is wrong, not the witness
 STEP_C, STEP_SHARE = 1.0, 0.002  # for derivatives of k
+COIL_FAST_S, COIL_SLOW_S = 10.0, 30.0  # the coil warms and cools within these times ...
+COIL_IDLE_W, COIL_COOL_S = 1.0, 60.0  # ... and with less power it cools towards the room
 SCATTER_SHARE = 0.3  # a look's share in the mean square of what scatters
 
 
@@ -40,8 +42,7 @@ class DriftParameters:
     supply: float = 0.03  # measured: 0.003
     supply_walk: float = 2e-4
     copper: float = 0.005
-    copper_per_j: float = 3e-4  # by the heat that goes in: 1 % a cold start; one warms the coil by 20 to 80 K
-    copper_s: float = 30.0  # forgotten within this time
+    copper_per_j: float = 3e-4  # 2 % in a cold start, which warms the coil by 20 to 80 K
     balance_c: float = 10.0
     balance_walk_c: float = 0.1
     law_c: float = 3.0
@@ -70,6 +71,7 @@ class DriftState:
 
     x: list[float] = field(default_factory=lambda: [0.0] * COUNT)
     p: list[list[float]] = field(default_factory=lambda: [[0.0] * COUNT for _ in range(COUNT)])
+    mean_w: list[float] = field(default_factory=lambda: [0.0, 0.0])  # heat, of COIL_FAST_S and COIL_SLOW_S
     looked_c: float = math.nan  # what was left of the newest look
     scatter_c2: float = 100.0  # mean square of its changes
 
@@ -91,17 +93,24 @@ def fresh(parameters: DriftParameters) -> DriftState:
 
 def advance(parameters: DriftParameters, state: DriftState, dt_s: float, heat_j: float) -> None:
     """Time passes, and so much heat goes in."""
-    start = parameters.start()
     for i, sigma in enumerate(parameters.walk()):
         state.p[i][i] += sigma * sigma * dt_s
-    keep = math.exp(-dt_s / parameters.copper_s)
+    _warm_coil(parameters, state, dt_s, heat_j)
+
+
+def _warm_coil(parameters: DriftParameters, state: DriftState, dt_s: float, heat_j: float) -> None:
+    """The coil follows the power: what changes it is a power other than the usual one. Idle, it cools."""
+    for which, tau_s in ((0, COIL_FAST_S), (1, COIL_SLOW_S)):
+        share = 1.0 - math.exp(-dt_s / tau_s)
+        state.mean_w[which] += (heat_j / dt_s - state.mean_w[which]) * share
+    fast_w, slow_w = state.mean_w
+    keep = math.exp(-dt_s / COIL_COOL_S) if slow_w < COIL_IDLE_W else 1.0
     state.x[COPPER] *= keep
     for i in range(COUNT):
         state.p[i][COPPER] *= keep
         state.p[COPPER][i] *= keep
-    renewed = start[COPPER] ** 2 * (1.0 - keep * keep)
-    warmed = math.sqrt(state.p[COPPER][COPPER]) + parameters.copper_per_j * heat_j
-    state.p[COPPER][COPPER] = warmed * warmed + renewed
+    sigma = math.sqrt(state.p[COPPER][COPPER]) + parameters.copper_per_j * abs(fast_w - slow_w) * dt_s
+    state.p[COPPER][COPPER] = sigma * sigma + parameters.copper**2 * (1.0 - keep * keep)
 
 
 def observe(state: DriftState, row: list[float], residual: float, sigma: float) -> None:

@@ -156,7 +156,9 @@ class LawTable:
             if any(b <= a for a, b in itertools.pairwise(what)):
                 raise ValueError("drives (first column) and temperatures (first row) must ascend")
         if not 0.0 <= table.error_c[0] <= TRUSTED_C:
-            raise ValueError(f"has an error of {table.error_c[0]:g} C at its smallest drive, where it must be right")
+            raise ValueError(
+                f"has an error of {table.error_c[0]:g} C at its smallest drive, where it must be right"
+            )
         for added in table.added_c:
             read = [c + a for c, a in zip(table.node_c, added, strict=True)]
             if any(b <= a for a, b in itertools.pairwise(read)):
