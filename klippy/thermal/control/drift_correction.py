@@ -15,7 +15,7 @@ from thermal.sensing.pipeline import Chain
 from . import predictive
 from .loop_records import LoopParameters, LoopState
 
-SMALL_C = 0.1  # a smaller step of the correction is not worth it
+SMALL_C = 0.04  # a smaller step of the correction is not worth it
 
 
 class DriftCorrection:
@@ -53,6 +53,7 @@ class DriftCorrection:
         p, state, m = self.parameters, self.state, self.state.drift
         drift.advance(self.known, m, news.time_s, heat_j)
         drift.note_looks(m, p.estimator, self.chain.state.drive, news.temp_c, p.front.phase_max_ticks)
+        drift.note_balance(m, state.heat_balance.drift_c)
         self.chain.set_doubt(m.state.sigma_c)
         if m.is_on:
             self._follow(state.target_c - news.temp_c)

@@ -22,6 +22,8 @@ from thermal.sensing.rest import Rest
 
 # A zero farther off is another nozzle or coil. Readings below the room's may be raised further: that heats less.
 ZERO_LOW_C, ZERO_HIGH_C = -150.0, 60.0
+LEVER_EXPONENT = 2.6  # drive_offset.h: h = (phase/phase_max)^2.6
+BALANCE_EACH_S, BALANCE_SIGMA_C = 12.0, 2.0  # the heat balance averages over this time
 ZERO_SIGMA_C = 3.0  # the excess at rest must be known so well
 ZERO_EACH_S = 60.0
 WAIT_S, WAIT_C = 2.0, 2.5
@@ -159,7 +161,12 @@ def note_looks(
     )
 
 
-LEVER_EXPONENT = 2.6  # drive_offset.h: h = (phase/phase_max)^2.6
+def note_balance(m: DriftMemory, drift_c: float | None) -> None:
+    """The corrected reading less what the heat balance says; None: it says nothing now."""
+    if drift_c is None or m.time_s - m.balanced_s < BALANCE_EACH_S:
+        return
+    m.balanced_s = m.time_s
+    observer.heat_balance(m.state, drift_c + m.applied_c, BALANCE_SIGMA_C)
 
 
 def follow(m: DriftMemory, dt_s: float, below_c: float) -> float:
