@@ -65,11 +65,12 @@ class DriftCorrection:
             return
         m.applied_c = after_c
         temp_c = self.state.estimate.temp_c if self.state.estimate.valid else self.known.room_c
-        off = [before_c, 0.0, 0.0, 0.0, 0.0, 0.0]
+        off = [before_c, *[0.0] * (drift_observer.COUNT - 1)]
         full, low = p.front.phase_max_ticks, SENSING_PHASE_TICKS
         added_c = drift_observer.added_c(law, after_c, off, temp_c, full, low, p.estimator.supply)
         moved_c = before_c - after_c
         self.chain.correct(drift.corrected(p.estimator, after_c), moved_c, added_c)
+        m.looked_c = self.chain.state.drive.full_c  # no news
         memory = self.state.law
         if isinstance(memory, predictive.ModelState) and not math.isnan(memory.raw.time_s):
             nodes = memory.raw.nodes

@@ -29,6 +29,7 @@ ZERO_EACH_S = 60.0
 WAIT_S, WAIT_C = 2.0, 2.5
 GLANCE_SIGMA_C = 2.0
 LOOKS_EACH_S = 0.1
+LEVER_MIN = 0.3  # of full drive, in drive_offset.h's shape
 LOOKS_SIGMA_C = 8.0  # k in more doubt says nothing
 WAY_C = 20.0  # farther from the target than this is the way to it
 WAY_C_S, NEAR_C_S = 20.0, 0.5  # the correction moves so fast
@@ -142,7 +143,9 @@ def note_looks(
     """k of the looks, when it has learned something. `drive`: C's struct drive_offset."""
     d: object = drive
     full_c, variance, strong = d.full_c, d.variance, d.strong  # type: ignore[attr-defined]
-    if full_c == m.looked_c or m.time_s - m.looked_s < LOOKS_EACH_S or strong <= 0.0:
+    if strong < LEVER_MIN:
+        strong = 1.0  # the looks out of a hold are at full drive
+    if full_c == m.looked_c or m.time_s - m.looked_s < LOOKS_EACH_S:
         return
     if not isinstance(estimator.law, TankLaw) or variance > LOOKS_SIGMA_C**2:
         return

@@ -24,12 +24,11 @@ from dataclasses import dataclass, field, replace
 
 from thermal.sensing.laws import TankLaw
 
-DRIFT, SUPPLY, COPPER, BALANCE, LAW, AMBIENT = range(6)
-COUNT = 6
+DRIFT, SUPPLY, COPPER, WARMTH, BALANCE, LAW, AMBIENT = range(7)
+COUNT = 7
 GATE_SIGMA = 4.0  # farther off than this: what is believed is wrong, not the witness
 STEP_C, STEP_SHARE = 1.0, 0.002  # for derivatives of k
-COIL_FAST_S, COIL_SLOW_S = 10.0, 30.0  # the coil warms and cools within these times ...
-COIL_IDLE_W, COIL_COOL_S = 1.0, 60.0  # ... and with less power it cools towards the room
+COIL_S = 20.0  # the coil cools within this time
 SCATTER_SHARE = 0.3  # a look's share in the mean square of what scatters
 
 
@@ -42,7 +41,9 @@ class DriftParameters:
     supply: float = 0.03  # measured: 0.003
     supply_walk: float = 2e-4
     copper: float = 0.005
-    copper_per_j: float = 3e-4  # 2 % in a cold start, which warms the coil by 20 to 80 K
+    copper_walk: float = 2e-4
+    warmth_per_j: float = 6e-4  # 6 % in a cold start, which warms the coil by 20 to 80 K
+    power_max_w: float = 81.3
     balance_c: float = 10.0
     balance_walk_c: float = 0.1
     law_c: float = 3.0
@@ -52,12 +53,16 @@ class DriftParameters:
     ambient_walk_c: float = 0.02
 
     def start(self) -> list[float]:
-        return [self.drift_c, self.supply, self.copper, self.balance_c, self.law_c, self.ambient_c]
+        return [
+            *(self.drift_c, self.supply, self.copper, self.warmth_per_j),
+            *(self.balance_c, self.law_c, self.ambient_c),
+        ]
 
     def walk(self) -> list[float]:
         return [
             self.drift_walk_c,
             self.supply_walk,
+            self.copper_walk,
             0.0,
             self.balance_walk_c,
             self.law_walk_c,
@@ -71,7 +76,7 @@ class DriftState:
 
     x: list[float] = field(default_factory=lambda: [0.0] * COUNT)
     p: list[list[float]] = field(default_factory=lambda: [[0.0] * COUNT for _ in range(COUNT)])
-    mean_w: list[float] = field(default_factory=lambda: [0.0, 0.0])  # heat, of COIL_FAST_S and COIL_SLOW_S
+    coil_j: float = 0.0  # heat that the coil has not lost yet, as share of the nozzle's
     looked_c: float = math.nan  # what was left of the newest look
     scatter_c2: float = 100.0  # mean square of its changes
 
@@ -95,22 +100,10 @@ def advance(parameters: DriftParameters, state: DriftState, dt_s: float, heat_j:
     """Time passes, and so much heat goes in."""
     for i, sigma in enumerate(parameters.walk()):
         state.p[i][i] += sigma * sigma * dt_s
-    _warm_coil(parameters, state, dt_s, heat_j)
-
-
-def _warm_coil(parameters: DriftParameters, state: DriftState, dt_s: float, heat_j: float) -> None:
-    """The coil follows the power: what changes it is a power other than the usual one. Idle, it cools."""
-    for which, tau_s in ((0, COIL_FAST_S), (1, COIL_SLOW_S)):
-        share = 1.0 - math.exp(-dt_s / tau_s)
-        state.mean_w[which] += (heat_j / dt_s - state.mean_w[which]) * share
-    fast_w, slow_w = state.mean_w
-    keep = math.exp(-dt_s / COIL_COOL_S) if slow_w < COIL_IDLE_W else 1.0
-    state.x[COPPER] *= keep
-    for i in range(COUNT):
-        state.p[i][COPPER] *= keep
-        state.p[COPPER][i] *= keep
-    sigma = math.sqrt(state.p[COPPER][COPPER]) + parameters.copper_per_j * abs(fast_w - slow_w) * dt_s
-    state.p[COPPER][COPPER] = sigma * sigma + parameters.copper**2 * (1.0 - keep * keep)
+    # The current's square goes with the 4/3 of the heat in the nozzle.
+    full = min(1.0, heat_j / dt_s / parameters.power_max_w)
+    state.coil_j += heat_j * full ** (1.0 / 3.0)
+    state.coil_j *= math.exp(-dt_s / COIL_S)
 
 
 def observe(state: DriftState, row: list[float], residual: float, sigma: float) -> None:
@@ -178,12 +171,16 @@ def looks(
     Looks that scatter by more than `sigma_c` (ripple of the supply) are worth less: the mean square of what was not
     expected from one to the next says by how much.
     """
-    expected_c, before = added_c(law, applied_c, state.x, temp_c, strong, weak, supply), list(state.x)
+    before = list(state.x)
+    tank = list(state.x)
+    tank[COPPER] += state.x[WARMTH] * state.coil_j
+    expected_c = added_c(law, applied_c, tank, temp_c, strong, weak, supply)
     row = [0.0] * COUNT
     for i, step in ((DRIFT, STEP_C), (SUPPLY, STEP_SHARE), (COPPER, STEP_SHARE)):
-        moved = list(state.x)
+        moved = list(tank)
         moved[i] += step
         row[i] = (added_c(law, applied_c, moved, temp_c, strong, weak, supply) - expected_c) / step
+    row[WARMTH] = row[COPPER] * state.coil_j
     row[LAW] = lever
     residual = measured_c - expected_c - lever * state.x[LAW]
     if not (math.isfinite(residual) and all(map(math.isfinite, row))):
