@@ -264,9 +264,11 @@ def _heat_balance(
     )
 
 
-def _drift(config: ConfigWrapper, loss: heat_loss.LossLaw, law: laws.Law) -> drift_observer.DriftParameters:
+def _drift(
+    config: ConfigWrapper, loss: heat_loss.LossLaw, law: laws.Law, power_max_w: float
+) -> drift_observer.DriftParameters:
     """What may be wrong by how much; a measured supply is known better."""
-    default = drift_observer.DriftParameters(room_c=loss.ambient_c)
+    default = drift_observer.DriftParameters(room_c=loss.ambient_c, power_max_w=power_max_w)
     if isinstance(law, laws.TankLaw) and law.table is not None:
         default = replace(default, law_c=max(default.law_c, 2.0 * law.table.error_c[-1]))
     is_measured = config.get("vdc_pin", None, note_valid=False) is not None
@@ -303,7 +305,7 @@ def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParam
         temperature_filter.FilterParameters(loss, heat),
         balance,
         melt,
-        _drift(config, loss, law),
+        _drift(config, loss, law, drive.law.power_max_w),
     )
 
 

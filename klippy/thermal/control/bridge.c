@@ -288,7 +288,7 @@ bridge_command(const struct bridge_params *p, struct bridge_state *s, const stru
     if (count == 1)
         count += actuator_ahead(&p->actuator, r->horizon, horizon, out);
     struct phase_command head = out[0];
-    if (count && p->drive) {
+    if (count && p->drive && power_w > 0.0) {
         double heat_j_k = p->heat_25c_j_k * (1.0 + p->heat_slope_per_k * (r->estimate_c - 25.0));
         count = actuator_look(&p->actuator, &s->actuator, power_w / heat_j_k, sqrt(p->drive->variance), out, count);
     }

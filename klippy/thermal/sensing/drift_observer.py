@@ -106,15 +106,15 @@ def advance(parameters: DriftParameters, state: DriftState, dt_s: float, heat_j:
     state.coil_j *= math.exp(-dt_s / COIL_S)
 
 
-def observe(state: DriftState, row: list[float], residual: float, sigma: float) -> None:
-    """A measurement `row . error of x`, by `residual` off what is believed."""
+def observe(state: DriftState, row: list[float], residual: float, sigma: float, blame: int) -> None:
+    """A measurement `row . error of x`, by `residual` off what is believed. Far off, the state `blame` has changed."""
     p = state.p
     for _ in range(2):
         spread_by = [sum(p[i][j] * row[j] for j in range(COUNT)) for i in range(COUNT)]
         spread = sum(row[i] * spread_by[i] for i in range(COUNT)) + sigma * sigma
-        if residual * residual <= GATE_SIGMA**2 * spread or not row[DRIFT]:
+        if residual * residual <= GATE_SIGMA**2 * spread:
             break
-        p[DRIFT][DRIFT] += (residual / row[DRIFT]) ** 2
+        p[blame][blame] += (residual / row[blame]) ** 2
     gain = [s / spread for s in spread_by]
     for i in range(COUNT):
         state.x[i] += gain[i] * residual
@@ -131,14 +131,14 @@ def cold_zero(state: DriftState, off_c: float, sigma_c: float) -> None:
     """The law's own reading of a rested nozzle is `off_c` above the room."""
     row = [0.0] * COUNT
     row[DRIFT] = row[AMBIENT] = 1.0
-    observe(state, row, off_c - state.x[DRIFT] - state.x[AMBIENT], sigma_c)
+    observe(state, row, off_c - state.x[DRIFT] - state.x[AMBIENT], sigma_c, DRIFT)
 
 
 def heat_balance(state: DriftState, off_c: float, sigma_c: float) -> None:
     """The law's own reading is `off_c` above the temperature that explains the heat."""
     row = [0.0] * COUNT
     row[DRIFT] = row[BALANCE] = 1.0
-    observe(state, row, off_c - state.x[DRIFT] - state.x[BALANCE], sigma_c)
+    observe(state, row, off_c - state.x[DRIFT] - state.x[BALANCE], sigma_c, BALANCE)
 
 
 def added_c(
@@ -187,5 +187,5 @@ def looks(
         return
     if not math.isnan(state.looked_c):
         state.scatter_c2 += SCATTER_SHARE * ((residual - state.looked_c) ** 2 - state.scatter_c2)
-    observe(state, row, residual, math.hypot(sigma_c, math.sqrt(state.scatter_c2)))
+    observe(state, row, residual, math.hypot(sigma_c, math.sqrt(state.scatter_c2)), LAW)
     state.looked_c = residual - sum(r * (x - b) for r, x, b in zip(row, state.x, before, strict=True))
