@@ -100,7 +100,7 @@ class InductionHeater:
         self._timer: Any = None
         self._run: Sweep | OutputRun | None = None  # in calibration
         self._view: SweepView | None = None  # the run commands the bridge
-        self._control = parameters.control  # without a run
+        self._before = parameters  # a run
         self.planner: Planner | None = None
         self._quiet_s = -math.inf
         self._warned = ""
@@ -287,8 +287,10 @@ class InductionHeater:
             raise self.printer.command_error(f"Turn heater '{self.name}' off before calibrating it")
         if isinstance(run, OutputRun):
             self._refuse_uncalibrated()
-            self._control = self.parameters.control
-            self.use(replace(self.parameters, control=as_control(run, self.output_max)))
+            self._before = self.parameters
+            still = replace(self.parameters.actuator, hold_look_s=0.0)
+            control = as_control(run, self.output_max)
+            self.use(replace(self.parameters, control=control, actuator=still, drift=None))
             self._set_target(run.target_c)
         else:
             self._view = SweepView(run, self.parameters, self._now_s())
@@ -307,7 +309,9 @@ class InductionHeater:
             self.loop.resume(self._now_s())
         else:
             self._set_target(0.0)
-            self.use(replace(self.parameters, control=self._control))
+            before = self._before
+            looks = replace(self.parameters.actuator, hold_look_s=before.actuator.hold_look_s)
+            self.use(replace(self.parameters, control=before.control, actuator=looks, drift=before.drift))
         self._run = None
 
     @property

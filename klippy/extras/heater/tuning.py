@@ -61,6 +61,9 @@ class _Overlay:
     def get(self, option: str, *args: Any, **kwargs: Any) -> Any:
         return self._of(option).get(option, *args, **kwargs)
 
+    def getlists(self, option: str, *args: Any, **kwargs: Any) -> Any:
+        return self._of(option).getlists(option, *args, **kwargs)
+
     def getfloat(self, option: str, *args: Any, **kwargs: Any) -> Any:
         return self._of(option).getfloat(option, *args, **kwargs)
 

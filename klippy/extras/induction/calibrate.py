@@ -17,7 +17,7 @@ from gcode import GCodeCommand
 from roles import Printer
 from thermal.identification import sweep
 from thermal.models import heat_loss
-from thermal.sensing import heat_balance_monitor, laws, temperature_filter
+from thermal.sensing import drift, heat_balance_monitor, laws, temperature_filter
 
 from ..heater import run as heater_run
 from ..heater import tuning as heater_tuning
@@ -209,7 +209,8 @@ class InductionCalibrate:
                 " Run INDUCTION_CALIBRATE"
             )
         law, supply = parameters.estimator.law, parameters.estimator.supply
-        error = law.error(news.temp_c, news.phase_ticks, supply)
+        used = drift.corrected(parameters.estimator, state.drift.applied_c).law
+        error = used.error(news.temp_c, news.phase_ticks, supply)
         law = law.rezeroed(temp_c, error, news.phase_ticks, supply)
         self.heater.use(replace(parameters, estimator=replace(parameters.estimator, law=law)))
         self.heater.loop.restart_filter()

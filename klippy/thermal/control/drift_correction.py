@@ -15,7 +15,7 @@ from thermal.sensing.pipeline import Chain
 from . import predictive
 from .loop_records import LoopParameters, LoopState
 
-SMALL_C = 0.04  # a smaller step of the correction is not worth it
+SMALL_C = 0.01  # a smaller step of the correction is not worth it
 
 
 class DriftCorrection:

@@ -183,7 +183,7 @@ class InductionLoop:
         self.chain.restart_filter()
         self.state.law = self._parameters.control.law.start
         self.state.heat_balance = heat_balance_monitor.HeatBalanceState()
-        self.state.drift = drift.DriftMemory()
+        self.state.drift = drift.DriftMemory(is_calibrated=True)
         self.parameters = self._parameters
         self.state.warning = ""
 

@@ -24,6 +24,7 @@ from thermal.sensing.rest import Rest
 ZERO_LOW_C, ZERO_HIGH_C = -150.0, 60.0
 LEVER_EXPONENT = 2.6  # drive_offset.h: h = (phase/phase_max)^2.6
 BALANCE_EACH_S, BALANCE_SIGMA_C = 12.0, 2.0  # the heat balance averages over this time
+CALIBRATED_C = 1.0  # what a calibration leaves
 ZERO_SIGMA_C = 3.0  # the excess at rest must be known so well
 ZERO_EACH_S = 60.0
 WAIT_S, WAIT_C = 2.0, 2.5
@@ -32,7 +33,7 @@ LOOKS_EACH_S = 0.1
 LEVER_MIN = 0.3  # of full drive, in drive_offset.h's shape
 LOOKS_SIGMA_C = 8.0  # k in more doubt says nothing
 WAY_C = 20.0  # farther from the target than this is the way to it
-WAY_C_S, NEAR_C_S = 20.0, 0.5  # the correction moves so fast
+WAY_C_S, NEAR_C_S = 20.0, 0.2  # the correction moves so fast
 NAMED_C = 10.0  # drift beyond this is named, if it is surely so much
 
 
@@ -52,6 +53,7 @@ class DriftMemory:
     looked_s: float = -math.inf
     balanced_s: float = -math.inf
     is_on: bool = False
+    is_calibrated: bool = False  # just now: nothing has drifted yet
 
 
 def tau_s(balance: HeatBalanceParameters) -> float:
@@ -66,6 +68,9 @@ def begin(p: DriftParameters, m: DriftMemory, time_s: float) -> None:
     m.rest.restart()
     m.zeroed_s = m.judged_s = m.looked_s = m.balanced_s = -math.inf
     m.since_s, m.is_on = time_s, False
+    if m.is_calibrated:
+        m.state.p[observer.DRIFT][observer.DRIFT] = CALIBRATED_C**2
+        m.zeroed_s = time_s
 
 
 def advance(p: DriftParameters, m: DriftMemory, time_s: float, heat_j: float) -> None:
