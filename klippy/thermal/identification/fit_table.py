@@ -14,7 +14,7 @@ from . import fit_sensing
 from .fit_sensing import Array, FitError, Points
 
 SMOOTH_C = 8.0  # 1 sigma of a second difference between nodes some 45 degC apart
-SCATTER_C = 0.3  # of a point, at the least
+SCATTER_C = 0.3  # minimum, of a point
 POINTS_MIN = 4  # of a drive; one with fewer has no row
 SLOPE_MIN = 0.15  # of the reading over the tank law's temperature; less says nothing of the temperature
 PASSES = 3

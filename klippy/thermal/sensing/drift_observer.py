@@ -26,7 +26,7 @@ from thermal.sensing.laws import TankLaw
 
 DRIFT, SUPPLY, COPPER, WARMTH, BALANCE, LAW, AMBIENT = range(7)
 COUNT = 7
-GATE_SIGMA = 4.0  # farther off than this: what is believed is wrong, not the witness
+GATE_SIGMA = 4.0  # farther off than this: the state is wrong, not the witness
 STEP_C, STEP_SHARE = 1.0, 0.002  # for derivatives of k
 COIL_S = 20.0  # the coil cools within this time
 SCATTER_SHARE = 0.3  # a look's share in the mean square of what scatters
@@ -107,7 +107,7 @@ def advance(parameters: DriftParameters, state: DriftState, dt_s: float, heat_j:
 
 
 def observe(state: DriftState, row: list[float], residual: float, sigma: float, blame: int) -> None:
-    """A measurement `row . error of x`, by `residual` off what is believed. Far off, the state `blame` has changed."""
+    """A measurement `row . error of x`, by `residual` off the estimate's. Far off, the state `blame` has changed."""
     p = state.p
     for _ in range(2):
         spread_by = [sum(p[i][j] * row[j] for j in range(COUNT)) for i in range(COUNT)]
@@ -120,11 +120,6 @@ def observe(state: DriftState, row: list[float], residual: float, sigma: float, 
         state.x[i] += gain[i] * residual
         for j in range(COUNT):
             p[i][j] -= gain[i] * spread_by[j]
-
-
-def unsure(state: DriftState, which: int, sigma: float) -> None:
-    """A state has changed by about this much."""
-    state.p[which][which] += sigma * sigma
 
 
 def cold_zero(state: DriftState, off_c: float, sigma_c: float) -> None:

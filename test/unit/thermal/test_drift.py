@@ -53,7 +53,7 @@ def test_a_detuned_tank_adds_nearly_twice_its_drift_at_full_drive_and_a_supply_l
 
 
 @pytest.mark.parametrize(("drift_c", "supply"), [(0.0, 0.03), (15.0, 0.0), (-15.0, -0.03)])
-def test_the_climb_tells_supply_and_detuning_apart(drift_c: float, supply: float) -> None:
+def test_the_climb_separates_supply_from_detuning(drift_c: float, supply: float) -> None:
     state = climbed(drift_c, supply, 6.0)
     assert abs(state.drift_c - drift_c) < 2.0 * state.sigma_c < 12.0
     assert state.x[SUPPLY] == pytest.approx(supply, abs=0.01)
