@@ -351,7 +351,7 @@ class PrinterConfig:
         return ConfigWrapper(self.printer, data, self._access, "printer")
 
     def check_absent_sections(self, has_module: Callable[[str], bool]) -> list[str]:
-        """Before modules are loaded: refuse or leave out what Klipper has and we do not.
+        """Before modules are loaded: leave out what Klipper has and we do not.
 
         Returns the modules that sections left out would have loaded.
         """
@@ -363,6 +363,10 @@ class PrinterConfig:
             respond = self.printer.lookup_object("gcode").respond_info
             self.printer.register_event_handler("klippy:ready", lambda: respond(text, log=False))
         return [module for name, module in configabsent.BROUGHT_ALONG.items() if name in left_out]
+
+    def sections_left_out(self) -> frozenset[str]:
+        """Names of the sections that no module reads."""
+        return self._left_out
 
     def check_unused_options(self, config: ConfigWrapper) -> None:
         """Raise for all sections and options that no module asked for; then note all settings."""

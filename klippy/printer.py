@@ -10,6 +10,7 @@ from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
+import absentpins
 import chelper
 import configfile
 import extras
@@ -189,6 +190,7 @@ class Printer:
         brought_along = loader.check_absent_sections(lambda name: _locate_extra(name) is not None)
         for name in self.CORE_FIRST:
             importlib.import_module(name).add_printer_objects(config)
+        absentpins.register(self, loader.sections_left_out())
         for name in brought_along:
             self.load_object(config, name)
         for section in config.get_prefix_sections(""):
