@@ -37,11 +37,6 @@ DISPENSABLE = (
         frozenset({"hall_filament_width_sensor", "tsl1401cl_filament_width_sensor"}),
         "the filament's width is not measured, the flow is not corrected by it",
     ),
-    Dispensable(
-        frozenset({"axis_twist_compensation", "bed_tilt", "temperature_probe", "z_thermal_adjust"}),
-        "heights are not corrected by it",
-    ),
-    Dispensable(frozenset({"delta_calibrate"}), "DELTA_CALIBRATE and DELTA_ANALYZE do not exist"),
     Dispensable(frozenset({"angle", "load_cell"}), "the sensor is not read"),
     Dispensable(frozenset({"palette2"}), "the Palette is not driven: print with one filament only"),
     Dispensable(frozenset({"replicape", "sx1509"}), "outputs on its pins do nothing"),
