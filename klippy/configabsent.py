@@ -6,6 +6,7 @@ elsewhere in the config (absentpins.py): outputs do nothing, and homing with suc
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
@@ -55,9 +56,19 @@ PIN_CHIPS: dict[str, str | None] = {
 }
 
 
+_READ_LAST = re.compile(
+    r"mcu|printer|stepper(_\w+)?|extruder\d*|carriage|extra_carriage|dual_carriage", re.IGNORECASE
+)
+
+
 def kind_of(section: str) -> str:
     """The word that says which module a section is for."""
     return section.split(maxsplit=1)[0]
+
+
+def is_read_last(section: str) -> bool:
+    """Whether boards or the toolhead read a section, rather than a module of its name."""
+    return _READ_LAST.fullmatch(kind_of(section)) is not None
 
 
 def find_left_out(

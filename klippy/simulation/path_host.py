@@ -92,8 +92,9 @@ class PathConfig(configfile.PrinterConfig):
         complete(self._data)
         return wrapper
 
-    def check_unused_options(self, config: Any) -> None:
-        """The printer refuses unknown commands; the path does not depend on them."""
+    def unused_options(self, failed: set[str]) -> list[str]:
+        """The printer refuses unknown options; the path does not depend on them."""
+        return []
 
 
 def complete(data: ConfigData) -> None:

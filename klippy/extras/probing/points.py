@@ -69,7 +69,9 @@ class ProbePointsHelper:
         probe = self.printer.lookup_object("probe", None)
         method = gcmd.get("METHOD", "automatic").lower()
         if method in SCANS:
-            raise gcmd.error(f"METHOD={method} needs a probe that measures while it moves; use METHOD=automatic")
+            raise gcmd.error(
+                f"METHOD={method} needs a probe that measures while it moves; use METHOD=automatic"
+            )
         if method not in ("automatic", "manual"):
             raise gcmd.error(f"METHOD is '{method}'; it can be automatic or manual")
         self.horizontal_move_z = gcmd.get_float("HORIZONTAL_MOVE_Z", self.default_horizontal_move_z)

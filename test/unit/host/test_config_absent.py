@@ -158,6 +158,26 @@ def test_sections_and_options_nobody_knows_are_refused_all_at_once(tmp_path: Pat
     ]
 
 
+def test_the_problems_of_several_sections_are_named_at_once(tmp_path: Path) -> None:
+    """Of each its first; what only follows from another one is not repeated."""
+    text = start_error(
+        tmp_path,
+        "[pause_resume]\nrecover_velocity: fast\n[idle_timeout]\ntimeout: -1\n[respond]\ndefault_tpe: echo\n"
+        "[gcode_macro A]\ngcode: {% if %}\n[firmware_retraction]\nretract_speed: 0\n"
+        "[output_pin light]\npin: no_chip:PA1\n",
+    )
+    named = [line.partition(":")[0] for line in text.splitlines()]
+    for start in (
+        "Option 'recover_velocity' in section 'pause_resume'",
+        "Option 'timeout' in section 'idle_timeout'",
+        "Option 'default_tpe' is not valid in section 'respond' (printer.cfg, line 6). Did you mean 'default_type'?",
+    ):
+        assert start in named
+    assert "Unknown pin chip name" not in text
+    assert "(printer.cfg, line 8)" in text, "the macro"
+    assert "(printer.cfg, line 10)" in text, "the retraction"
+
+
 def test_a_plugin_may_bring_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "__path__", list(extras.__path__))
     (tmp_path / "plugins").mkdir()
