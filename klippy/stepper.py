@@ -14,7 +14,7 @@ from typing import Any
 import chelper
 import motionlimits
 import stepstream
-from motionlimits import LENGTH, POSITION, SPEED
+from motionlimits import LENGTH, POSITION, SPEED, TRAVEL
 
 QUEUE_STEP = "queue_step oid=%c interval=%u count=%hu add=%hi"
 SET_NEXT_STEP_DIR = "set_next_step_dir oid=%c dir=%c"
@@ -414,8 +414,8 @@ class GenericPrinterRail:
         mcu_endstop = self._main_endstop(config)
         self.position_endstop = self._find_position_endstop(config, mcu_endstop, default_position_endstop)
         if need_position_minmax:
-            self.position_min = config.getfloat("position_min", 0.0, **POSITION)
-            self.position_max = config.getfloat("position_max", above=self.position_min, **POSITION)
+            self.position_min = config.getfloat("position_min", 0.0, **TRAVEL)
+            self.position_max = config.getfloat("position_max", above=self.position_min, **TRAVEL)
         else:
             self.position_min, self.position_max = 0.0, self.position_endstop
         if not self.position_min <= self.position_endstop <= self.position_max:

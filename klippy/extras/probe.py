@@ -186,7 +186,8 @@ class PrinterProbe:
             raise self.printer.command_error("Must home before probe")
         target = toolhead.get_position()
         target[2] = status["axis_minimum"][2]
-        place = self.mcu_probe.probing_move(target, speed)
+        place = list(self.mcu_probe.probing_move(target, speed))
+        self.printer.send_event("probe:update_results", place)  # [axis_twist_compensation] corrects it
         self.printer.lookup_object("gcode").respond_info(
             f"probe at {place[0]:.3f},{place[1]:.3f} is z={place[2]:.6f}"
         )

@@ -13,6 +13,7 @@ from .. import manual_probe
 Point = Sequence[float]
 # finalize(offsets of the probe, nozzle's places at the triggers); "retry": probe all again
 Finalize = Callable[[Any, list[list[float]]], Any]
+SCANS = ("scan", "rapid_scan")
 NO_OFFSETS = (0.0, 0.0, 0.0)
 
 
@@ -67,6 +68,10 @@ class ProbePointsHelper:
         manual_probe.verify_no_manual_probe(self.printer)
         probe = self.printer.lookup_object("probe", None)
         method = gcmd.get("METHOD", "automatic").lower()
+        if method in SCANS:
+            raise gcmd.error(
+                f"METHOD={method} needs a probe that measures while it moves; use METHOD=automatic"
+            )
         if method not in ("automatic", "manual"):
             raise gcmd.error(f"METHOD is '{method}'; it can be automatic or manual")
         self.horizontal_move_z = gcmd.get_float("HORIZONTAL_MOVE_Z", self.default_horizontal_move_z)
