@@ -156,10 +156,10 @@ class PrinterGCodeMacro:
 
 
 def parse_literal(text: str) -> Any:
-    """A Python literal that JSON can express; ValueError otherwise."""
+    """A Python literal that JSON can express, of finite numbers; ValueError otherwise."""
     try:
         value = ast.literal_eval(text)
-        json.dumps(value)
+        json.dumps(value, allow_nan=False)
     except (SyntaxError, TypeError, ValueError, RecursionError, MemoryError) as e:
         raise ValueError(str(e)) from None
     return value

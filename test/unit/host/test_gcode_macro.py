@@ -169,3 +169,13 @@ def test_the_documented_macros_take_no_name_of_ours() -> None:
         if line.startswith("[gcode_macro ")
     }
     assert names and not names & OWN_COMMANDS
+
+
+@pytest.mark.parametrize("value", ["1e999", "[1, -1e999]", "{'a': 1e999}"])
+def test_a_variable_is_no_number_without_an_end(tmp_path: Path, value: str) -> None:
+    def body(s: Session) -> None:
+        with pytest.raises(s.gcode.error, match="Unable to parse"):
+            s.gcode.run_script(f'SET_GCODE_VARIABLE MACRO=A VARIABLE=x VALUE="{value}"')
+        assert s.status("gcode_macro A") == {"x": 1}
+
+    Session(tmp_path, "[gcode_macro A]\nvariable_x: 1\ngcode:\n").run(body)
