@@ -1,8 +1,8 @@
 """[gcode_macro NAME]: commands made of G-code templates (Jinja2), and templates for other modules.
 
 Templates are rendered completely before their first line runs. They run in Jinja's sandbox: they read printer status
-and compute, nothing else. They may change their own dicts and lists, also by `d.__setitem__(key, value)`: Jinja has no
-statement for that.
+and compute, nothing else, within the limits of macros/limits.py. They may change their own dicts and lists, also by
+`d.__setitem__(key, value)`: Jinja has no statement for that.
 """
 
 from __future__ import annotations
@@ -14,17 +14,18 @@ from collections.abc import Iterator
 from typing import Any
 
 import jinja2
-import jinja2.sandbox
 
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
 from gcode_command import is_traditional
 from roles import Printer
 
+from .macros.limits import BUDGET, Budget, LimitedSandbox
+
 CONTAINER_METHODS = frozenset({"__contains__", "__delitem__", "__getitem__", "__len__", "__setitem__"})
 
 
-class MacroSandbox(jinja2.sandbox.SandboxedEnvironment):
+class MacroSandbox(LimitedSandbox):
     """Jinja's sandbox forbids names that begin with two underscores. Here a container's items are an exception."""
 
     def is_safe_attribute(self, obj: Any, attr: str, value: Any) -> bool:
@@ -84,7 +85,8 @@ class TemplateWrapper:
     def render(self, context: dict[str, Any] | None = None) -> str:
         """The text; problems of the template come out as command errors."""
         try:
-            return self._template.render(self.create_template_context() if context is None else context)
+            values = self.create_template_context() if context is None else context
+            return self._template.render({**values, BUDGET: Budget(self.printer.get_reactor())})
         except self._gcode.error:
             raise
         except Exception as e:
