@@ -364,6 +364,10 @@ class PrinterConfig:
             self.printer.register_event_handler("klippy:ready", lambda: respond(text, log=False))
         return [module for name, module in configabsent.BROUGHT_ALONG.items() if name in left_out]
 
+    def left_out(self) -> list[str]:
+        """Sections of the config that the printer works without."""
+        return sorted(self._left_out)
+
     def check_unused_options(self, config: ConfigWrapper) -> None:
         """Raise for all sections and options that no module asked for; then note all settings."""
         known_sections = {section for section, _ in self._access}

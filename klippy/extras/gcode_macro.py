@@ -212,11 +212,17 @@ class GCodeMacro:
 
     def _take_over(self, new_name: str, description: str) -> None:
         previous = self.gcode.register_command(self.alias, None)
-        if previous is None:
+        if previous is not None:
+            self.gcode.register_command(new_name, previous, desc=f"Renamed builtin of '{self.alias}'")
+        elif left_out := self.printer.lookup_object("configfile").left_out():
+            self.printer.lookup_object("configfile").runtime_warning(
+                f"Macro '{self.alias}': there is no command to rename to {new_name}; it may be one of the"
+                f" sections that Ferrite does not have yet: {', '.join(left_out)}"
+            )
+        else:
             raise self.printer.config_error(
                 f"Existing command '{self.alias}' not found in gcode_macro rename"
             )
-        self.gcode.register_command(new_name, previous, desc=f"Renamed builtin of '{self.alias}'")
         self.gcode.register_command(self.alias, self.cmd, desc=description)
 
     def get_status(self, eventtime: float) -> dict[str, Any]:

@@ -12,6 +12,7 @@ import harness  # isort: skip
 
 import argparse
 import csv
+import functools
 import itertools
 import json
 import os
@@ -154,7 +155,7 @@ def script(text: str, words: str, path: Path) -> None:
 
 
 def misdeeds() -> list[Callable[[Path], None]]:
-    scripts = [lambda path, row=row: script(*row, path) for row in SCRIPTS]
+    scripts = [functools.partial(script, text, words) for text, words in SCRIPTS]
     return [flood, subscribe, long_request, nested, many_clients, half_a_request, deaf, *scripts]
 
 
