@@ -25,7 +25,7 @@ MIN_SPEED_MM_S = 1.0
 STATE = "_firmware_retraction"
 
 
-def _bounds(name: str) -> dict[str, float]:
+def _bounds(name: str) -> dict[str, Any]:
     is_length = name.endswith("_length")
     return {
         "minval": 0.0 if is_length else MIN_SPEED_MM_S,
