@@ -39,6 +39,7 @@ _NEVER = 9999999999999999.0
 # A timer that asks for a moment nearer than this gets it so much later: less than the clock resolves is the same one,
 # and virtual time, which waits for timers, would stand.
 _STEP_MIN_S = 1e-6
+_NEW_WORKER = object()  # asked of the greenlet in run()
 _COMPACT_MARGIN = 256  # stale heap entries tolerated before the heap is rebuilt
 
 
@@ -400,8 +401,9 @@ class Reactor:
         if not isinstance(current, _Worker):
             return self._pause_outside(waketime)
         self.update_timer(current.wake, waketime)
-        spare = self._spare.pop() if self._spare else self._new_worker()
-        result: float = spare.switch()
+        # a greenlet begins at the stack depth of whoever starts it: many that sleep would reach the limit
+        assert self._main is not None
+        result: float = self._spare.pop().switch() if self._spare else self._main.switch(_NEW_WORKER)
         return result
 
     def _pause_outside(self, waketime: float) -> float:
@@ -466,7 +468,8 @@ class Reactor:
         try:
             worker = self._spare.pop() if self._spare else self._new_worker()
             worker.parent = self._main
-            worker.switch()
+            while worker.switch() is _NEW_WORKER:
+                worker = self._new_worker()
         finally:
             self._running = False
 
