@@ -37,6 +37,7 @@ LINE_LATENCY_S = 0.0005  # a USB serial adapter's turn-round, both directions al
 FAN_SPIN_UP_S = 0.2
 CHIP_TEMP_C = 40.0  # a room of 25 C and what the chip's own losses add on a small board
 FILAMENT_DIAMETER_MM = 1.75
+SUPPLY_DELAY_S = 0.001  # a solid-state switch; a relay takes 15 ms
 NOZZLE_PRESETS = ("reference", "strong", "light", "real")
 MCU_BUILDS = ("simulator", "stm32f334", "atmega2560")
 
@@ -104,6 +105,9 @@ class NozzleSettings:
     profiles: Mapping[str, Profile]
     vdc_pin: str | None  # None: as in [induction_heater NAME]
     vdc_scale_v: float | None
+    enable_pin: str | None  # likewise: closes the switch in the bridge's supply
+    supply_delay_s: float
+    supply_watchdog_s: float  # 0: the pin's level counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -272,6 +276,7 @@ def _read_parameters(config: ConfigWrapper, table_name: str, own: set[str]) -> d
 
 def _read_nozzle(config: ConfigWrapper, name: str) -> NozzleSettings:
     own = {"mcu", "preset", "filament_axis", "filament_diameter", "fan", "vdc_pin", "vdc_scale"}
+    own |= {"enable_pin", "supply_delay", "supply_watchdog"}
     parameters = _read_parameters(config, "nozzle", own)
     return NozzleSettings(
         name=name,
@@ -283,6 +288,9 @@ def _read_nozzle(config: ConfigWrapper, name: str) -> NozzleSettings:
         profiles={option: profile for option, profile in parameters.items() if len(profile) > 1},
         vdc_pin=config.get("vdc_pin", None),
         vdc_scale_v=config.getfloat("vdc_scale", None, above=0.0),
+        enable_pin=config.get("enable_pin", None),
+        supply_delay_s=config.getfloat("supply_delay", SUPPLY_DELAY_S, minval=0.0, maxval=1.0),
+        supply_watchdog_s=config.getfloat("supply_watchdog", 0.0, minval=0.0, maxval=1.0),
     )
 
 

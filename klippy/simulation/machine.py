@@ -354,7 +354,14 @@ def _add_nozzle(machine: Machine, nozzle: NozzleSettings, config: Config) -> int
         machine.world.add_supply_sensor(
             index, parse_pin(pin, machine, f"Section '{where}', vdc_pin"), full_scale_v
         )
+    _add_supply_switch(machine, nozzle, index, heater.get("enable_pin"))
     return index
+
+
+def _add_supply_switch(machine: Machine, nozzle: NozzleSettings, index: int, assumed: str | None) -> None:
+    if pin := nozzle.enable_pin or assumed:
+        enable = parse_pin(pin, machine, f"Section 'simulator nozzle {nozzle.name}', enable_pin")
+        machine.world.add_supply_switch(index, enable, nozzle.supply_delay_s, nozzle.supply_watchdog_s)
 
 
 def _add_reference(machine: Machine, reference: ReferenceSettings, config: Config) -> int:

@@ -52,7 +52,7 @@ static double half_sine(const struct plant *p)
     return sin(0.5 * pi * phase_in_force(p) / phase_full_ticks);
 }
 
-static double electrical_power(const struct plant *p, double metal_w)
+double plant_electrical_power(const struct plant *p, double metal_w)
 {
     const double s = half_sine(p);
     if (s <= 0)
@@ -64,7 +64,9 @@ static double electrical_power(const struct plant *p, double metal_w)
 
 double plant_loaded_supply(const struct plant *p)
 {
-    const double sag_v = p->v.supply_ohm * electrical_power(p, 0) / fmax(p->v.supply_v, 1.0);
+    if (p->supply_open)
+        return 0;
+    const double sag_v = p->v.supply_ohm * plant_electrical_power(p, 0) / fmax(p->v.supply_v, 1.0);
     return fmax(p->v.supply_v - sag_v, 0.0);
 }
 
@@ -76,7 +78,7 @@ static double mean_supply(const struct plant *p)
 
 double plant_supply(const struct plant *p)
 {
-    const double ripple_v = p->v.ripple_v == 0 ? 0 : p->v.ripple_v * sin(2 * pi * p->v.ripple_hz * p->time_s);
+    const double ripple_v = p->v.ripple_v == 0 || p->supply_open ? 0 : p->v.ripple_v * sin(2 * pi * p->v.ripple_hz * p->time_s);
     return mean_supply(p) + ripple_v;
 }
 
@@ -181,6 +183,14 @@ void plant_set_phase(struct plant *p, double phase_ticks)
         drive_stepped(p);
 }
 
+void plant_set_supply(struct plant *p, int open)
+{
+    if (open == p->supply_open)
+        return;
+    p->supply_open = open;
+    drive_stepped(p);
+}
+
 void plant_set_inputs(struct plant *p, double flow_mm3_s, double fan)
 {
     p->flow_in = fmax(flow_mm3_s, 0.0); // retraction pulls no heat out
@@ -213,7 +223,7 @@ void plant_read(const struct plant *p, struct plant_outputs *out)
         .coil_c = p->effects.coil_c,
         .supply_v = plant_supply(p),
         .power_w = metal_w,
-        .electrical_w = electrical_power(p, metal_w),
+        .electrical_w = plant_electrical_power(p, metal_w),
         .flow_mm3_s = p->flow,
     };
 }

@@ -46,7 +46,7 @@
   X(supply_ohm,           "ohm",    0.0,      0.0,      0.03,     0,    1,    "supply and cable resistance: sag under load")   \
   X(ripple_v,             "V",      0.0,      0.0,      0.12,     0,    20,   "amplitude of the supply's sine ripple")         \
   X(ripple_hz,            "Hz",     100.0,    100.0,    100.0,    0.1,  5e4,  "frequency of that ripple")                      \
-  X(bus_uf,               "uF",     0.0,      0.0,      2200,     0,    1e5,  "bus capacitor behind supply_ohm; 0: the bus follows at once [assumed]") \
+  X(bus_uf,               "uF",     0.0,      0.0,      2200,     0,    1e5,  "bus capacitor behind supply_ohm and enable_pin; 0: the bus follows at once [assumed]") \
   X(vdc_gain,             "",       1.0,      1.0,      1.004,    0.5,  2,    "what the divider of vdc_pin reads of the bus voltage: 1 % resistors [assumed]") \
   X(vdc_noise_lsb,        "LSB",    0.0,      0.0,      1.0,      0,    100,  "noise at vdc_pin, rms [assumed]")               \
   X(switch_ohm,           "ohm",    0.0,      0.0,      0.02,     0,    1,    "two switches of the bridge in series with the tank: 10 mohm each [assumed]") \

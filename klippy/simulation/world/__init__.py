@@ -265,6 +265,13 @@ class World:
         """The voltage of a nozzle's bridge at a pin, by a divider."""
         self._index(self.lib.world_add_supply_sensor(self.pointer, nozzle, self.pin(pin), full_scale_v))
 
+    def add_supply_switch(self, nozzle: int, enable: Pin, delay_s: float, watchdog_s: float) -> None:
+        """A switch in the supply of a nozzle's bridge."""
+        options = self.ffi.new(
+            "struct world_supply_switch_options *", (self.pin(enable), delay_s, watchdog_s)
+        )
+        self._index(self.lib.world_add_supply_switch(self.pointer, nozzle, options))
+
     def add_profile(self, nozzle: int, name: str, points: Sequence[tuple[float, float]]) -> None:
         """A parameter of a nozzle over time: (s since the start, value), straight lines between."""
         number = list(parameter_tables()["nozzle"]).index(name)
@@ -315,6 +322,10 @@ class World:
         record = self.ffi.new(f"struct {kind} *")
         fill(self.pointer, *index, record)
         return {name: getattr(record, name) for name, _ in self.ffi.typeof(f"struct {kind}").fields}
+
+    def nozzle(self, index: int) -> dict[str, Any]:
+        """struct world_nozzle_state"""
+        return self._record("world_nozzle_state", self.lib.world_nozzle, index)
 
     def axis(self, index: int) -> dict[str, Any]:
         """struct world_axis_state"""

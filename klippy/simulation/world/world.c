@@ -211,6 +211,24 @@ int world_add_supply_sensor(struct world *w, int nozzle, struct world_pin pin, d
     return 0;
 }
 
+int world_add_supply_switch(struct world *w, int nozzle, const struct world_supply_switch_options *options)
+{
+    struct machine *m = &w->machine;
+    const struct world_pin pin = options->enable;
+    if (nozzle < 0 || nozzle >= m->nozzle_count || options->delay_s < 0.0 || options->watchdog_s < 0.0)
+        return world_fail(w, "supply switch: no such nozzle, or a negative time");
+    if (pin.mcu < 0 || pin.mcu >= MACHINE_MCUS || pin.pin < 0 || pin.pin >= MACHINE_PINS)
+        return world_fail(w, "supply switch: its pin is out of range");
+    struct machine_pin *p = &m->pins[pin.mcu][pin.pin];
+    p->role = PIN_ENABLE;
+    p->target = (uint8_t)nozzle;
+    p->level = (uint8_t)(pin.inverted != 0);
+    struct nozzle *n = &m->nozzles[nozzle];
+    n->supply_switch = (struct supply_switch){ .options = *options, .present = 1 };
+    plant_set_supply(&n->plant, 1);
+    return 0;
+}
+
 int world_add_profile(struct world *w, int nozzle, int index, const double *times_s, const double *values, int count)
 {
     struct machine *m = &w->machine;
@@ -395,6 +413,20 @@ void world_link(const struct world *w, int mcu, struct world_link_state *out)
         .duplicated = down->duplicated + up->duplicated,
         .overflowed = down->overflowed + up->overflowed,
     };
+}
+
+int world_nozzle(const struct world *w, int nozzle, struct world_nozzle_state *out)
+{
+    if (nozzle < 0 || nozzle >= w->machine.nozzle_count)
+        return 0;
+    const struct nozzle *n = &w->machine.nozzles[nozzle];
+    struct plant_outputs now;
+    plant_read(&n->plant, &now);
+    *out = (struct world_nozzle_state){
+        .skin_c = now.skin_c, .power_w = now.power_w, .supply_v = now.supply_v, .phase_ticks = n->phase,
+        .supply_closed = !n->plant.supply_open,
+    };
+    return 1;
 }
 
 double world_nozzle_temperature(const struct world *w, int nozzle)

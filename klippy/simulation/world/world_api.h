@@ -31,6 +31,19 @@ struct world_reference_options {
     double gain, tau_s, volt_per_k, adc_volt, noise_lsb;
 };
 
+/* The switch between supply and bus of a nozzle's bridge, delay_s behind its pin; watchdog_s > 0: closed only while edges
+ * of the pin come at least so often. */
+struct world_supply_switch_options {
+    struct world_pin enable;
+    double delay_s, watchdog_s;
+};
+
+/* A nozzle and its bridge now. phase_ticks: as commanded; power_w: into the metal. */
+struct world_nozzle_state {
+    double skin_c, power_w, supply_v;
+    int phase_ticks, supply_closed;
+};
+
 enum { WORLD_PROBE_MOTORS = 4 };
 
 /* Height of the bed over x and y (mm, in the coordinates of the axes): a plane and one bump of Gauss' shape. */
@@ -125,8 +138,10 @@ int world_add_load(struct world *w, const double *parameters, int is_bed, struct
 int world_add_reference(struct world *w, const struct world_reference_options *options, struct world_pin pin);
 /* The bridge's supply over a divider: full_scale_v at the ADC's highest code. */
 int world_add_supply_sensor(struct world *w, int nozzle, struct world_pin pin, double full_scale_v);
+int world_add_supply_switch(struct world *w, int nozzle, const struct world_supply_switch_options *options);
 /* A parameter over time since the start: straight lines between the points, constant beyond them. */
 int world_add_profile(struct world *w, int nozzle, int index, const double *times_s, const double *values, int count);
+int world_nozzle(const struct world *w, int nozzle, struct world_nozzle_state *out);
 double world_nozzle_temperature(const struct world *w, int nozzle);
 double world_load_temperature(const struct world *w, int load);
 double world_fan_speed(const struct world *w, int fan);
