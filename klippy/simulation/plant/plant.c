@@ -23,7 +23,7 @@
 
 static const double pi = 3.14159265358979323846, phase_full_ticks = 45000.0;
 static const double sigma_sb = 5.670374e-8, kelvin = 273.15, cp_reference_c = 25.0;
-static const double max_step_s = 2e-3, unsampled_settled_s = 5e-3;
+static const double max_step_s = 2e-3, emptying_step_s = 1e-4, unsampled_settled_s = 5e-3;
 static const double decay_done = 1e-7; // below this the tank counts as settled (error < 1e-4 units)
 
 const struct plant_param plant_params[] = {
@@ -295,9 +295,10 @@ void plant_advance(struct plant *p, double dt_s)
     if (!(dt_s > 0))
         return;
     p->unsampled_s += dt_s;
-    while (dt_s > max_step_s) {
-        thermal_step(p, max_step_s);
-        dt_s -= max_step_s;
+    const double longest_s = p->supply_open && p->effects.bus_v > 0.1 ? emptying_step_s : max_step_s;
+    while (dt_s > longest_s) {
+        thermal_step(p, longest_s);
+        dt_s -= longest_s;
     }
     thermal_step(p, dt_s);
 }
