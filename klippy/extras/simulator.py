@@ -60,9 +60,10 @@ ParameterTables = Mapping[str, Mapping[str, ParameterRow]]  # "nozzle" and "load
 
 @dataclass(frozen=True, slots=True)
 class SimulatorSettings:
-    """[simulator]: trace rows a simulated second."""
+    """[simulator]: trace rows a simulated second; faults as simulate.py --fault takes them."""
 
     trace_rate_hz: float = TRACE_RATE_HZ
+    faults: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -377,11 +378,40 @@ class SimulatorSection:
         self.settings = settings
 
 
+class LiveFaults:
+    """SIMULATOR_FAULT FAULT=NAME [ARG=...], where machine and host are one process."""
+
+    def __init__(self, printer: Any) -> None:
+        self.printer = printer
+
+    def register(self) -> None:
+        gcode = self.printer.lookup_object("gcode")
+        gcode.register_command(
+            "SIMULATOR_FAULT", self.cmd_SIMULATOR_FAULT, desc="A fault of the simulated machine"
+        )
+
+    def cmd_SIMULATOR_FAULT(self, gcmd: Any) -> None:
+        inject = self.printer.get_start_args().get("inject_fault")
+        if inject is None:
+            raise gcmd.error(
+                "SIMULATOR_FAULT: the machine is not in this process; start both with scripts/run_printer.py without"
+                " --separate."
+            )
+        name, argument = gcmd.get("FAULT"), gcmd.get("ARG", "")
+        problem = inject(f"{name}:{argument}" if argument else name)
+        if problem:
+            raise gcmd.error(f"SIMULATOR_FAULT: {problem}")
+        gcmd.respond_info(f"Fault injected: {name} {argument}".rstrip())
+
+
 def load_config(config: ConfigWrapper) -> SimulatorSection:
     """[simulator]"""
-    return SimulatorSection(
-        SimulatorSettings(config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0))
+    settings = SimulatorSettings(
+        config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0),
+        tuple(config.get("fault", "").split()),
     )
+    LiveFaults(config.get_printer()).register()
+    return SimulatorSection(settings)
 
 
 def load_config_prefix(config: ConfigWrapper) -> SimulatorSection:

@@ -308,6 +308,23 @@ class World:
         )
         change(self.pointer, index, number, value)
 
+    def parameter(self, nozzle: int, name: str) -> float:
+        """A parameter of a nozzle as it is now."""
+        number = list(parameter_tables()["nozzle"]).index(name)
+        return float(self.lib.world_nozzle_parameter(self.pointer, nozzle, number))
+
+    def stop_adc(self, mcu: int) -> None:
+        """No more samples in step with the bridge. Raises WorldError for an emulated chip."""
+        self._index(self.lib.world_stop_adc(self.pointer, mcu))
+
+    def watch(self, nozzle: int) -> int:
+        """Look at a nozzle from now on; returns the number for `watched`."""
+        return self._index(self.lib.world_watch(self.pointer, nozzle))
+
+    def watched(self, watch: int) -> dict[str, Any]:
+        """struct world_watch_state"""
+        return self._record("world_watch_state", self.lib.world_watched, watch)
+
     # --- recording ---
     def open_trace(self, path: Path | None, rate_hz: float) -> None:
         """Record from now on; without a path only figures are kept."""

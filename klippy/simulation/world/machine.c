@@ -377,7 +377,8 @@ void machine_tick(struct machine *m, double now_s, double tick_s)
     for (int i = 0; i < m->fan_count; i++) {
         struct fan *f = &m->fans[i];
         double drive = duty_take(&m->duties[f->duty], now_s);
-        f->speed += (drive - f->speed) * (f->spin_up_s > 0.0 ? 1.0 - exp(-tick_s / f->spin_up_s) : 1.0);
+        if (!f->stuck)
+            f->speed += (drive - f->speed) * (f->spin_up_s > 0.0 ? 1.0 - exp(-tick_s / f->spin_up_s) : 1.0);
     }
     for (int i = 0; i < m->nozzle_count; i++) {
         struct nozzle *n = &m->nozzles[i];

@@ -65,6 +65,7 @@ struct fan {
     int duty;
     double spin_up_s;
     double speed; /* 0..1 */
+    int stuck;    /* at that speed */
 };
 
 /* Melt pushed by an axis. */

@@ -81,6 +81,14 @@ struct world_feed {
     double filament_area_mm2;
 };
 
+/* What a nozzle did since world_watch(). commanded_s, off_s: after how long its bridge was commanded off, and without
+ * voltage, for good; < 0: it is not. peak_above_c: above the greatest target since then, and above where it was. */
+struct world_watch_state {
+    int nozzle;
+    double start_s, start_c, target_c, peak_c, peak_above_c, commanded_s, off_s;
+    double before_j, after_j; /* into the metal: until it was commanded off, and since then */
+};
+
 struct world_axis_state {
     double position_mm;
     int64_t steps_forward, steps_backward;
@@ -148,7 +156,21 @@ double world_fan_speed(const struct world *w, int fan);
 
 /* A parameter changes while the machine runs: faults, drift, disturbances. Indices as in world_parameter(). */
 void world_set_nozzle_parameter(struct world *w, int nozzle, int index, double value);
+double world_nozzle_parameter(const struct world *w, int nozzle, int index);
 void world_set_load_parameter(struct world *w, int load, int index, double value);
+
+/* Faults of everything else. Lines are cut and the host stands still until `until_s`, world time; a clock goes by another
+ * rate from now on; an MCU starts anew as after power-on. world_stop_adc: not for an emulated chip. */
+void world_cut_link(struct world *w, int mcu, int down, int up, double until_s);
+void world_damage_link(struct world *w, int mcu, double corrupt);
+void world_step_clock(struct world *w, int mcu, double ppm);
+int world_stop_adc(struct world *w, int mcu);
+void world_reset_mcu(struct world *w, int mcu);
+void world_stall_host(struct world *w, double until_s);
+void world_stick_fan(struct world *w, int fan, double speed);
+/* From now on look at a nozzle; returns an index. */
+int world_watch(struct world *w, int nozzle);
+int world_watched(const struct world *w, int watch, struct world_watch_state *out);
 
 /* The parameters of a nozzle (table 0) and of a load (table 1): 0 when index is past the end.
  * values: min, max, then those of each preset: reference, strong, real; or hotend, bed. */
