@@ -349,6 +349,7 @@ class Injector:
         if after_s is not None and commanded_s is not None and seen["target_c"] > 0.0:
             found["after_ms"] = _milli(min(after_s, commanded_s))  # the MCU acts before the host knows
         return found | {
+            "start_c": round(seen["start_c"], 3),
             "bridge_off_after_ms": _milli(off_s),
             "peak_above_target_c": round(seen["peak_above_c"], 3),
             "peak_c": round(seen["peak_c"], 3),

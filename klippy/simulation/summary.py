@@ -69,9 +69,8 @@ def summary(facts: RunFacts, machine: Machine | None) -> dict[str, Any]:
         "file_progress": round(facts.file_progress, 6),
         "faults": list(facts.faults),
         "unknown_commands": facts.unknown_commands,
+        "injected": facts.injected,
     }
-    if facts.injected:
-        result["injected"] = facts.injected
     if machine is None:
         return result
     figures = machine.world.figures()

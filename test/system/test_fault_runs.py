@@ -47,7 +47,7 @@ def test_a_fault_may_stand_in_the_config_and_be_combined(simulate: Simulate) -> 
 
 
 def test_without_a_fault_the_summary_has_no_record(simulate: Simulate) -> None:
-    assert "injected" not in simulate("G4 P100\n").summary
+    assert simulate("G4 P100\n").summary["injected"] == []
 
 
 def test_a_fault_of_a_running_printer_is_a_command(simulate: Simulate) -> None:
