@@ -373,12 +373,6 @@ class PrinterConfig:
 
         `failed`: parts of the printer that did not load; their sections may have been read in part only.
         """
-    def left_out(self) -> list[str]:
-        """Sections of the config that the printer works without."""
-        return sorted(self._left_out)
-
-    def check_unused_options(self, config: ConfigWrapper) -> None:
-        """Raise for all sections and options that no module asked for; then note all settings."""
         known_sections = {section for section, _ in self._access}
         known_sections.update(name.lower() for name, _ in self.printer.lookup_objects())
         problems: list[str] = []
