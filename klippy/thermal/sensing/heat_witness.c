@@ -22,7 +22,8 @@
 #define PERSIST_S 0.1       // a disturbance of 5 Hz is over by then
 #define GROSS 3.0           // so many times more than allowed is no disturbance
 #define CREEP_K_S 0.5       // a chamber warms a nozzle that is off
-#define ABOVE_BLOCKS 6      // 10 ms
+#define ABOVE_BLOCKS 60     // 0.1 s of weak drive, where a disturbance may look so ...
+#define STRONG_BLOCKS 10    // ... but a block of strong drive counts for ten
 
 void
 witness_reset(struct witness_state *s)
@@ -68,7 +69,7 @@ watch_ceiling(struct witness_state *s, const struct filter_params *p, int exact,
     else
         return;
     s->base_c = fmax(s->base_c, in->target_c);
-    s->above = sure_c > s->base_c + in->room_c ? s->above + 1 : 0;
+    s->above = sure_c > s->base_c + in->room_c ? s->above + (exact ? 1 : STRONG_BLOCKS) : 0;
     if (s->above >= ABOVE_BLOCKS && in->room_c > 0.0)
         s->is_tripped = WITNESS_ABOVE;
 }

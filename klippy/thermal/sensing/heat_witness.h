@@ -34,7 +34,7 @@ struct witness_state {
     double missing_c, surplus_c, allowed_c;
     double beyond_s;                        // since when one of them is more than allowed; NaN: they are not
     double base_c;                          // target, or the lowest reading on the way down to it
-    int32_t above;                          // blocks in a row above that by more than room_c
+    int32_t above;                          // weighted blocks in a row above that by more than room_c
     int32_t is_tripped;                     // enum witness_trip: stays
 };
 
