@@ -51,9 +51,7 @@ class SuperviseParameters:
     demand_fraction: float = 0.5  # ... with at least this fraction of full power asked
     warming_s: float = 2.0  # with the heater off the nozzle may in this time ...
     warming_c: float = 15.0  # ... not warm by this much
-    above_target_c: float = (
-        15.0  # room above the target, or above the way down to it; the wall's skin takes 6 of it
-    )
+    above_target_c: float = 25.0  # room above the target or the way down to it: 5 LSB of interference take 21
     slack_c: float = 15.0  # of the heat witness: 5 LSB of interference are 12 C from peak to peak
     calibrated: bool = True  # else temperatures say nothing: only silence is a fault
 
