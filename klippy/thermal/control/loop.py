@@ -35,6 +35,7 @@ from .loop_records import (
     LoopParameters,
     LoopState,
 )
+from .story import Story
 from .timeline import Timing
 
 __all__ = [
@@ -65,6 +66,7 @@ class InductionLoop:
         self.chain = Chain()  # blocks to temperatures, with its own memory
         self.state = LoopState(law=parameters.control.law.start)
         self.parameters = parameters
+        self.story = Story()
         self.listeners: list[BlockListener] = []  # given every block, in order
         self.on_listener_error: Callable[[Exception], None] = lambda problem: None
         self.quiet = True  # set from outside: neither melt nor fan takes heat
@@ -94,6 +96,7 @@ class InductionLoop:
         """Blocks of one message, or of a batch, arrived."""
         state, before = self.state, None
         news = self.chain.take(blocks)
+        self.story.note(blocks)
         if blocks.count:
             state.bridge.edge(blocks.end_s)
         if self.listeners:
