@@ -25,10 +25,6 @@ DISPENSABLE = (
         frozenset({"display", "display_data", "display_glyph", "menu"}),
         "the display stays dark, its knob and buttons do nothing",
     ),
-    Dispensable(
-        frozenset({"adxl345", "bmi160", "icm20948", "lis2dw", "lis3dh", "mpu9250", "resonance_tester"}),
-        "resonances can not be measured; [input_shaper] works with the values written there",
-    ),
 )
 
 # What a section brings that macros use, although the section itself does nothing here: kind -> module
