@@ -1,7 +1,7 @@
 """[resonance_tester]: TEST_RESONANCES, SHAPER_CALIBRATE, MEASURE_AXES_NOISE.
 
-    excitation (vibration/excitation.py) ─► motion queue ─► frame ─► accelerometer ─► raw file
-    raw files ─► vibration/fit_shaper.py, a process of its own ─► spectrum file, shaper ─► input_shaper, SAVE_CONFIG
+excitation (vibration/excitation.py) ─► motion queue ─► frame ─► accelerometer ─► raw file
+raw files ─► vibration/fit_shaper.py, a process of its own ─► spectrum file, shaper ─► input_shaper, SAVE_CONFIG
 """
 
 from __future__ import annotations
@@ -90,13 +90,17 @@ class ResonanceTester:
     def register(self) -> None:
         gcode = self.printer.lookup_object("gcode")
         gcode.register_command(
-            "MEASURE_AXES_NOISE", self.cmd_MEASURE_AXES_NOISE, desc="Measures noise of all enabled accelerometer chips"
+            "MEASURE_AXES_NOISE",
+            self.cmd_MEASURE_AXES_NOISE,
+            desc="Measures noise of all enabled accelerometer chips",
         )
         gcode.register_command(
             "TEST_RESONANCES", self.cmd_TEST_RESONANCES, desc="Runs the resonance test for a specified axis"
         )
         gcode.register_command(
-            "SHAPER_CALIBRATE", self.cmd_SHAPER_CALIBRATE, desc="Similar to TEST_RESONANCES but suggest input shaper config"
+            "SHAPER_CALIBRATE",
+            self.cmd_SHAPER_CALIBRATE,
+            desc="Runs the resonance test and suggests input shaper parameters",
         )
         self.printer.register_event_handler("klippy:connect", self._handle_connect)
 
@@ -107,7 +111,9 @@ class ResonanceTester:
     def _lookup_sensor(self, name: str, error: Any) -> Any:
         sensor = self.printer.lookup_object(name.strip(), None)
         if not hasattr(sensor, "start_internal_client"):
-            raise error(f"[resonance_tester]: '{name}' is not the section of an accelerometer, such as adxl345.")
+            raise error(
+                f"[resonance_tester]: '{name}' is not the section of an accelerometer, such as adxl345."
+            )
         return sensor
 
     # --- motion ---
@@ -137,7 +143,9 @@ class ResonanceTester:
             raise gcmd.error(f"POINT='{text}' must be x,y,z in mm.")
         return [point]
 
-    def _check_room(self, gcmd: GCodeCommand, axis: TestAxis, point: Sequence[float], excitation: Excitation) -> None:
+    def _check_room(
+        self, gcmd: GCodeCommand, axis: TestAxis, point: Sequence[float], excitation: Excitation
+    ) -> None:
         status = self.printer.lookup_object("toolhead").get_kinematics().get_status(0.0)
         reach = extent_mm(excitation)
         for i, letter in enumerate("XY"):
@@ -181,7 +189,12 @@ class ResonanceTester:
         toolhead.flush_step_generation()
 
     def _test(
-        self, gcmd: GCodeCommand, axis: TestAxis, point: Sequence[float], excitation: Excitation, sensors: Sequence[Any]
+        self,
+        gcmd: GCodeCommand,
+        axis: TestAxis,
+        point: Sequence[float],
+        excitation: Excitation,
+        sensors: Sequence[Any],
     ) -> list[Any]:
         """The recordings of one test at one point."""
         toolhead = self.printer.lookup_object("toolhead")
@@ -238,7 +251,9 @@ class ResonanceTester:
                 paths.append(Path(stream.name))
         return paths
 
-    def _evaluate(self, gcmd: GCodeCommand, raw: Sequence[Path], out: str, options: Sequence[str]) -> tuple[Any, str]:
+    def _evaluate(
+        self, gcmd: GCodeCommand, raw: Sequence[Path], out: str, options: Sequence[str]
+    ) -> tuple[Any, str]:
         """What a process of its own finds in raw files, and the name of the file with the spectrum."""
         with open_result(gcmd, out) as stream:
             path = stream.name
@@ -246,12 +261,18 @@ class ResonanceTester:
         run = partial(subprocess.run, command, cwd=HOST_FOLDER, capture_output=True, text=True, check=False)
         done = self.printer.get_reactor().run_beside(run).wait()
         if isinstance(done, Exception) or done.returncode:
-            why = str(done) if isinstance(done, Exception) else (done.stderr.strip().splitlines() or ["no reason"])[-1]
-            raise gcmd.error(f"The measurement cannot be evaluated: {why}. Raw data: {', '.join(map(str, raw))}.")
+            why = (
+                str(done)
+                if isinstance(done, Exception)
+                else (done.stderr.strip().splitlines() or ["no reason"])[-1]
+            )
+            raise gcmd.error(
+                f"The measurement cannot be evaluated: {why}. Raw data: {', '.join(map(str, raw))}."
+            )
         return json.loads(done.stdout), path
 
     def cmd_TEST_RESONANCES(self, gcmd: GCodeCommand) -> None:
-        """TEST_RESONANCES AXIS= [OUTPUT=resonances,raw_data] [NAME=] [FREQ_START=] [FREQ_END=] ... """
+        """TEST_RESONANCES AXIS= [OUTPUT=resonances,raw_data] [NAME=] [FREQ_START=] [FREQ_END=] ..."""
         axis, name = parse_axis(gcmd, gcmd.get("AXIS")), result_name(gcmd)
         outputs = [word.strip().lower() for word in gcmd.get("OUTPUT", "resonances").split(",")]
         if not outputs or not set(outputs) <= {"resonances", "raw_data"}:
@@ -283,7 +304,10 @@ class ResonanceTester:
             for each in raw:
                 each.unlink(missing_ok=True)
             self._report(gcmd, axis.name, found, path)
-        gcmd.respond_info("The SAVE_CONFIG command will update the printer config file\nwith these parameters and restart the printer.")
+        gcmd.respond_info(
+            "The SAVE_CONFIG command will update the printer config file\nwith these parameters and "
+            "restart the printer."
+        )
 
     def _report(self, gcmd: GCodeCommand, axis: str, found: dict[str, Any], path: str) -> None:
         gcmd.respond_info(
@@ -326,7 +350,9 @@ class ResonanceTester:
                 for column, mean in zip(columns, means, strict=True)
             ]
             gcmd.respond_info(
-                "Axes noise for {}-axis accelerometer: {:.6f} (x), {:.6f} (y), {:.6f} (z)".format(axis, *noise)
+                "Axes noise for {}-axis accelerometer: {:.6f} (x), {:.6f} (y), {:.6f} (z)".format(
+                    axis, *noise
+                )
             )
 
 
@@ -337,7 +363,7 @@ def load_config(config: ConfigWrapper) -> ResonanceTester:
     for axis, name in own.items():
         if name is None and common is None:
             raise config.error(
-                f"Section 'resonance_tester' ({config.where()}) needs accel_chip, or both accel_chip_x and accel_chip_y."
+                f"Section 'resonance_tester' ({config.where()}) needs accel_chip, or accel_chip_x and accel_chip_y."
             )
         chips[axis] = name or common or ""
     points = config.getlists("probe_points", seps=(",", "\n"), parser=float, count=3)

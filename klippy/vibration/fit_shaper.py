@@ -57,7 +57,9 @@ class Choice:
     max_accel_mm_s2: float
 
 
-def vibration_left(shaper: Shaper, shaper_hz: Array, frequency_hz: Array, damping_ratio: float, design: float) -> Array:
+def vibration_left(
+    shaper: Shaper, shaper_hz: Array, frequency_hz: Array, damping_ratio: float, design: float
+) -> Array:
     """V for each shaper frequency (rows) and each frequency of the frame (columns)."""
     amplitudes, times = (np.array(x) for x in shaper.pulses(1.0, design))
     w = 2.0 * np.pi * frequency_hz[None, :] / shaper_hz[:, None]
@@ -104,7 +106,9 @@ def fit_type(
     whole = np.maximum(weight - floor, 0.0).sum()
     left = np.max(
         [
-            np.maximum(vibration_left(shaper, candidates, frequency, z, design) * weight - floor, 0.0).sum(axis=1)
+            np.maximum(vibration_left(shaper, candidates, frequency, z, design) * weight - floor, 0.0).sum(
+                axis=1
+            )
             for z in TEST_DAMPING_RATIOS
         ],
         axis=0,
@@ -152,7 +156,9 @@ def calibrate(
 ) -> tuple[dict[str, Any], Spectrum]:
     """What to report, and the spectrum with what each shaper leaves. Raises DataError."""
     found = [
-        c for text in types if (c := fit_type(parse(text), spectrum, max_smoothing, corner_speed, damping_ratio))
+        c
+        for text in types
+        if (c := fit_type(parse(text), spectrum, max_smoothing, corner_speed, damping_ratio))
     ]
     if not found:
         raise DataError(f"No shaper keeps the smoothing to {max_smoothing} mm. Allow more.")
@@ -200,5 +206,3 @@ def main(arguments: Sequence[str]) -> int:
 
 if __name__ == "__main__":
     sys.exit(main(sys.argv[1:]))
-
-

@@ -23,8 +23,8 @@ def read_axes_map(config: ConfigWrapper, option: str = "axes_map") -> AxesMap:
         return parse_axes_map(text)
     except ValueError:
         raise config.error(
-            f"Option '{option}' in section '{config.get_name()}' ({config.where(option)}): '{text}' must name x, y and z"
-            " once each, with a minus where the axis points the other way, such as -y, x, z."
+            f"Option '{option}' in section '{config.get_name()}' ({config.where(option)}): '{text}' must name x, y and"
+            " z once each, with a minus where the axis points the other way, such as -y, x, z."
         ) from None
 
 

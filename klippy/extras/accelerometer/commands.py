@@ -101,7 +101,7 @@ class AccelerometerCommands:
 FAULTS = {
     "unplugged": "it stopped answering: check its power and wires",
     "frozen": "its samples do not change: it hangs, or it is not measuring",
-    "saturated": "its samples reach the end of its range: it is hit, loose, or mounted on something that rings too much",
+    "saturated": "its samples reach the end of its range: it is hit, or it is loose",
 }
 
 
@@ -111,8 +111,8 @@ def report_quality(gcmd: GCodeCommand, recording: Any) -> None:
         gcmd.respond_info(f"[{recording.section}]: {recording.fault}: {FAULTS[recording.fault]}.")
     if recording.overflows:
         gcmd.respond_info(
-            f"[{recording.section}]: {recording.overflows} gaps in the samples: the board or its line is too slow for the"
-            " rate."
+            f"[{recording.section}]: {recording.overflows} gaps in the samples: the board or its line is too slow for"
+            " the rate."
         )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -20,6 +21,7 @@ BATCH_HEADER = ("time", "x_acceleration", "y_acceleration", "z_acceleration")
 FIFO_READS = 0.25  # of the smallest FIFO's time (32 samples), between two readings
 IDENTIFY_TRIES = 3
 LINE_SHARE = 0.7  # of a serial line that samples may take: acknowledgements and other messages need the rest
+NOZZLE_BYTES_S = 8000.0  # of an induction heater's blocks and answers (measured: 7917)
 BLOCK_BYTES = 12  # of a message around its data
 BITS_PER_BYTE = 10
 FROZEN_SAMPLES = 200  # alike in all bits: noise of any chip moves some bit sooner
@@ -59,13 +61,20 @@ class Accelerometer:
     """A chip and its stream of samples."""
 
     def __init__(
-        self, printer: Printer, section: str, chip: Chip, device: Any, on_spi: bool, rate: int, axes_map: AxesMap
+        self,
+        printer: Printer,
+        section: str,
+        chip: Chip,
+        device: Any,
+        on_spi: bool,
+        rate: int,
+        axes_map: AxesMap,
     ) -> None:
         self.printer = printer
         self.section = section
         self.chip = chip
         self.rate = rate
-        self.name = section.split()[-1]
+        self.name = section.rsplit(maxsplit=1)[-1]
         self.registers = Registers(chip, device, on_spi)
         self._axes = axes_map
         self._device = device
@@ -112,23 +121,33 @@ class Accelerometer:
         known = self._mcu.get_enumerations().get(name, {})
         return next((text for text in known if text.lower() == str(value).lower()), value)
 
-    def _check_line(self) -> None:
-        """Say so where the serial line cannot carry the rate."""
+    def _line_rate(self) -> float:
+        """Samples a second that the board's serial line carries beside its other messages; no limit on USB."""
         baud = self._mcu.get_constants().get("SERIAL_BAUD")
         if baud is None or self._mcu.is_fileoutput():
-            return
+            return math.inf
+        free = LINE_SHARE * float(baud) / BITS_PER_BYTE - (NOZZLE_BYTES_S if self._has_nozzle() else 0.0)
         block = self.chip.samples_per_message * self.chip.sample_bytes + BLOCK_BYTES
-        fits = LINE_SHARE * float(baud) / BITS_PER_BYTE / block * self.chip.samples_per_message
-        logging.info(
-            "%s: %d samples/s; the line of mcu '%s' carries %.0f", self.section, self.rate, self._mcu.get_name(), fits
+        return max(0.0, free / block * self.chip.samples_per_message)
+
+    def _has_nozzle(self) -> bool:
+        """Is the board also that of an induction heater?"""
+        heaters = self.printer.lookup_objects("induction_heater")
+        return any(section.heater.unit.mcu is self._mcu for _, section in heaters)
+
+    def _check_line(self) -> None:
+        """Say so where the serial line cannot carry the rate."""
+        if self.rate > self._line_rate():
+            self.printer.lookup_object("gcode").respond_info(self._describe_line())
+
+    def _describe_line(self) -> str:
+        fits = self._line_rate()
+        slower = [rate for rate in self.chip.rates if rate <= fits]
+        advice = f"Set rate: {max(slower)}, or connect it" if slower else "Connect it"
+        return (
+            f"[{self.section}] takes {self.rate} samples a second; the serial line of mcu '{self._mcu.get_name()}' has"
+            f" room for {fits:.0f} beside its other messages. {advice} to a board with USB."
         )
-        if fits < self.rate:
-            slower = [rate for rate in self.chip.rates if rate <= fits]
-            advice = f"Set rate: {max(slower)}, or use" if slower else "Use"
-            self.printer.lookup_object("gcode").respond_info(
-                f"[{self.section}] takes {self.rate} samples a second; the serial line of mcu '{self._mcu.get_name()}'"
-                f" ({baud} baud) carries {fits:.0f} beside its other messages. {advice} a board with USB for it."
-            )
 
     # --- stream ---
 
@@ -156,12 +175,19 @@ class Accelerometer:
             hint = "Nothing answers: check its power, its wires, cs_pin and the bus."
         else:
             names = [c.name for c in CHIPS.values() if found in c.identities]
-            hint = f"That is a {names[0]}." if names else "Check the wires, and that the section names the right chip."
+            hint = (
+                f"That is a {names[0]}."
+                if names
+                else "Check the wires, and that the section names the right chip."
+            )
         raise self.printer.command_error(
             f"[{self.section}]: invalid {chip.name} id: 0x{found:02x}, expected 0x{chip.identities[0]:02x}. {hint}"
         )
 
     def _start(self) -> None:
+        if self.rate > self._line_rate() and self._has_nozzle():
+            # The nozzle's thermometer would lose its blocks, and the heater would shut down.
+            raise self.printer.command_error(self._describe_line())
         self.identify()
         self.registers.write_all(self.chip.prepare(self.rate))
         rest_s = FIFO_READS * 32.0 / self.rate
@@ -182,7 +208,12 @@ class Accelerometer:
         errors = self._errors
         self._bulk.take(self._take_sample)
         new = self._bulk.overflows + self._bulk.lost_messages - before
-        return {"data": self._rows, "errors": self._errors - errors, "overflows": new, "fault": self.find_fault()}
+        return {
+            "data": self._rows,
+            "errors": self._errors - errors,
+            "overflows": new,
+            "fault": self.find_fault(),
+        }
 
     def _take_sample(self, raw: bytes, print_time: float) -> None:
         counts = self._unpack(raw)
@@ -214,13 +245,15 @@ class Accelerometer:
         """What is wrong with the samples so far: "unplugged", "frozen", "saturated" or nothing."""
         if self._errors:
             return "unplugged"
-        if self._same >= FROZEN_SAMPLES:
-            return "frozen"
-        return "saturated" if self._is_clipped else None
+        if self._is_clipped:
+            return "saturated"
+        return "frozen" if self._same >= FROZEN_SAMPLES else None
 
     def _report_error(self, problem: Exception) -> None:
         logging.warning("%s: %s", self.section, problem)
-        self.printer.lookup_object("gcode").respond_raw(f"!! [{self.section}]: the measurement has ended: {problem}")
+        self.printer.lookup_object("gcode").respond_raw(
+            f"!! [{self.section}]: the measurement has ended: {problem}"
+        )
 
     # --- API ---
 

@@ -149,8 +149,8 @@ void accel_chip_sample(struct accel_chip *c, const double accel_m_s2[3])
     }
     int16_t *slot = c->fifo[(c->fifo_first + c->fifo_count++) % ACCEL_FIFO_MAX];
     for (int i = 0; i < 3; i++) {
-        long count = lround(fmin(fmax(accel_m_s2[i] * scale, -max - 1.0), max));
-        slot[i] = (int16_t)(count >> shift << shift);
+        double count = fmin(fmax(accel_m_s2[i] * scale, -max - 1.0), max + 1.0 - (1 << shift));
+        slot[i] = (int16_t)(lround(count / (1 << shift)) * (1 << shift));
     }
 }
 
