@@ -28,6 +28,7 @@ sys.path.insert(0, str(ROOT / "klippy"))
 
 import configtext  # noqa: E402  (the path above comes first)
 import queuelogger  # noqa: E402
+from simulation import faults  # noqa: E402
 from simulation.runner import BAD_INPUT, Outcome, Progress, RunOptions, Simulation  # noqa: E402
 from simulation.world import WorldError  # noqa: E402
 
@@ -66,6 +67,14 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         metavar="[MCU=]BUILD",
         dest="builds",
         help="what an MCU runs: simulator, or the image for a chip on its emulator: stm32f334, atmega2560",
+    )
+    parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="NAME[:ARG]@T",
+        dest="faults",
+        help="break something after T simulated seconds (docs/reference/Simulation.md); may be repeated",
     )
     parser.add_argument("--until", type=float, metavar="SECONDS", help="stop after so much simulated time")
     parser.add_argument("--log", type=Path, metavar="FILE", help="the host's log")
@@ -195,6 +204,8 @@ def main(argv: Sequence[str]) -> int:
         check_files(options)
         overrides = tuple(parse_override(text) for text in options.overrides)
         check_overrides(options.config, overrides)
+        for text in options.faults:
+            faults.parse(text)
         set_up_log(options.log)
         bar = None if options.quiet or not sys.stderr.isatty() else Bar(options.gcode.name)
         with bar or nullcontext():
@@ -209,11 +220,12 @@ def main(argv: Sequence[str]) -> int:
                     bar.show if bar else None,
                     parse_builds(options.builds),
                     options.log,
-                    options.api,
+                    tuple(options.faults),
+                    api=options.api,
                 )
             ).run()
         write_results(options, outcome)
-    except (BadInput, WorldError, OSError) as e:
+    except (BadInput, faults.FaultError, WorldError, OSError) as e:
         print(f"simulate: {e}", file=sys.stderr)
         return BAD_INPUT
     print_outcome(outcome)
