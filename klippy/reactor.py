@@ -251,6 +251,7 @@ class Reactor:
         self._heap: list[tuple[float, int, ReactorTimer]] = []
         self._live = 0
         self._tickets = 0
+        self.late_s = 0.0  # most that a timer came late by since somebody put 0 here
         self._pass_time = 0.0  # no timer is filed under an earlier time: keeps "now" fair
         self._running = False
         self._fds = FdPoll()
@@ -434,8 +435,11 @@ class Reactor:
         while self._running:
             while heap and heap[0][2].ticket != heap[0][1]:
                 heapq.heappop(heap)  # moved or stopped since: nothing to wake up for
-            wait(heap[0][0] if heap else _NEVER, poll)
+            due = heap[0][0] if heap else _NEVER
+            wait(due, poll)
             self._pass_time = now = monotonic()
+            if now > due + self.late_s:
+                self.late_s = now - due
             if self._async_calls:
                 self._run_async_calls()
             if poll._ready:

@@ -220,8 +220,8 @@ def main(argv: Sequence[str]) -> int:
                     bar.show if bar else None,
                     parse_builds(options.builds),
                     options.log,
-                    options.api,
                     tuple(options.faults),
+                    api=options.api,
                 )
             ).run()
         write_results(options, outcome)

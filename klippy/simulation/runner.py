@@ -69,8 +69,8 @@ class RunOptions:
     on_progress: Callable[[Progress], None] | None = None
     builds: Mapping[str, str] = field(default_factory=dict)
     log: Path | None = None
-    api: Path | None = None
     faults: tuple[str, ...] = ()  # see faults.py
+    api: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
