@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import bisect
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
@@ -49,6 +49,17 @@ def report_save_config(gcmd: GCodeCommand, what: str) -> None:
         f"{what}\nThe SAVE_CONFIG command will update the printer config file\n"
         "with the above and restart the printer."
     )
+
+
+class ProbeResult(NamedTuple):
+    """A probed place of the bed, and the nozzle's place at the trigger; mm. Also what plugins give and take."""
+
+    bed_x: float
+    bed_y: float
+    bed_z: float
+    test_x: float
+    test_y: float
+    test_z: float
 
 
 class ManualProbeHelper:
