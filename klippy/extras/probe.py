@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from configfile import ConfigWrapper
-from gcode import GCodeCommand
+from gcode import Coord, GCodeCommand
 
 from . import manual_probe
 from .probing.points import ProbePointsHelper
@@ -96,7 +96,12 @@ class PrinterProbe:
         )
         self._series = False
         self._results: list[list[float]] = []
-        self._status = {"name": self.name, "last_query": False, "last_z_result": 0.0}
+        self._status = {
+            "name": self.name,
+            "last_query": False,
+            "last_z_result": 0.0,
+            "last_probe_position": Coord(0.0, 0.0, 0.0, 0.0),
+        }
         ProbeEvents(self.printer, mcu_probe)
         self.printer.register_event_handler("gcode:command_error", self._end_series)
         self.printer.lookup_object("pins").register_chip("probe", self)
@@ -237,7 +242,9 @@ class PrinterProbe:
             self.multi_probe_end()
         combine = RESULTS[sampling.result]
         result = [combine([place[axis] for place in places]) for axis in range(3)]
-        self._status = {**self._status, "last_z_result": result[2]}
+        offsets = self.offsets
+        place = Coord(result[0] + offsets.x, result[1] + offsets.y, result[2] - offsets.z, 0.0)
+        self._status = {**self._status, "last_z_result": result[2], "last_probe_position": place}
         self._results.append(result)
         return result
 

@@ -15,7 +15,7 @@ from gcode import GCodeCommand
 
 from .chips import FLAGS, SIGNED, Chip
 from .current import CurrentModel
-from .registers import Fields, microstep_bits, speed_threshold
+from .registers import Fields, adc_temp_c, microstep_bits, speed_threshold
 from .surface import CurrentView, FieldView, RegisterView
 
 STEP_PULSE_S = 0.000000100
@@ -74,6 +74,9 @@ class StepperDriver:
         self._saved: dict[str, int] = {}
         self._endstop: Any = None
         self._is_hot = False
+        # None while the motor is off
+        self._drv_status: dict[str, int] | None = None  # fields that are not 0
+        self._temp_c: float | None = None
         self._reactor = self.printer.get_reactor()
         self._check_timer = self._reactor.register_timer(self._check_faults)
         self._chip_name = f"{chip.name}_{self.name}"
@@ -201,6 +204,8 @@ class StepperDriver:
 
     def _handle_enable(self, print_time: float, is_enabled: bool) -> None:
         wake = self._reactor.monotonic() + CHECK_PERIOD_S if is_enabled else self._reactor.NEVER
+        if not is_enabled:
+            self._drv_status = self._temp_c = None
         # called while steps are worked out: the timer itself asks the driver
         self._reactor.update_timer(self._check_timer, wake)
 
@@ -208,6 +213,9 @@ class StepperDriver:
         """Timer: stop the printer if the driver has lost its settings or switched off."""
         try:
             status = self._read("DRV_STATUS")
+            self._drv_status = self.values.parts("DRV_STATUS", status)
+            if "ADC_TEMP" in self.chip.registers:
+                self._temp_c = adc_temp_c(self.chip.fields["adc_temp"].extract(self._read("ADC_TEMP")))
             if "reset" in self.chip.fields and self.chip.fields["reset"].extract(self._read("GSTAT")):
                 raise self.printer.command_error(
                     f"The driver of '{self.stepper_name}' has lost its settings: it was without power for a moment"
@@ -292,6 +300,8 @@ class StepperDriver:
             else phase * self.stepper.get_step_dist(),
             "run_current": self.run_current,
             "hold_current": self.hold_current,
+            "drv_status": self._drv_status,
+            "temperature": self._temp_c,
         }
 
     def cmd_INIT_TMC(self, gcmd: GCodeCommand) -> None:
