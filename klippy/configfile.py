@@ -350,6 +350,12 @@ class PrinterConfig:
         self._data = data
         return ConfigWrapper(self.printer, data, self._access, "printer")
 
+    def read_config(self, filename: str) -> ConfigWrapper:
+        """Another config file, for plugins that bring their data in one."""
+        data = ConfigData()
+        configtext.ConfigParser(data).parse_file(filename)
+        return ConfigWrapper(self.printer, data, {}, "printer")
+
     def check_absent_sections(self, has_module: Callable[[str], bool]) -> list[str]:
         """Before modules are loaded: leave out what Klipper has and we do not.
 

@@ -19,6 +19,7 @@ import pins
 import serialhdl
 from clocksync import ClockSync, SecondarySync
 from link import mcu_options, usb_power
+from link.mcu_homing import MULTI_TIMEOUT_S
 from link.mcu_io import MCU_adc, MCU_digital_out, MCU_endstop, MCU_pwm, MCU_trsync, TriggerDispatch
 from link.mcu_session import ConfigScript, TaskLoad, shutdown_help
 from serialhdl import CommandQueryWrapper, CommandWrapper
@@ -38,6 +39,7 @@ __all__ = [
 BATCH_MOVE_COUNT = 500  # places in the move queue assumed when no MCU is there to ask
 MIN_SCHEDULE_TIME_S = 0.100  # commands are sent at least this long before they are due
 MAX_NOMINAL_DURATION_S = 3.0  # the longest time ahead anything is scheduled
+TRSYNC_TIMEOUT = MULTI_TIMEOUT_S  # the name plugins know
 RESET_SETTLE_S = 0.050  # for the reset command to leave the host before the port is closed
 RESTART_WAIT_S = 2.0
 WATCH_PERIOD_S = 1.0

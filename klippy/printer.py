@@ -163,6 +163,10 @@ class Printer:
             load()
         except _CONFIG_PROBLEMS as e:
             self._failed[section] = e
+        except Exception:
+            if not self._failed:
+                raise
+            logging.exception("Section %s, after another did not load", section)
 
     def _import_extra(self, name: str) -> ModuleType | None:
         """Module `extras.NAME` if there is one. Raises config_error for a plugin that is broken."""

@@ -140,7 +140,12 @@ class MCU_stepper:
             self._step_pulse_duration = DEFAULT_STEP_PULSE_S
         invert_step = int(self._invert_step)
         pulse_ticks = self._mcu.seconds_to_clock(self._step_pulse_duration)
-        can_step_both_edges = int(self._mcu.get_constants().get("STEPPER_STEP_BOTH_EDGE", 0))
+        constants = self._mcu.get_constants()
+        can_step_both_edges = int(constants.get("STEPPER_STEP_BOTH_EDGE", 0))
+        if (
+            "STEPPER_OPTIMIZED_UNSTEP" in constants
+        ):  # a firmware that makes whole pulses faster than edges (AVR)
+            can_step_both_edges = 0
         if self._want_both_edge and can_step_both_edges and self._step_pulse_duration <= BOTH_EDGE_PULSE_S:
             self._step_both_edge = True
             invert_step, pulse_ticks = -1, 0

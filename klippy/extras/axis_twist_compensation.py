@@ -15,6 +15,7 @@ from configfile import ConfigWrapper
 from gcode import GCodeCommand
 
 from . import manual_probe
+from .probe import run_single_probe
 
 SAMPLES = 3
 LETTERS = "xy"
@@ -111,8 +112,14 @@ class AxisTwistCompensation:
         """What to add to a height that was probed with the nozzle at a place."""
         return sum(twist.at(pos[twist.axis]) for twist in self.twists if twist is not None)
 
-    def _update_z_compensation_value(self, pos: list[float]) -> None:
-        pos[2] += self.get_z_compensation_value(pos)
+    def _update_z_compensation_value(self, pos: list[Any]) -> None:
+        """`pos`: one ProbeResult, or x, y, z as older plugins send it."""
+        if len(pos) == 1:
+            place = pos[0]
+            correction = self.get_z_compensation_value((place.test_x, place.test_y))
+            pos[0] = place._replace(bed_z=place.bed_z + correction)
+        else:
+            pos[2] += self.get_z_compensation_value(pos)
 
     # -- calibration --
 
@@ -120,7 +127,7 @@ class AxisTwistCompensation:
         """AXIS_TWIST_COMPENSATION_CALIBRATE [AXIS=X|Y] [AUTO=True] [SAMPLE_COUNT=3]."""
         manual_probe.verify_no_manual_probe(self.printer)
         probe = self.printer.lookup_object("probe", None)
-        if probe is None or not hasattr(probe, "run_probe"):
+        if probe is None:
             raise gcmd.error("AXIS_TWIST_COMPENSATION_CALIBRATE needs a probe: there is no section [probe]")
         count = gcmd.get_int("SAMPLE_COUNT", SAMPLES, minval=2)
         axis_name = gcmd.get("AXIS", None)
@@ -183,7 +190,7 @@ class Calibration:
             return
         x, y = places[len(self._errors)]
         self._go(x - offsets[0], y - offsets[1])
-        *_, probed = self._probe.run_probe(self._gcmd)
+        probed = run_single_probe(self._probe, self._gcmd)[2]
         # the carriage's own error is what is looked for
         at = self._toolhead.get_position()[:2]
         probed -= self._twist.get_z_compensation_value(at)

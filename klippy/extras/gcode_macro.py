@@ -52,7 +52,9 @@ class StatusView:
                 raise KeyError(name)
             if self._eventtime is None:
                 self._eventtime = self._printer.get_reactor().monotonic()
-            self._seen[key] = dict(report(self._eventtime))
+            # a macro may change what its dicts and lists hold, also one macro those of another
+            is_macro = isinstance(found, GCodeMacro)
+            self._seen[key] = dict(found.variables if is_macro else report(self._eventtime))
         return self._seen[key]
 
     def __contains__(self, name: object) -> bool:

@@ -9,6 +9,7 @@ from configfile import ConfigWrapper
 from gcode import GCodeCommand
 
 from .. import manual_probe
+from .series import Series, lift_speed_of
 
 Point = Sequence[float]
 # finalize(offsets of the probe, nozzle's places at the triggers); "retry": probe all again
@@ -81,7 +82,7 @@ class ProbePointsHelper:
             self._manual_places = []
             self._next_by_hand(gcmd)
             return
-        self.lift_speed = min(self.speed, probe.get_lift_speed(gcmd))
+        self.lift_speed = min(self.speed, lift_speed_of(probe, gcmd))
         self._offsets = probe.get_offsets(gcmd)
         if self.horizontal_move_z < self._offsets[2]:
             raise gcmd.error("horizontal_move_z can't be less than probe's z_offset")
@@ -97,12 +98,12 @@ class ProbePointsHelper:
         lift_speed = self.speed  # the first lift: nothing hangs on it
         while True:
             places: list[list[float]] = []
-            probe.multi_probe_begin()
+            series = Series(probe, gcmd)
             for number in range(len(self.probe_points or ())):
                 self._travel(number, lift_speed)
                 lift_speed = self.lift_speed
-                places.append(probe.run_probe(gcmd))
-            probe.multi_probe_end()
+                places.append(series.run())
+            series.end()
             if self._finish(places) != "retry":
                 return
 

@@ -178,6 +178,21 @@ def test_the_problems_of_several_sections_are_named_at_once(tmp_path: Path) -> N
     assert "(printer.cfg, line 10)" in text, "the retraction"
 
 
+def test_a_module_that_breaks_over_another_ones_problem_does_not_hide_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extras, "__path__", list(extras.__path__))
+    (tmp_path / "plugins").mkdir()
+    (tmp_path / "plugins" / "follower.py").write_text(
+        "def load_config(config):\n"
+        "    return config.get_printer().lookup_object('pause_resume', None).is_paused\n"
+    )
+    config = f"[pause_resume]\nrecover_velocity: fast\n[follower]\n[plugins]\npath: {tmp_path / 'plugins'}\n"
+    text = start_error(tmp_path, config)
+    assert text.startswith("Option 'recover_velocity' in section 'pause_resume'")
+    assert "Internal error" not in text
+
+
 def test_a_plugin_may_bring_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "__path__", list(extras.__path__))
     (tmp_path / "plugins").mkdir()
