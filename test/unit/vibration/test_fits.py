@@ -118,7 +118,7 @@ def test_smoother_shapers_are_left_out_on_request(samples: np.ndarray) -> None:
     tight, _ = calibrate(spectrum, max_smoothing=0.08)
     assert any(c["smoothing_mm"] > 0.08 for c in free["shapers"])
     assert all(c["smoothing_mm"] <= 0.08 for c in tight["shapers"])
-    with pytest.raises(DataError, match="No shaper keeps the smoothing to 0.001"):
+    with pytest.raises(DataError, match=r"No shaper keeps the smoothing to 0\.001"):
         calibrate(spectrum, max_smoothing=0.001)
 
 
