@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+import compatibility
 from doc_rig import HOST, PAGES, ROOT, Loaded, load, read_page
 from unit.project.test_docs_config import config_of, documents
 
@@ -166,6 +167,12 @@ def _inner(fields: set[str], printers: list[Loaded], kind: str) -> set[str]:
             if name.split()[0] == kind:
                 found |= {key for value in status.values() if isinstance(value, dict) for key in value}
     return found
+
+
+def test_the_compatibility_page_is_that_of_the_program() -> None:
+    assert compatibility.PAGE.read_text(encoding="utf-8") == compatibility.page(), (
+        "run scripts/check/compatibility.py"
+    )
 
 
 # ---- links -----------------------------------------------------------------------------------------------------
