@@ -4,7 +4,7 @@
     scripts/check/compatibility.py            writes the page
     scripts/check/compatibility.py --check    compares it; exit status 1 if it is out of date
 
-The names of Klipper's pages are in test/rigs/klipper_names.py. A section is here if there is a module for it or the
+The names of Klipper's pages are in scripts/check/klipper_names.py. A section is here if there is a module for it or the
 toolhead reads it; a command is here if docs/reference/G-Codes.md has it, which tests compare with the program.
 """
 
@@ -17,9 +17,9 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]
-sys.path[:0] = [str(ROOT / "klippy"), str(ROOT / "test" / "rigs")]
+sys.path.insert(0, str(ROOT / "klippy"))
 
-import configabsent  # noqa: E402  (the paths come first)
+import configabsent  # noqa: E402  (the path comes first)
 import configfile  # noqa: E402
 from klipper_names import COMMANDS, SECTIONS  # noqa: E402
 
