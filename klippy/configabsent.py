@@ -27,10 +27,6 @@ DISPENSABLE = (
         "the display stays dark, its knob and buttons do nothing",
     ),
     Dispensable(
-        frozenset({"adxl345", "bmi160", "icm20948", "lis2dw", "lis3dh", "mpu9250", "resonance_tester"}),
-        "resonances can not be measured; [input_shaper] works with the values written there",
-    ),
-    Dispensable(
         frozenset({"load_cell_probe", "probe_eddy_current", "smart_effector"}),
         "there is no probe: homing by it fails, levelling works by hand with METHOD=manual",
     ),

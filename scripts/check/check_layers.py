@@ -26,7 +26,7 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
     (name, frozenset(modules.split()))
     for name, modules in (
         ("helper", "chelper"),
-        ("thermal", "thermal"),
+        ("thermal", "thermal vibration"),
         (
             "base",
             "util queuelogger reactor roles configabsent absentpins configaliases configtext configfile"

@@ -394,3 +394,13 @@ def test_second_board_follows_print_time_although_it_drifts(tmp_path: Path) -> N
     # and an 8-bit chip's own computing adds some tens
     settled = 20e-6 if session.clock_hz > 20e6 else 40e-6
     assert max(abs(e) for e in errors[30:]) < settled
+
+
+@pytest.mark.parametrize("seed", range(1, 11))
+def test_a_host_connects_over_a_line_that_damages_and_loses_a_byte_in_a_hundred(
+    tmp_path: Path, seed: int
+) -> None:
+    """Three answers of 47 bytes in five do not arrive; an answer to a shorter question does."""
+    session = LinkSession(tmp_path, seed=seed, corrupt=0.01, drop=0.01)
+    state, message = session.host(lambda printer: None)
+    assert state == "ready", message
