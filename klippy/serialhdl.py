@@ -77,12 +77,17 @@ class SerialReader:
     """The link to one MCU. All methods: reactor thread; those that wait may only be called from a greenlet."""
 
     def __init__(
-        self, reactor: Reactor, warn_prefix: str = "", open_port: serialport.OpenPort = serialport.open_port
+        self,
+        reactor: Reactor,
+        warn_prefix: str = "",
+        open_port: serialport.OpenPort = serialport.open_port,
+        advice: str = serialport.ADVICE,
     ) -> None:
         self.reactor = reactor
         self.warn_prefix = warn_prefix
         self.msgparser = msgproto.MessageParser(warn_prefix=warn_prefix)
         self._open_port = open_port
+        self._advice = advice  # if the board does not answer
         self._ffi, self._lib = chelper.get_ffi()
         self._port: serialport.Port | None = None
         self._pulled = self._ffi.new("struct pull_message[]", PULL_MAX)
@@ -119,15 +124,8 @@ class SerialReader:
                 reason = str(e)
             now = self.reactor.monotonic()
             if now + REOPEN_PAUSE_S >= deadline:
-                raise error(self._connect_help(reason))
+                raise error(f"{self.warn_prefix}Unable to connect. {reason} {self._advice}")
             self.reactor.pause(now + REOPEN_PAUSE_S)
-
-    def _connect_help(self, reason: str) -> str:
-        return (
-            f"{self.warn_prefix}Unable to connect. {reason} Check that the board is powered and its cable is plugged"
-            " in, that the option 'serial' names the right device (ls /dev/serial/by-id/), that the option 'baud' is"
-            " the firmware's, that the board runs the printer's firmware, and that no other program uses the port."
-        )
 
     def _connect_once(self, path: str, baud: int, deadline: float) -> None:
         self._start_over(False)

@@ -530,6 +530,11 @@ class ToolHead:
             max_accel=self.max_accel,
             minimum_cruise_ratio=self.min_cruise_ratio,
             square_corner_velocity=self.square_corner_velocity,
+            extra_axes={
+                axis.get_name(): number
+                for number, axis in enumerate(self.get_extra_axes())
+                if hasattr(axis, "get_name")
+            },
         )
         return status
 

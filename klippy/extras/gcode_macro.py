@@ -52,7 +52,9 @@ class StatusView:
                 raise KeyError(name)
             if self._eventtime is None:
                 self._eventtime = self._printer.get_reactor().monotonic()
-            self._seen[key] = dict(report(self._eventtime))
+            # a macro may change what its dicts and lists hold, also one macro those of another
+            is_macro = isinstance(found, GCodeMacro)
+            self._seen[key] = dict(found.variables if is_macro else report(self._eventtime))
         return self._seen[key]
 
     def __contains__(self, name: object) -> bool:
@@ -214,10 +216,10 @@ class GCodeMacro:
         previous = self.gcode.register_command(self.alias, None)
         if previous is not None:
             self.gcode.register_command(new_name, previous, desc=f"Renamed builtin of '{self.alias}'")
-        elif left_out := self.printer.lookup_object("configfile").left_out():
+        elif left_out := self.printer.lookup_object("configfile").sections_left_out():
             self.printer.lookup_object("configfile").runtime_warning(
                 f"Macro '{self.alias}': there is no command to rename to {new_name}; it may be one of the"
-                f" sections that Ferrite does not have yet: {', '.join(left_out)}"
+                f" sections that Ferrite does not have yet: {', '.join(sorted(left_out))}"
             )
         else:
             raise self.printer.config_error(

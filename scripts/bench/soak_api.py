@@ -148,14 +148,14 @@ def deaf(path: Path) -> None:
         client.send("gcode/help")  # and never reads
 
 
-def script(text: str, words: str, path: Path) -> None:
+def run_script(text: str, words: str, path: Path) -> None:
     answer = Client(path).request("gcode/script", script=text)
     message = answer.get("error", {}).get("message", "")
     assert (words in message) and bool(message) == bool(words), f"{text}: {answer}"
 
 
 def misdeeds() -> list[Callable[[Path], None]]:
-    scripts = [functools.partial(script, text, words) for text, words in SCRIPTS]
+    scripts = [functools.partial(run_script, text, words) for text, words in SCRIPTS]
     return [flood, subscribe, long_request, nested, many_clients, half_a_request, deaf, *scripts]
 
 

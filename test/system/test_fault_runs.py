@@ -38,6 +38,28 @@ def test_a_broken_coil_is_in_the_summary_with_what_stopped_it(simulate: Simulate
     assert record["bridge_off_after_ms"] < 25.0
 
 
+def test_the_log_has_the_last_blocks_commands_and_the_plan_of_a_nozzle_that_stopped(
+    simulate: Simulate,
+) -> None:
+    log = simulate(HOLD, more=["--fault", "sense_gain:0.5@6"]).log.read_text()
+    blocks = [line for line in log.splitlines() if "Induction heater 'nozzle': block: " in line]
+    assert len(blocks) == 64
+    assert "rise missing" in log
+    assert "Induction heater 'nozzle': command: from " in log
+    times = [float(line.split("block: ")[1].split()[0]) for line in blocks]
+    assert times == sorted(times)
+
+
+def test_a_signal_that_jumps_is_no_reason_to_heat(simulate: Simulate) -> None:
+    run = simulate(
+        HOLD, settings=["simulator nozzle nozzle.preset=strong"], more=["--fault", "sense_gain:0.5@6"]
+    )
+    record = run.summary["injected"][0]
+    assert "does not follow the heat" in record["detected_by"]
+    assert record["after_ms"] < 40.0
+    assert record["peak_above_target_c"] < 5.0
+
+
 def test_a_fault_may_stand_in_the_config_and_be_combined(simulate: Simulate) -> None:
     run = simulate(
         HOLD, settings=["simulator.fault=sense_offset:-3@4 emi:1,37@5"], more=["--fault", "blob@6"]
@@ -60,5 +82,5 @@ def test_a_fault_of_a_running_printer_is_a_command(simulate: Simulate) -> None:
 
 
 def test_two_prints_with_the_same_fault_are_the_same(simulate: Simulate) -> None:
-    first, second = (simulate(square(1), more=["--fault", "emi:2,37@6"]) for _ in range(2))
+    first, second = (simulate(square(1), more=["--fault", "emi:2,37@6", "--until", "12"]) for _ in range(2))
     assert first.trace.read_bytes() == second.trace.read_bytes()

@@ -175,9 +175,10 @@ def test_port_that_is_not_there_says_so(session: LinkSession) -> None:
     assert "no such device" in text and "/dev/serial/by-id/no-such-board" in text
 
 
-def test_can_boards_are_refused_clearly(session: LinkSession) -> None:
+def test_a_can_bus_that_is_not_there_is_named(session: LinkSession) -> None:
     state, text = session.host(nothing, config="[mcu]\ncanbus_uuid: 11aa22bb33cc\n")
-    assert state == "error" and "CAN bus" in text
+    assert state == "error" and "Unable to use the CAN interface 'can0'" in text
+    assert "canbus_query.py" in text
 
 
 # --- running ---

@@ -148,6 +148,15 @@ def test_what_a_macro_puts_into_its_own_variable_stays_there(tmp_path: Path) -> 
     assert run(tmp_path, config, "REMEMBER A=1\nREMEMBER B=2\nSHOW") == ["// {'A': '1', 'B': '2'}"]
 
 
+def test_a_macro_changes_what_another_one_keeps(tmp_path: Path) -> None:
+    config = (
+        "[gcode_macro KEEPER]\nvariable_store: {'a': 1}\ngcode:\n  M118 {store.b}\n[respond]\n"
+        "[gcode_macro WRITER]\ngcode:\n  {% set _ = printer['gcode_macro KEEPER'].store.update({'b': 7}) %}\n"
+    )
+    session = Session(tmp_path, config).run(lambda s: s.gcode.run_script("WRITER\nKEEPER"))
+    assert "echo: 7" in session.lines
+
+
 def test_a_change_inside_a_variable_shows_in_the_status(tmp_path: Path) -> None:
     """Clients are sent what differs from the status before: that may not change along."""
     config = macro("REMEMBER", "{% do kept[0].append(params.A) %}", options="variable_kept: [[]]\n")

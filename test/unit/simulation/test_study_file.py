@@ -182,5 +182,5 @@ def test_a_parameter_may_be_a_choice_of_sets_of_options(tmp_path: Path) -> None:
 
 
 def test_a_set_of_something_else_than_options_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(StudyError, match='a set has "section.option" = value'):
+    with pytest.raises(StudyError, match=r'a set has "section\.option" = value'):
         read(tmp_path, SETS.replace("extruder.nozzle_diameter", "diameter"))
