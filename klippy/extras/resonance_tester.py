@@ -370,7 +370,7 @@ def load_config(config: ConfigWrapper) -> ResonanceTester:
     min_hz = config.getfloat("min_freq", 5.0, **_LIMITS["min_freq"])
     excitation = Excitation(
         min_hz=min_hz,
-        max_hz=config.getfloat("max_freq", 10000.0 / 75.0, above=min_hz, maxval=300.0),
+        max_hz=config.getfloat("max_freq", 133.33, above=min_hz, maxval=300.0),
         accel_per_hz=config.getfloat("accel_per_hz", 60.0, **_LIMITS["accel_per_hz"]),
         hz_per_s=config.getfloat("hz_per_sec", 1.0, **_LIMITS["hz_per_sec"]),
         sweeping_accel=config.getfloat("sweeping_accel", 400.0, above=0.0, maxval=10000.0),

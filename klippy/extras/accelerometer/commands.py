@@ -120,5 +120,6 @@ def register(printer: Printer, sensor: Any) -> None:
     """A chip answers to its name; the first section also to no name."""
     own = AccelerometerCommands(printer, sensor)
     own.register(sensor.name)
-    if sensor.name == sensor.section:
+    others = [thing for _, thing in printer.lookup_objects() if isinstance(thing, type(sensor))]
+    if sensor.name == sensor.section and not any(other.name == other.section for other in others):
         own.register(None)

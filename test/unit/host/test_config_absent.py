@@ -30,21 +30,6 @@ type: list
 type: command
 gcode: M117 hello
 """
-ACCELEROMETERS = """\
-[adxl345]
-cs_pin: PA2
-[adxl345 hotend]
-cs_pin: PA3
-[lis2dw bed]
-cs_pin: PA4
-[lis3dh]
-[mpu9250]
-[icm20948]
-[bmi160]
-[resonance_tester]
-accel_chip: adxl345
-probe_points: 100, 100, 20
-"""
 DISPENSABLE = frozenset().union(*(group.kinds for group in configabsent.DISPENSABLE))
 # Sections that the toolhead reads, not a module of their name.
 READ_ELSEWHERE = {
@@ -57,16 +42,14 @@ def notices(session: Session) -> list[str]:
     return [line for line in session.lines if "Ferrite does not yet" in line]
 
 
-def test_a_printer_starts_without_display_and_accelerometer_and_says_so_once(tmp_path: Path) -> None:
-    session = Session(tmp_path, DISPLAY + ACCELEROMETERS)
+def test_a_printer_starts_without_display_and_says_so_once(tmp_path: Path) -> None:
+    session = Session(tmp_path, DISPLAY)
     session.run(lambda s: s.sleep(5.0))
     assert session.state[1] == "ready"
     (notice,) = notices(session)
-    display, resonance = notice.splitlines()[1:]
+    (display,) = notice.splitlines()[1:]
     assert display.startswith("// [display] (printer.cfg, line 1), [display_data] (printer.cfg, line 4), ")
     assert "[menu] (printer.cfg, line 9): the display stays dark" in display
-    assert resonance.startswith("// [adxl345] (printer.cfg, line 14), [lis2dw] (printer.cfg, line 18), ")
-    assert "[resonance_tester] (printer.cfg, line 24): resonances can not be measured" in resonance
     (warning,) = session.status("configfile")["warnings"]
     assert warning["type"] == "runtime_warning"
     assert warning["message"] == notice.replace("// ", "")
@@ -93,15 +76,15 @@ def test_the_commands_that_come_with_a_display_are_there(tmp_path: Path) -> None
 def test_pins_of_a_section_that_is_left_out_stay_free(tmp_path: Path) -> None:
     config = (
         "[mcu]\nserial: x\n[printer]\nkinematics: none\nmax_velocity: 1\nmax_accel: 1\n"
-        f"{DISPLAY}{ACCELEROMETERS}[output_pin light]\npin: PA1\n[output_pin beeper]\npin: !PA3\n"
+        f"{DISPLAY}[output_pin light]\npin: PA1\n[output_pin beeper]\npin: !PA3\n"
     )
     assert load(tmp_path, config).message == "Printer is ready"
 
 
 def test_save_config_keeps_what_is_left_out(tmp_path: Path) -> None:
     """Both what the user wrote and what a calibration had saved."""
-    saved = "\n#*# <---------------------- SAVE_CONFIG ---------------------->\n#*#\n#*# [adxl345]\n#*# rate = 1600\n"
-    session = Session(tmp_path, DISPLAY + ACCELEROMETERS + saved)
+    saved = "\n#*# <---------------------- SAVE_CONFIG ---------------------->\n#*#\n#*# [display]\n#*# rate = 1600\n"
+    session = Session(tmp_path, DISPLAY + saved)
 
     def body(s: Session) -> None:
         assert s.state[1] == "ready", s.state[0]
@@ -110,8 +93,8 @@ def test_save_config_keeps_what_is_left_out(tmp_path: Path) -> None:
 
     session.run(body)
     text = session.config_path.read_text()
-    assert text.startswith(DISPLAY + ACCELEROMETERS)
-    assert "#*# [adxl345]\n#*# rate = 1600\n" in text
+    assert text.startswith(DISPLAY)
+    assert "#*# [display]\n#*# rate = 1600\n" in text
     assert "#*# [pause_resume]\n#*# recover_velocity = 7\n" in text
 
 
