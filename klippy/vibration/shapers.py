@@ -5,7 +5,7 @@ an oscillation by K = exp(-z pi/sqrt(1 - z^2)). Amplitudes sum to 1.
 
   zv, zvd    impulses T/2 apart that cancel each other, and that twice over (Singer and Seering 1990, eqs 9 and 12)
   mzv        n impulses evenly over t periods (below)
-  ei         Singhose, Seering and Singer 1997: at most `v_tol` of the vibration stays at f, none at two frequencies
+  ei         Singhose 1997: at most `v_tol` of the vibration stays at f, none at two frequencies
              beside it. No closed form exists with damping; their published fit is for z of 0 to 0.3
   2hump_ei, 3hump_ei   the same with more such frequencies, for 5 %; their fit has its times in periods 1/f
 
@@ -94,8 +94,8 @@ def _mzv(z: float, arguments: Arguments) -> Impulses:
     first = 2.0 * math.pi * t / (n - 1)
     apart = (2.0 * math.pi - 2.0 * first) / (n - 2)
     coefficients: list[complex] = [1.0]
-    for k in range(n - 1):
-        zero = cmath.exp(1j * (first + k * apart))
+    for number in range(n - 1):
+        zero = cmath.exp(1j * (first + number * apart))
         coefficients = [a - zero * b for a, b in zip([*coefficients, 0.0], [0.0, *coefficients], strict=True)]
     times = [t * i / (n - 1) for i in range(n)]
     k = _half_period_damping(z)

@@ -132,14 +132,14 @@ def test_sections_and_options_nobody_knows_are_refused_all_at_once(tmp_path: Pat
 def test_a_plugin_may_bring_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "__path__", list(extras.__path__))
     (tmp_path / "plugins").mkdir()
-    for name in ("lis3dh", "palette2"):
+    for name in ("display_glyph", "palette2"):
         (tmp_path / "plugins" / f"{name}.py").write_text(
             "def load_config(config):\n    return config.get('x')\n"
         )
-    config = f"[lis3dh]\nx: 1\n[palette2]\nx: 2\n[plugins]\npath: {tmp_path / 'plugins'}\n"
+    config = f"[display_glyph]\nx: 1\n[palette2]\nx: 2\n[plugins]\npath: {tmp_path / 'plugins'}\n"
     session = Session(tmp_path, config).run(lambda s: None)
     assert session.state[1] == "ready", session.state[0]
-    assert session.printer.lookup_object("lis3dh") == "1"
+    assert session.printer.lookup_object("display_glyph") == "1"
     assert session.printer.lookup_object("palette2") == "2"
     assert not notices(session)
 
