@@ -3,7 +3,7 @@
 With the natural frequency f and the damping ratio z the damped period is T = 1/(f sqrt(1 - z^2)), and half of it damps
 an oscillation by K = exp(-z pi/sqrt(1 - z^2)). Amplitudes sum to 1.
 
-  zv, zvd    impulses T/2 apart that cancel each other, and that twice over (Singer and Seering 1990, eqs 9 and 12)
+  zv, zvd    impulses T/2 apart that cancel each other, and that twice over (Singer 1990, eqs 9 and 12)
   mzv        n impulses evenly over t periods (below)
   ei         Singhose 1997: at most `v_tol` of the vibration stays at f, none at two frequencies
              beside it. No closed form exists with damping; their published fit is for z of 0 to 0.3
@@ -11,7 +11,7 @@ an oscillation by K = exp(-z pi/sqrt(1 - z^2)). Amplitudes sum to 1.
 
 The fits' sums differ from 1 by up to 0.0005: every shaper is normalised.
 
-mzv is a zero-placement shaper (Tuttle and Seering 1994). Impulses a delay d = tT/(n - 1) apart make the polynomial
+mzv is a zero-placement shaper (Tuttle 1994). Impulses a delay d = tT/(n - 1) apart make the polynomial
 A0 + A1 s + ... + A(n-1) s^(n-1) in s = exp(j w d). Its zeros lie on the unit circle: the first at phi = 2 pi t/(n - 1)
 (the oscillation itself), its mirror image at -phi, and the other n - 3 evenly between those, far from the signal. With
 damping the amplitude at time x is lower by exp(-2 pi z x/sqrt(1 - z^2)), so that the zero falls on the damped pole.

@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
 """Draw what the motors do: position, velocity, acceleration and step error over time.
 
-    scripts/bench/motion_plot.py batch DICT OUT --config printer.cfg --out motion.png [--from S] [--to S] [--stepper NAME]
+    scripts/bench/motion_plot.py batch DICT OUT --config printer.cfg --out motion.png [--from S] [--to S]
+            [--stepper NAME]
     scripts/bench/motion_plot.py live SOCKET --seconds 10 --out motion.png
 
 batch reads the output of a batch run (klippy.py -i -o); the config says which motor a step pin belongs to and how far

@@ -1,7 +1,7 @@
 """Pressure in a nozzle, the force that feeds the filament, and when it fails: Tlegenov 2018, eqs 1 to 20, put right.
 
-The melt is a power-law fluid, shear rate = (stress/K)^m, m = 1/n. In a pipe of radius R the stress at the wall for a flow
-Q is K (Q (m + 3)/(pi R^3))^(1/m), and the pressure falls by 2 stress/R a length. That over the three zones gives
+The melt is a power-law fluid, shear rate = (stress/K)^m, m = 1/n. In a pipe of radius R the stress at the wall for a
+flow Q is K (Q (m + 3)/(pi R^3))^(1/m), and the pressure falls by 2 stress/R a length. That over the three zones gives
 
     barrel    dp1 = 2 L1/R1 s(R1)                                        s(R) = K (Q (m + 3)/(pi R^3))^(1/m)
     cone      dp2 = 2 m/(3 tan(a/2)) K (Q (m + 3)/pi)^(1/m) (R2^(-3/m) - R1^(-3/m))
@@ -13,11 +13,11 @@ with F = dp * area of the filament (eq. 9) until it slips, or the filament buckl
 What the source has otherwise:
 
   eq. 1   F = 2 T/R: right with the diameter of the wheel in place of R; torque over radius is half of that
-  eq. 4   the sum of the two terms of the cone: without a cone (R1 = R2) that is not 0. Their difference is right; and the
-          speed is that of the barrel, so R1^2 v, not R2^2 v
+  eq. 4   the sum of the two terms of the cone: without a cone (R1 = R2) that is not 0. Their difference is right; and
+          the speed is that of the barrel, so R1^2 v, not R2^2 v
   eq. 5   R2^(q+1): the mean speed of the barrel is in it, so the exponent is q + 3
-  eq. 10  W = F_feed - F_bp falls as a clog grows, and the amplitude measured rises. The vibration has to be driven by the
-          back pressure
+  eq. 10  W = F_feed - F_bp falls as a clog grows, and the amplitude measured rises. The vibration has to be driven by
+          the back pressure
   eq. 17  with the source's own table (aluminium, 30 x 13 x 16 mm and 100 x 22 x 6 mm) gives 41 kHz and 1.4 kHz, not
           203.6 and 16.5 Hz: the mount is no beam on two pins. Its frequency has to be measured
   eq. 20  amplitudes are off by 10^4, and the inputs damping, excitation, place of the load are missing

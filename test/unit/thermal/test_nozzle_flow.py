@@ -78,7 +78,7 @@ def test_the_beam_of_the_source_is_far_from_the_frequency_it_gives(
 
 @pytest.mark.parametrize("kind", MEASURED)
 def test_the_amplitude_laws_give_the_diameters_back(kind: str) -> None:
-    """The laws' fit is to the table's theory, 4 to 7 % below what was measured: one factor, then 3 % of the diameter."""
+    """The laws fit the table's theory, 4 to 7 % below what was measured: one factor, then 3 % of the diameter."""
     law = AMPLITUDES[kind]
     diameters, measured = MEASURED[kind]
     factor = math.exp(
