@@ -41,6 +41,7 @@ LINE_LATENCY_S = 0.0005  # a USB serial adapter's turn-round, both directions al
 FAN_SPIN_UP_S = 0.2
 CHIP_TEMP_C = 40.0  # a room of 25 C and what the chip's own losses add on a small board
 FILAMENT_DIAMETER_MM = 1.75
+SUPPLY_DELAY_S = 0.001  # a solid-state switch; a relay takes 15 ms
 NOZZLE_PRESETS = ("reference", "strong", "light", "real")
 MCU_BUILDS = ("simulator", "stm32f334", "atmega2560")
 
@@ -63,9 +64,10 @@ ParameterTables = Mapping[str, Mapping[str, ParameterRow]]  # "nozzle" and "load
 
 @dataclass(frozen=True, slots=True)
 class SimulatorSettings:
-    """[simulator]: trace rows a simulated second."""
+    """[simulator]: trace rows a simulated second; faults as simulate.py --fault takes them."""
 
     trace_rate_hz: float = TRACE_RATE_HZ
+    faults: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,6 +110,9 @@ class NozzleSettings:
     profiles: Mapping[str, Profile]
     vdc_pin: str | None  # None: as in [induction_heater NAME]
     vdc_scale_v: float | None
+    enable_pin: str | None  # likewise: closes the switch in the bridge's supply
+    supply_delay_s: float
+    supply_watchdog_s: float  # 0: the pin's level counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -322,6 +327,7 @@ def _read_parameters(config: ConfigWrapper, table_name: str, own: set[str]) -> d
 
 def _read_nozzle(config: ConfigWrapper, name: str) -> NozzleSettings:
     own = {"mcu", "preset", "filament_axis", "filament_diameter", "fan", "vdc_pin", "vdc_scale"}
+    own |= {"enable_pin", "supply_delay", "supply_watchdog"}
     parameters = _read_parameters(config, "nozzle", own)
     return NozzleSettings(
         name=name,
@@ -333,6 +339,9 @@ def _read_nozzle(config: ConfigWrapper, name: str) -> NozzleSettings:
         profiles={option: profile for option, profile in parameters.items() if len(profile) > 1},
         vdc_pin=config.get("vdc_pin", None),
         vdc_scale_v=config.getfloat("vdc_scale", None, above=0.0),
+        enable_pin=config.get("enable_pin", None),
+        supply_delay_s=config.getfloat("supply_delay", SUPPLY_DELAY_S, minval=0.0, maxval=1.0),
+        supply_watchdog_s=config.getfloat("supply_watchdog", 0.0, minval=0.0, maxval=1.0),
     )
 
 
@@ -421,11 +430,44 @@ class SimulatorSection:
         self.settings = settings
 
 
+class LiveFaults:
+    """SIMULATOR_FAULT FAULT=NAME [ARG=...], where machine and host are one process."""
+
+    def __init__(self, printer: Any) -> None:
+        self.printer = printer
+
+    def register(self) -> None:
+        gcode = self.printer.lookup_object("gcode")
+        gcode.register_command(
+            "SIMULATOR_FAULT", self.cmd_SIMULATOR_FAULT, desc="A fault of the simulated machine"
+        )
+
+    def cmd_SIMULATOR_FAULT(self, gcmd: Any) -> None:
+        inject = self.printer.get_start_args().get("inject_fault")
+        if inject is None:
+            raise gcmd.error(
+                "SIMULATOR_FAULT: the machine is not in this process; start both with scripts/run_printer.py without"
+                " --separate."
+            )
+        name, argument = gcmd.get("FAULT"), gcmd.get("ARG", "")
+        problem = inject(f"{name}:{argument}" if argument else name)
+        if problem:
+            raise gcmd.error(f"SIMULATOR_FAULT: {problem}")
+        gcmd.respond_info(f"Fault injected: {name} {argument}".rstrip())
+
+
+def read_settings(config: ConfigWrapper) -> SimulatorSettings:
+    """Options of [simulator]."""
+    return SimulatorSettings(
+        config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0),
+        tuple(config.get("fault", "").split()),
+    )
+
+
 def load_config(config: ConfigWrapper) -> SimulatorSection:
     """[simulator]"""
-    return SimulatorSection(
-        SimulatorSettings(config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0))
-    )
+    LiveFaults(config.get_printer()).register()
+    return SimulatorSection(read_settings(config))
 
 
 def load_config_prefix(config: ConfigWrapper) -> SimulatorSection:

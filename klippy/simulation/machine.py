@@ -76,9 +76,12 @@ class Machine:
     fans: dict[str, int] = field(default_factory=dict)
     nozzles: dict[str, int] = field(default_factory=dict)
     loads: dict[str, int] = field(default_factory=dict)
+    beds: list[int] = field(default_factory=list)  # those of them that are beds
     probes: dict[str, int] = field(default_factory=dict)
+    nozzle_mcus: list[int] = field(default_factory=list)  # of each nozzle
     accelerometers: dict[str, int] = field(default_factory=dict)
     trace_rate_hz: float = SimulatorSettings().trace_rate_hz
+    faults: tuple[str, ...] = ()  # of the config, see faults.py
 
 
 def assemble(
@@ -94,6 +97,7 @@ def assemble(
     machine = Machine(world)
     for recording in _of(things, SimulatorSettings):
         machine.trace_rate_hz = recording.trace_rate_hz
+        machine.faults = recording.faults
     _add_mcus(machine, {mcu.name: mcu for mcu in _of(things, McuSettings)}, config, builds or {})
     for axis in _of(things, AxisSettings):
         machine.axes[axis.name] = _add_axis(machine, axis, config)
@@ -113,6 +117,8 @@ def assemble(
         _add_reference(machine, reference, config)
     for load in _of(things, LoadSettings):
         machine.loads[load.name] = _add_load(machine, load, config)
+        if load.kind == "bed":
+            machine.beds.append(machine.loads[load.name])
     return machine
 
 
@@ -384,6 +390,7 @@ def _add_nozzle(machine: Machine, nozzle: NozzleSettings, config: Config) -> int
     fan = _index(machine.fans, nozzle.fan, "fan", where)
     values = parameter_values("nozzle", nozzle.preset, dict(nozzle.parameters))
     index = machine.world.add_nozzle(machine.mcus[nozzle.mcu], values, axis, area_mm2, fan)
+    machine.nozzle_mcus.append(machine.mcus[nozzle.mcu])
     for name, points in nozzle.profiles.items():
         machine.world.add_profile(index, name, points)
     heater = config.get(f"induction_heater {nozzle.name}", {})
@@ -394,7 +401,14 @@ def _add_nozzle(machine: Machine, nozzle: NozzleSettings, config: Config) -> int
         machine.world.add_supply_sensor(
             index, parse_pin(pin, machine, f"Section '{where}', vdc_pin"), full_scale_v
         )
+    _add_supply_switch(machine, nozzle, index, heater.get("enable_pin"))
     return index
+
+
+def _add_supply_switch(machine: Machine, nozzle: NozzleSettings, index: int, assumed: str | None) -> None:
+    if pin := nozzle.enable_pin or assumed:
+        enable = parse_pin(pin, machine, f"Section 'simulator nozzle {nozzle.name}', enable_pin")
+        machine.world.add_supply_switch(index, enable, nozzle.supply_delay_s, nozzle.supply_watchdog_s)
 
 
 def _add_reference(machine: Machine, reference: ReferenceSettings, config: Config) -> int:

@@ -98,9 +98,9 @@ def _mzv(z: float, arguments: Arguments) -> Impulses:
         zero = cmath.exp(1j * (first + number * apart))
         coefficients = [a - zero * b for a, b in zip([*coefficients, 0.0], [0.0, *coefficients], strict=True)]
     times = [t * i / (n - 1) for i in range(n)]
-    k = _half_period_damping(z)
+    damping = _half_period_damping(z)
     # Times in damped periods: two halves to a period.
-    return [c.real * k ** (2.0 * x) for c, x in zip(coefficients, times, strict=True)], times
+    return [c.real * damping ** (2.0 * x) for c, x in zip(coefficients, times, strict=True)], times
 
 
 def _polynomial(row: Sequence[float], x: float) -> float:

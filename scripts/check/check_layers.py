@@ -29,7 +29,7 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
         ("thermal", "thermal vibration"),
         (
             "base",
-            "util queuelogger reactor roles configabsent configaliases configtext configfile"
+            "util queuelogger reactor roles configabsent absentpins configaliases configtext configfile"
             " gcode_command gcode gcode_io pins msgproto",
         ),
         ("link", "link serialhdl clocksync mcu"),

@@ -302,6 +302,13 @@ class World:
         """The voltage of a nozzle's bridge at a pin, by a divider."""
         self._index(self.lib.world_add_supply_sensor(self.pointer, nozzle, self.pin(pin), full_scale_v))
 
+    def add_supply_switch(self, nozzle: int, enable: Pin, delay_s: float, watchdog_s: float) -> None:
+        """A switch in the supply of a nozzle's bridge."""
+        options = self.ffi.new(
+            "struct world_supply_switch_options *", (self.pin(enable), delay_s, watchdog_s)
+        )
+        self._index(self.lib.world_add_supply_switch(self.pointer, nozzle, options))
+
     def add_profile(self, nozzle: int, name: str, points: Sequence[tuple[float, float]]) -> None:
         """A parameter of a nozzle over time: (s since the start, value), straight lines between."""
         number = list(parameter_tables()["nozzle"]).index(name)
@@ -338,6 +345,23 @@ class World:
         )
         change(self.pointer, index, number, value)
 
+    def parameter(self, nozzle: int, name: str) -> float:
+        """A parameter of a nozzle as it is now."""
+        number = list(parameter_tables()["nozzle"]).index(name)
+        return float(self.lib.world_nozzle_parameter(self.pointer, nozzle, number))
+
+    def stop_adc(self, mcu: int) -> None:
+        """No more samples in step with the bridge. Raises WorldError for an emulated chip."""
+        self._index(self.lib.world_stop_adc(self.pointer, mcu))
+
+    def watch(self, nozzle: int) -> int:
+        """Look at a nozzle from now on; returns the number for `watched`."""
+        return self._index(self.lib.world_watch(self.pointer, nozzle))
+
+    def watched(self, watch: int) -> dict[str, Any]:
+        """struct world_watch_state"""
+        return self._record("world_watch_state", self.lib.world_watched, watch)
+
     # --- recording ---
     def open_trace(self, path: Path | None, rate_hz: float) -> None:
         """Record from now on; without a path only figures are kept."""
@@ -352,6 +376,10 @@ class World:
         record = self.ffi.new(f"struct {kind} *")
         fill(self.pointer, *index, record)
         return {name: getattr(record, name) for name, _ in self.ffi.typeof(f"struct {kind}").fields}
+
+    def nozzle(self, index: int) -> dict[str, Any]:
+        """struct world_nozzle_state"""
+        return self._record("world_nozzle_state", self.lib.world_nozzle, index)
 
     def axis(self, index: int) -> dict[str, Any]:
         """struct world_axis_state"""

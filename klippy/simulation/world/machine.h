@@ -5,7 +5,7 @@
  *   fan pin ──► mean duty ──► fan speed ───┼──► nozzle (struct plant) ◄── bridge phase,  ──► ADC samples
  *   heater pin ──► mean duty ──────────────┴──► load (struct thermal_load) ──► thermistor pin
  *   axes ──► place of the probe ──► bed's surface ──► probe pin; control pin ──► a BLTouch's pin
- *   bridge supply, divider ──► vdc_pin
+ *   bridge supply, divider ──► vdc_pin;  enable pin ──► switch in that supply
  *   a thermocouple on the nozzle's skin, for calibrating: gain and lag, amplifier ──► reference pin
  *
  * Times are world seconds. The pins of one MCU report here in the order of time. machine_tick() once a millisecond
@@ -37,7 +37,7 @@ enum {
 };
 
 enum pin_role { PIN_UNUSED, PIN_STEP, PIN_DUTY, PIN_SWITCH, PIN_THERMISTOR, PIN_REFERENCE, PIN_PROBE, PIN_CONTROL,
-                PIN_SUPPLY, PIN_SELECT };
+                PIN_SUPPLY, PIN_ENABLE, PIN_SELECT };
 
 struct machine_pin {
     uint8_t role;   /* enum pin_role */
@@ -68,6 +68,7 @@ struct fan {
     int duty;
     double spin_up_s;
     double speed; /* 0..1 */
+    int stuck;    /* at that speed */
 };
 
 /* Melt pushed by an axis. */
@@ -84,6 +85,13 @@ struct profile {
     double time_s[PROFILE_POINTS], value[PROFILE_POINTS];
 };
 
+/* The switch in a bridge's supply: follows its pin by a delay. With a watchdog it is closed only while edges come. */
+struct supply_switch {
+    struct world_supply_switch_options options;
+    int present, asked, closed;
+    double asked_s, edge_s; /* of the last change of `asked`, of the last edge */
+};
+
 struct nozzle {
     struct plant plant;
     struct feed feed;
@@ -92,6 +100,7 @@ struct nozzle {
     double time_s; /* up to which the plant has been advanced */
     uint16_t phase;
     double supply_full_scale_v; /* of vdc_pin */
+    struct supply_switch supply_switch;
     double start_s;             /* of the profiles */
     struct profile profiles[NOZZLE_PROFILES];
     int profile_count;

@@ -31,6 +31,19 @@ struct world_reference_options {
     double gain, tau_s, volt_per_k, adc_volt, noise_lsb;
 };
 
+/* The switch between supply and bus of a nozzle's bridge, delay_s behind its pin; watchdog_s > 0: closed only while edges
+ * of the pin come at least so often. */
+struct world_supply_switch_options {
+    struct world_pin enable;
+    double delay_s, watchdog_s;
+};
+
+/* A nozzle and its bridge now. phase_ticks: as commanded; power_w: into the metal. */
+struct world_nozzle_state {
+    double skin_c, power_w, supply_v;
+    int phase_ticks, supply_closed;
+};
+
 enum { WORLD_PROBE_MOTORS = 4 };
 
 /* Height of the bed over x and y (mm, in the coordinates of the axes): a plane and one bump of Gauss' shape. */
@@ -85,6 +98,14 @@ struct world_axis_options {
 struct world_feed {
     int axis;
     double filament_area_mm2;
+};
+
+/* What a nozzle did since world_watch(). commanded_s, off_s: after how long its bridge was commanded off, and without
+ * voltage, for good; < 0: it is not. peak_above_c: above the greatest target since then, and above where it was. */
+struct world_watch_state {
+    int nozzle;
+    double start_s, start_c, target_c, peak_c, peak_above_c, commanded_s, off_s;
+    double before_j, after_j; /* into the metal: until it was commanded off, and since then */
 };
 
 struct world_axis_state {
@@ -150,15 +171,31 @@ int world_add_load(struct world *w, const double *parameters, int is_bed, struct
 int world_add_reference(struct world *w, const struct world_reference_options *options, struct world_pin pin);
 /* The bridge's supply over a divider: full_scale_v at the ADC's highest code. */
 int world_add_supply_sensor(struct world *w, int nozzle, struct world_pin pin, double full_scale_v);
+int world_add_supply_switch(struct world *w, int nozzle, const struct world_supply_switch_options *options);
 /* A parameter over time since the start: straight lines between the points, constant beyond them. */
 int world_add_profile(struct world *w, int nozzle, int index, const double *times_s, const double *values, int count);
+int world_nozzle(const struct world *w, int nozzle, struct world_nozzle_state *out);
 double world_nozzle_temperature(const struct world *w, int nozzle);
 double world_load_temperature(const struct world *w, int load);
 double world_fan_speed(const struct world *w, int fan);
 
 /* A parameter changes while the machine runs: faults, drift, disturbances. Indices as in world_parameter(). */
 void world_set_nozzle_parameter(struct world *w, int nozzle, int index, double value);
+double world_nozzle_parameter(const struct world *w, int nozzle, int index);
 void world_set_load_parameter(struct world *w, int load, int index, double value);
+
+/* Faults of everything else. Lines are cut and the host stands still until `until_s`, world time; a clock goes by another
+ * rate from now on; an MCU starts anew as after power-on. world_stop_adc: not for an emulated chip. */
+void world_cut_link(struct world *w, int mcu, int down, int up, double until_s);
+void world_damage_link(struct world *w, int mcu, double corrupt);
+void world_step_clock(struct world *w, int mcu, double ppm);
+int world_stop_adc(struct world *w, int mcu);
+void world_reset_mcu(struct world *w, int mcu);
+void world_stall_host(struct world *w, double until_s);
+void world_stick_fan(struct world *w, int fan, double speed);
+/* From now on look at a nozzle; returns an index. */
+int world_watch(struct world *w, int nozzle);
+int world_watched(const struct world *w, int watch, struct world_watch_state *out);
 
 /* The parameters of a nozzle (table 0) and of a load (table 1): 0 when index is past the end.
  * values: min, max, then those of each preset: reference, strong, real; or hotend, bed. */

@@ -14,12 +14,12 @@ static const double SIM_PWM_MAX = 255.0; /* constant PWM_MAX of the simulator po
 
 static double to_seconds(const struct world_mcu *m, uint64_t clock)
 {
-    return m->world->start_s + (double)clock / m->clock_hz;
+    return m->clock_base_s + ((double)clock - m->clock_base) / m->clock_hz;
 }
 
 static uint64_t to_clock(const struct world_mcu *m, double time_s)
 {
-    return (uint64_t)floor((time_s - m->world->start_s) * m->clock_hz + CLOCK_MARGIN_TICKS);
+    return (uint64_t)floor(m->clock_base + (time_s - m->clock_base_s) * m->clock_hz + CLOCK_MARGIN_TICKS);
 }
 
 /* ---- what the board offers the firmware (struct sim_board) ------------------------------------ */
@@ -154,17 +154,26 @@ double world_mcu_next_s(const struct world_mcu *m)
     return fmax(to_seconds(m, clock), m->world->now_s);
 }
 
+static void reboot(struct world_mcu *m, uint64_t clock)
+{
+    machine_reset_outputs(&m->world->machine, m->index, to_seconds(m, clock));
+    link_clear(&m->down);
+    m->library.boot(&m->board, clock);
+}
+
 /* After every stretch of an MCU: has its model objected, does it want to be restarted? */
 static void look_after(struct world_mcu *m, uint64_t clock)
 {
     struct world *w = m->world;
     if (m->library.fault && !w->failed && m->library.fault(w->error, sizeof w->error))
         w->failed = 1;
-    if (!m->library.take_reset())
-        return;
-    machine_reset_outputs(&m->world->machine, m->index, to_seconds(m, clock));
-    link_clear(&m->down);
-    m->library.boot(&m->board, clock);
+    if (m->library.take_reset())
+        reboot(m, clock);
+}
+
+void world_mcu_reboot(struct world_mcu *m)
+{
+    reboot(m, to_clock(m, m->world->now_s));
 }
 
 void world_mcu_advance(struct world_mcu *m, double until_s)
