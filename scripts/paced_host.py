@@ -151,7 +151,7 @@ class PacedHost:
         config = self._printer.lookup_object("configfile").get_status(0.0)["config"]
         try:
             machine = assemble(self._world, sections, config)
-            self._world.open_trace(None, machine.trace_rate_hz)
+            self._world.open_trace(None, machine.recording.trace_rate_hz)
         except WorldError as e:
             raise self._printer.config_error(str(e)) from None
         return machine

@@ -59,9 +59,10 @@ ParameterTables = Mapping[str, Mapping[str, ParameterRow]]  # "nozzle" and "load
 
 @dataclass(frozen=True, slots=True)
 class SimulatorSettings:
-    """[simulator]: trace rows a simulated second."""
+    """[simulator]: trace rows a simulated second; the longest time for which the host does nothing, at random."""
 
     trace_rate_hz: float = TRACE_RATE_HZ
+    host_late_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,7 +373,10 @@ class SimulatorSection:
 def load_config(config: ConfigWrapper) -> SimulatorSection:
     """[simulator]"""
     return SimulatorSection(
-        SimulatorSettings(config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0))
+        SimulatorSettings(
+            config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0),
+            config.getfloat("host_late", 0.0, minval=0.0, maxval=10.0),
+        )
     )
 
 

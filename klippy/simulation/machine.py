@@ -71,7 +71,7 @@ class Machine:
     nozzles: dict[str, int] = field(default_factory=dict)
     loads: dict[str, int] = field(default_factory=dict)
     probes: dict[str, int] = field(default_factory=dict)
-    trace_rate_hz: float = SimulatorSettings().trace_rate_hz
+    recording: SimulatorSettings = field(default_factory=SimulatorSettings)
 
 
 def assemble(
@@ -86,7 +86,7 @@ def assemble(
         )
     machine = Machine(world)
     for recording in _of(things, SimulatorSettings):
-        machine.trace_rate_hz = recording.trace_rate_hz
+        machine.recording = recording
     _add_mcus(machine, {mcu.name: mcu for mcu in _of(things, McuSettings)}, config, builds or {})
     for axis in _of(things, AxisSettings):
         machine.axes[axis.name] = _add_axis(machine, axis, config)

@@ -9,12 +9,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from .results import Rows
-from .studyfile import PRINTED, Limit
+from .studyfile import ENDINGS, PRINTED, VARIANT, Limit
 
 MIN_ROWS = 5  # below, a rank correlation says nothing
 
@@ -49,16 +50,22 @@ def excess(limit: Limit, value: float | None) -> float:
     return max(above, below)
 
 
-def judge(limits: Sequence[Limit], rows: Rows) -> list[Verdict]:
-    """Limits of figures are for the prints that ended well; how many those are has a limit of its own."""
-    good = [key for key in sorted(rows) if rows[key]["status"] == "printed"]
+def judge(
+    limits: Sequence[Limit], rows: Rows, points: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
+) -> list[Verdict]:
+    """Limits of figures are for the prints that ended well; how many those are has a limit of its own. `points`: key →
+    parameters, with the variant.
+    """
     verdicts = []
     for limit in limits:
-        if limit.figure == PRINTED:
-            share = len(good) / max(1, len(rows))
-            worst = tuple(key for key in sorted(rows) if rows[key]["status"] != "printed")
-            verdicts.append(Verdict(limit, share, excess(limit, share) <= 0.0, worst))
+        keys = [k for k in sorted(rows) if not limit.variant or points[k][VARIANT] == limit.variant]
+        if limit.figure in ENDINGS:
+            ended = [key for key in keys if rows[key]["status"] == ENDINGS[limit.figure]]
+            share = len(ended) / max(1, len(keys))
+            worst = set(keys) - set(ended) if limit.figure == PRINTED else ended
+            verdicts.append(Verdict(limit, share, excess(limit, share) <= 0.0, tuple(sorted(worst))))
             continue
+        good = [key for key in keys if rows[key]["status"] == "printed"]
         over = {key: excess(limit, rows[key]["figures"].get(limit.figure)) for key in good}
         share = sum(value <= 0.0 for value in over.values()) / max(1, len(over))
         ranked = sorted(over, key=lambda key: (-over[key], key))

@@ -15,7 +15,7 @@ from ..world import parameter_tables
 from .figures import columns_of
 from .job import Job, WrongWorker, input_hashes, portable, run_child, version
 from .sampling import Parameter, points
-from .studyfile import Study, near
+from .studyfile import VARIANT, Study, near
 
 PLANTS = {"simulator nozzle": "nozzle", "simulator load": "load"}
 SAMPLE = "sample:"
@@ -49,12 +49,13 @@ def prepare(study: Study, sample: Callable[[str], Path]) -> Prepared:
     for path in files:
         config, file = portable(study.config), portable(path)
         inputs = _hashes(study, config, file)
-        for seed, point in itertools.product(study.seeds, all_points):
+        for seed, variant, point in itertools.product(study.seeds, study.variants or [""], all_points):
+            changes = study.variants.get(variant, {})
             job = Job(
                 config,
                 file,
                 seed,
-                _overrides(point),
+                _overrides({**point, **changes}),
                 study.before,
                 study.until_s,
                 figures,
@@ -62,7 +63,7 @@ def prepare(study: Study, sample: Callable[[str], Path]) -> Prepared:
                 inputs,
             )
             prepared.jobs[job.key] = job
-            prepared.points[job.key] = point
+            prepared.points[job.key] = {VARIANT: variant, **point} if variant else point
             prepared.order.append(job.key)
     return prepared
 
@@ -138,30 +139,34 @@ def _base(study: Study, parameter: Parameter, options: Options) -> float:
         raise study.error(("parameters", parameter.name), text) from None
 
 
-def _unknown(study: Study, name: str, options: Options) -> Exception:
+def _unknown(study: Study, name: str, options: Options, keys: tuple[str, ...] = ()) -> Exception:
     section, _, option = name.rpartition(".")
     known = options.get(section.strip().lower())
     if known is None:
         text = f"the config {study.config.name} has no section [{section}].{near(section, options)}"
     else:
         text = f"section [{section}] has no option '{option}'.{near(option, known)}"
-    return study.error(("parameters", name), text)
+    return study.error(keys or ("parameters", name), text)
 
 
 def _check_names(study: Study, options: Options, point: Mapping[str, Any]) -> None:
     """An option that the config of the file did not read may be one with these parameters: the host decides."""
     config_sections = _sections(study)
-    for parameter in study.parameters:
-        if parameter.name.rpartition(".")[0].strip() not in config_sections:
-            raise _unknown(study, parameter.name, options)
-    answer = _describe(study, point)
-    if answer["exit_status"] == 0:
-        return
-    for parameter in study.parameters:
-        section, _, option = parameter.name.rpartition(".")
-        if option.strip().lower() not in options.get(section.strip().lower(), {}):
-            raise _unknown(study, parameter.name, options)
-    raise study.error(("parameters",), f"with the first point: {answer['reason']}")
+    for name, changes in (study.variants or {"": {}}).items():
+        keys: dict[str, tuple[str, ...]] = {p.name: ("parameters", p.name) for p in study.parameters}
+        keys |= {parameter: ("variants", name, parameter) for parameter in changes}
+        for parameter, place in keys.items():
+            if parameter.rpartition(".")[0].strip() not in config_sections:
+                raise _unknown(study, parameter, options, place)
+        answer = _describe(study, {**point, **changes})
+        if answer["exit_status"] == 0:
+            continue
+        for parameter, place in keys.items():
+            section, _, option = parameter.rpartition(".")
+            if option.strip().lower() not in options.get(section.strip().lower(), {}):
+                raise _unknown(study, parameter, options, place)
+        where = ("variants", name) if name else ("parameters",)
+        raise study.error(where, f"with the first point: {answer['reason']}")
 
 
 def _sections(study: Study) -> set[str]:
