@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
+from .prepare import Prepared
 from .results import Rows
 from .studyfile import ENDINGS, PRINTED, VARIANT, Limit
 
@@ -50,15 +50,15 @@ def excess(limit: Limit, value: float | None) -> float:
     return max(above, below)
 
 
-def judge(
-    limits: Sequence[Limit], rows: Rows, points: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
-) -> list[Verdict]:
-    """Limits of figures are for the prints that ended well; how many those are has a limit of its own. `points`: key →
-    parameters, with the variant.
+def judge(limits: Sequence[Limit], rows: Rows, prepared: Prepared | None = None) -> list[Verdict]:
+    """Limits of figures are for the prints that ended well; how many those are has a limit of its own. `prepared`: for
+    limits of a variant.
     """
     verdicts = []
     for limit in limits:
-        keys = [k for k in sorted(rows) if not limit.variant or points[k][VARIANT] == limit.variant]
+        keys = sorted(rows)
+        if limit.variant and prepared:
+            keys = [key for key in keys if prepared.points[key][VARIANT] == limit.variant]
         if limit.figure in ENDINGS:
             ended = [key for key in keys if rows[key]["status"] == ENDINGS[limit.figure]]
             share = len(ended) / max(1, len(keys))
@@ -66,11 +66,19 @@ def judge(
             verdicts.append(Verdict(limit, share, excess(limit, share) <= 0.0, tuple(sorted(worst))))
             continue
         good = [key for key in keys if rows[key]["status"] == "printed"]
-        over = {key: excess(limit, rows[key]["figures"].get(limit.figure)) for key in good}
+        over = {key: excess(limit, _value(limit, key, rows, prepared)) for key in good}
         share = sum(value <= 0.0 for value in over.values()) / max(1, len(over))
         ranked = sorted(over, key=lambda key: (-over[key], key))
         verdicts.append(Verdict(limit, share, bool(over) and share >= limit.share, tuple(ranked)))
     return verdicts
+
+
+def _value(limit: Limit, key: str, rows: Rows, prepared: Prepared | None) -> float | None:
+    value: float | None = rows[key]["figures"].get(limit.figure)
+    if not limit.of or prepared is None:
+        return value
+    other = rows.get(prepared.twins[key][limit.of], {}).get("figures", {}).get(limit.figure)
+    return value / other if value is not None and other else None
 
 
 def values_of(rows: Rows, figure: str) -> list[float]:

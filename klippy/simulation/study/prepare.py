@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +24,14 @@ Options = Mapping[str, Mapping[str, str]]  # section → option → value
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """`order`: keys in the order of the plan, once for each file and seed; `points`: key → parameters."""
+    """`order`: keys in the order of the plan, once for each file, seed and variant; `points`: key → parameters;
+    `twins`: key → the same point, file and seed with each variant.
+    """
 
     jobs: dict[str, Job]
     points: dict[str, dict[str, Any]]
     order: list[str]
+    twins: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
 def prepare(study: Study, sample: Callable[[str], Path]) -> Prepared:
@@ -49,22 +52,17 @@ def prepare(study: Study, sample: Callable[[str], Path]) -> Prepared:
     for path in files:
         config, file = portable(study.config), portable(path)
         inputs = _hashes(study, config, file)
-        for seed, variant, point in itertools.product(study.seeds, study.variants or [""], all_points):
-            changes = study.variants.get(variant, {})
-            job = Job(
-                config,
-                file,
-                seed,
-                _overrides({**point, **changes}),
-                study.before,
-                study.until_s,
-                figures,
-                sources,
-                inputs,
-            )
-            prepared.jobs[job.key] = job
-            prepared.points[job.key] = {VARIANT: variant, **point} if variant else point
-            prepared.order.append(job.key)
+        for seed in study.seeds:
+            twins: list[dict[str, str]] = [{} for _ in all_points]
+            for variant, (number, point) in itertools.product(study.variants or [""], enumerate(all_points)):
+                overrides = _overrides({**point, **study.variants.get(variant, {})})
+                before = study.befores.get(variant, study.before)
+                job = Job(config, file, seed, overrides, before, study.until_s, figures, sources, inputs)
+                prepared.jobs[job.key] = job
+                prepared.points[job.key] = {VARIANT: variant, **point} if variant else point
+                prepared.order.append(job.key)
+                twins[number][variant] = job.key
+                prepared.twins[job.key] = twins[number]
     return prepared
 
 

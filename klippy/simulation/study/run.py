@@ -68,7 +68,7 @@ def run_study(
             failed = write_failures(folder / "failures.txt", prepared.jobs, rows, command)
     finally:
         journal.close()
-    verdicts = judge(study.limits, rows, prepared.points)
+    verdicts = judge(study.limits, rows, prepared)
     reports = _write_reports(study, prepared, folder, verdicts)
     _write_page(study, prepared, folder, rows, verdicts, reports)
     return Finished(rows, verdicts, failed)
@@ -125,7 +125,8 @@ def summary_lines(finished: Finished) -> list[str]:
         bounds = [f"min {limit.min:g}"] if limit.min is not None else []
         bounds += [f"max {limit.max:g}"] if limit.max is not None else []
         need = "" if limit.figure in ENDINGS else f" of {100 * limit.share:g} % required"
-        name = f"{limit.figure} ({limit.variant})" if limit.variant else limit.figure
+        name = limit.figure + (f" ({limit.variant})" if limit.variant else "")
+        name += f" over that of {limit.of}" if limit.of else ""
         state = "met" if verdict.met else "NOT MET"
         lines.append(f"{name}: {', '.join(bounds)}: {state}, {100 * verdict.share:.4g} % of the prints{need}")
     return lines

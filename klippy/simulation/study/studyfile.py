@@ -36,19 +36,23 @@ class StudyError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """Bounds of a figure, and the share of the prints that has to be within them. `variant`: "" counts all."""
+    """Bounds of a figure, and the share of the prints that has to be within them. `variant`: "" counts all; `of`: the
+    figure is divided by that of this variant at the same point.
+    """
 
     figure: str
     min: float | None = None
     max: float | None = None
     share: float = 1.0
     variant: str = ""
+    of: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
     """What a study file asks for. `figures`: name → specification, as simulation.study.figures reads it; `variants`:
-    name → parameters with one value each, every point of the plan is printed with each.
+    name → parameters with one value each, every point of the plan is printed with each; `befores`: their own steps
+    before the print.
     """
 
     path: Path
@@ -62,6 +66,7 @@ class Study:
     plan: Plan
     parameters: tuple[Parameter, ...]
     variants: Mapping[str, Mapping[str, Any]]
+    befores: Mapping[str, tuple[str, ...]]
     figures: Mapping[str, Mapping[str, Any]]
     limits: tuple[Limit, ...]
     lines: Mapping[tuple[str, ...], int] = field(default_factory=dict)
@@ -157,6 +162,14 @@ class _Table:
             raise self.error(key, f"this has to be a list of {what} in brackets, not {value!r}.")
         return list(value)
 
+    def before(self, default: tuple[str, ...]) -> tuple[str, ...]:
+        lines = tuple(self.list_of("before", str, "lines of G-code", list(default)))
+        if lines and lines[-1].strip().upper() != "SAVE_CONFIG":
+            raise self.error(
+                "before", "the last line has to be SAVE_CONFIG: the print starts from what it saved."
+            )
+        return lines
+
     def finish(self, known: Sequence[str] = ()) -> None:
         for key in self.values:
             hint = near(key, known or self._known) or f" Known here: {', '.join(known or self._known)}."
@@ -184,23 +197,22 @@ def read_study(path: Path, small: bool = False, runs: int | None = None) -> Stud
     files = top.list_of("files", str, "G-code files", [])
     if not files:
         raise top.error("files", "this names no G-code file.")
-    before = top.list_of("before", str, "lines of G-code", [])
-    if before and before[-1].strip().upper() != "SAVE_CONFIG":
-        raise top.error("before", "the last line has to be SAVE_CONFIG: the print starts from what it saved.")
+    before = top.before(())
     figures = _read_figures(top.table("figures"))
-    variants = _read_variants(top.table("variants"))
+    variants, befores = _read_variants(top.table("variants"), before)
     study = Study(
         path=path,
         title=top.text("title", top.take("title", path.stem)),
         config=config,
         files=tuple(files),
-        before=tuple(before),
+        before=before,
         seeds=tuple(top.list_of("seeds", int, "whole numbers", [1])) or (1,),
         until_s=top.number("until_s"),
         reports=top.whole("reports", 1),
         plan=_read_plan(top.table("plan")),
         parameters=tuple(_read_parameters(top.table("parameters"))),
         variants=variants,
+        befores=befores,
         figures=figures,
         limits=tuple(_read_limits(top.table("limits"), figures, variants)),
         lines=lines,
@@ -209,7 +221,7 @@ def read_study(path: Path, small: bool = False, runs: int | None = None) -> Stud
     _check_plan(study)
     if chosen is None:
         return study
-    limits = tuple(limit for limit in study.limits if limit.variant in ("", *chosen))
+    limits = tuple(limit for limit in study.limits if {limit.variant, limit.of} <= {"", *chosen})
     return replace(study, variants={name: variants[name] for name in chosen}, limits=limits)
 
 
@@ -232,17 +244,21 @@ def _make_smaller(top: _Table, small: bool, runs: int | None) -> list[str] | Non
     return chosen
 
 
-def _read_variants(table: _Table) -> dict[str, dict[str, Any]]:
+def _read_variants(
+    table: _Table, before: tuple[str, ...]
+) -> tuple[dict[str, dict[str, Any]], dict[str, tuple[str, ...]]]:
     variants: dict[str, dict[str, Any]] = {}
+    befores: dict[str, tuple[str, ...]] = {}
     for name in list(table.values):
         one = table.table(name)
         variants[name] = {}
+        befores[name] = one.before(before)
         for key in list(one.values):
             _need_option(one, key)
             variants[name][key] = one.take(key)
             if isinstance(variants[name][key], list | dict):
                 raise one.error(key, "a variant has one value for each of its parameters.")
-    return variants
+    return variants, befores
 
 
 def _need_option(table: _Table, name: str) -> None:
@@ -386,10 +402,11 @@ def _read_limits(table: _Table, figures: Mapping[str, Any], variants: Mapping[st
 def _read_limit(table: _Table, name: str, variants: Mapping[str, Any]) -> Limit:
     one = table.table(name)
     bounds = one.number("min"), one.number("max"), one.number("share", 1.0) or 0.0
-    limit = Limit(name, *bounds, one.take(VARIANT, ""))
+    limit = Limit(name, *bounds, one.take(VARIANT, ""), one.take("of", ""))
     one.finish()
-    if limit.variant and limit.variant not in variants:
-        raise table.error(name, f"there is no variant {limit.variant!r}.{near(limit.variant, variants)}")
+    for variant in (limit.variant, limit.of):
+        if variant and variant not in variants:
+            raise table.error(name, f"there is no variant {variant!r}.{near(variant, variants)}")
     if limit.min is None and limit.max is None:
         raise table.error(name, "a limit has min, max or both, as { max = 1.0 }.")
     if not 0.0 < limit.share <= 1.0:

@@ -138,9 +138,15 @@ def test_a_worker_with_other_sources_or_files_refuses(changes: dict[str, Any], m
         execute(Job(*files, 1, (), (), None, {}, **facts))
 
 
-def test_a_copied_config_still_includes_what_stays_behind(tmp_path: Path) -> None:
+def test_a_copied_config_has_what_the_config_includes(tmp_path: Path) -> None:
+    """SAVE_CONFIG does not write to options of included files."""
+    (tmp_path / "parts").mkdir()
     config = tmp_path / "printer.cfg"
-    config.write_text("[include more.cfg]\n[printer]\nkinematics: none\n")
+    config.write_text("[include parts/*.cfg]  # all\n[printer]\nkinematics: none\n")
+    (tmp_path / "parts" / "b.cfg").write_text("[fan]\npin: PA1\n")
+    (tmp_path / "parts" / "a.cfg").write_text("[include ../rest.inc]\n")
+    (tmp_path / "rest.inc").write_text("[mcu]\nserial: x\n")
     (tmp_path / "copy").mkdir()
-    copy = copy_config(config, tmp_path / "copy")
-    assert copy.read_text() == f"[include {tmp_path}/more.cfg]\n[printer]\nkinematics: none\n"
+    copy = copy_config(config, tmp_path / "copy").read_text()
+    lines = [line for line in copy.splitlines() if line]
+    assert lines == ["[mcu]", "serial: x", "[fan]", "pin: PA1", "[printer]", "kinematics: none"]
