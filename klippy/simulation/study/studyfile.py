@@ -22,7 +22,7 @@ PRINTED = "printed"  # the limit on the share of prints that end well
 # Limits on the share of prints that ended in a way; all prints count.
 ENDINGS = {PRINTED: "printed", "tripped": "printer shut down", "refused": "calibration failed"}
 VARIANT = "variant"
-SMALL = ("runs", "seeds", "files", "variants", "until_s")
+SMALL = ("runs", "seeds", "files", "variants", "until_s", "reports")
 
 _KEY = r"""(?:"[^"]*"|'[^']*'|[\w-]+)"""
 _DOTTED = rf"{_KEY}(?:\s*\.\s*{_KEY})*"

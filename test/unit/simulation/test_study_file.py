@@ -66,6 +66,11 @@ def read(folder: Path, text: str) -> Study:
         (RMS, '{ trace = "true_c", take = "worst" }', "'worst' is not known; there are min, max"),
         (RMS, '{ trace = "true_c", take = "max", where = "t_s = 3" }', "'t_s = 3' is no condition"),
         ("files =", 'before = ["G28"]\nfiles =', "line 3: before: the last line has to be SAVE_CONFIG"),
+        ("max = 1.0", 'max = 1.0, variant = "b"', "line 17: limits.rms_c: there is no variant 'b'."),
+        ("[limits]", "[variants.a]\nspeed = 1\n[limits]", 'line 17: variants.a.speed: a parameter is "section.option"'),
+        ("[limits]", '[variants.a]\n"b.c" = [1]\n[limits]', "a variant has one value for each of its parameters."),
+        ("[limits]", '[small]\nvariants = ["a"]\n[limits]', "small.variants: there is no variant 'a'."),
+        ("[limits]", "[small]\nrun = 1\n[limits]", "small.run: there is no such key. Did you mean 'runs'?"),
     ],
 )  # fmt: skip
 def test_a_wrong_file_is_refused_with_line_and_what_would_be_right(
@@ -75,6 +80,18 @@ def test_a_wrong_file_is_refused_with_line_and_what_would_be_right(
     with pytest.raises(StudyError) as caught:
         read(tmp_path, GOOD.replace(old, new, 1))
     assert message in str(caught.value)
+
+
+def test_a_small_form_replaces_the_size_and_drops_limits_of_what_it_leaves_out(tmp_path: Path) -> None:
+    text = GOOD.replace(
+        "rms_c = { max = 1.0 }", 'rms_c = [{ max = 1.0, variant = "a" }, { max = 2.0, variant = "b" }]'
+    )
+    text += '[small]\nruns = 2\nvariants = ["b"]\n[variants.a]\n"b.c" = 1\n[variants.b]\n"b.c" = 2\n'
+    assert len(read(tmp_path, text).limits) == 3
+    small = read_study(tmp_path / "try.toml", small=True)
+    assert (small.plan.runs, list(small.variants)) == (2, ["b"])
+    assert [(limit.figure, limit.variant) for limit in small.limits] == [("printed", ""), ("rms_c", "b")]
+    assert read_study(tmp_path / "try.toml", runs=5).plan.runs == 5
 
 
 def test_printed_has_a_limit_though_the_file_has_none(tmp_path: Path) -> None:
