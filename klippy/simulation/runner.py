@@ -216,7 +216,7 @@ class Simulation:
         set_channel, pointer, lib = self.world.lib.world_set_channel, self.world.pointer, self.world.lib
         if self._bed is not None:
             set_channel(pointer, lib.WORLD_BED_TARGET_C, self._bed.get_temp(now)[1])
-        set_channel(pointer, lib.WORLD_WARNING, any(nozzle.warning() for nozzle in self._nozzles))
+        set_channel(pointer, lib.WORLD_WARNING, max((_weight(n.warning()) for n in self._nozzles), default=0))
         until_s = self.options.until_s
         if until_s is not None and now - self.world.start_s >= until_s:
             self._end(PRINTED, f"stopped after {until_s:g} simulated seconds, as asked")
@@ -331,6 +331,11 @@ class Simulation:
             lost = machine.world.axis(index)["steps_lost"]
             if lost:
                 self.facts.faults.append(f"axis {name} ran against its end: {lost} steps lost")
+
+
+def _weight(warning: str) -> int:
+    """Of a warning in the trace: 2 if it names a thermometer that reads wrong."""
+    return 2 if "drift" in warning or "wrong nozzle" in warning else int(bool(warning))
 
 
 def _first_paragraph(text: str) -> str:

@@ -99,7 +99,8 @@ def heater_figures(figures: Mapping[str, Any], epochs: Sequence[Mapping[str, Any
         "settled_mean_error_c": _rounded(errors / settled_s) if settled_s else None,
         "estimate_max_error_c": _largest(epochs, "estimate_max_error_c", settled_s),
         "overshoot_c": _largest(heating, "overshoot_c", settled_s),
-        "climb_ratio": max((r for r in map(climb_ratio, epochs) if r is not None), default=None),
+        "climb_ratio": _slowest(epochs, "settle_s"),
+        "shown_climb_ratio": _slowest(epochs, "shown_settle_s"),
         "time_to_heat_s": _rounded(_ever(heating[0]["reach_s"])) if heating else None,
         "peak_c": _rounded(figures["peak_c"]),
         "peak_power_w": _rounded(figures["peak_power_w"]),
@@ -118,7 +119,9 @@ def _epoch(epoch: Mapping[str, Any]) -> dict[str, Any]:
         "reach_s": _rounded(_ever(epoch["reach_s"])),
         "settle_s": _rounded(_ever(epoch["settle_s"])),
         "climb_ratio": climb_ratio(epoch),
-        "climb_over_s": _rounded(climb_s(epoch) - epoch["bound_s"]) if climb_ratio(epoch) else None,
+        "climb_over_s": _rounded(epoch["settle_s"] - SETTLE_S - epoch["bound_s"])
+        if climb_ratio(epoch)
+        else None,
         "overshoot_c": _rounded(epoch["overshoot_c"]),
         "settled_s": _rounded(seconds),
         "max_error_c": _rounded(epoch["max_error_c"]) if seconds else None,
@@ -126,15 +129,17 @@ def _epoch(epoch: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def climb_s(epoch: Mapping[str, Any]) -> float:
-    """Time until the nozzle is in the band and stays there."""
-    return float(epoch["settle_s"]) - SETTLE_S
+def climb_ratio(epoch: Mapping[str, Any], settled: str = "settle_s") -> float | None:
+    """Time until the nozzle is in the band and stays there, over that of full power from the first moment; None: no
+    climb, or it never ended. `settled`: by the true temperature, or by the host's estimate.
+    """
+    climbed = epoch["bound_s"] > 0.0 and epoch[settled] >= 0.0
+    return _rounded((epoch[settled] - SETTLE_S) / epoch["bound_s"]) if climbed else None
 
 
-def climb_ratio(epoch: Mapping[str, Any]) -> float | None:
-    """That time over the one of full power from the first moment; None: no climb, or it never ended."""
-    climbed = epoch["bound_s"] > 0.0 and epoch["settle_s"] >= 0.0
-    return _rounded(climb_s(epoch) / epoch["bound_s"]) if climbed else None
+def _slowest(epochs: Sequence[Mapping[str, Any]], settled: str) -> float | None:
+    ratios = [climb_ratio(epoch, settled) for epoch in epochs]
+    return max((ratio for ratio in ratios if ratio is not None), default=None)
 
 
 def _largest(epochs: Sequence[Mapping[str, Any]], name: str, settled_s: float) -> float | None:

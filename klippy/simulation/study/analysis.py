@@ -60,7 +60,7 @@ def judge(limits: Sequence[Limit], rows: Rows, prepared: Prepared | None = None)
         if limit.variant and prepared:
             keys = [key for key in keys if prepared.points[key][VARIANT] == limit.variant]
         if limit.figure in ENDINGS:
-            ended = [key for key in keys if rows[key]["status"] == ENDINGS[limit.figure]]
+            ended = [key for key in keys if rows[key]["status"] in ENDINGS[limit.figure]]
             share = len(ended) / max(1, len(keys))
             worst = set(keys) - set(ended) if limit.figure == PRINTED else ended
             verdicts.append(Verdict(limit, share, excess(limit, share) <= 0.0, tuple(sorted(worst))))

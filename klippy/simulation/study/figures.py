@@ -19,10 +19,14 @@ def collect(
 ) -> dict[str, float | None]:
     """Name → value; None where the print has none: no row meets the condition, or the summary's field is null."""
     columns = read_columns(trace, columns_of(figures)) if trace is not None and trace.exists() else {}
-    return {
-        name: _of_summary(summary, figure["summary"]) if "summary" in figure else _of_trace(columns, figure)
-        for name, figure in figures.items()
-    }
+    found: dict[str, float | None] = {}
+    for name, figure in figures.items():
+        value = _of_summary(summary, figure["summary"]) if "summary" in figure else _of_trace(columns, figure)
+        less = found.get(figure["less"]) if figure.get("less") else 0.0
+        if value is not None:
+            value = None if less is None else float(f"{value - less + (figure.get('add') or 0.0):.9g}")
+        found[name] = value
+    return found
 
 
 def columns_of(figures: Mapping[str, Mapping[str, Any]]) -> list[str]:

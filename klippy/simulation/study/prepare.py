@@ -13,8 +13,9 @@ from configtext import ConfigError, read_main
 
 from ..world import parameter_tables
 from .figures import columns_of
+from .formula import FormulaError, evaluate
 from .job import Job, WrongWorker, input_hashes, portable, run_child, version
-from .sampling import Parameter, points
+from .sampling import Parameter, draws_of, points
 from .studyfile import VARIANT, Study, near
 
 PLANTS = {"simulator nozzle": "nozzle", "simulator load": "load"}
@@ -42,12 +43,16 @@ def prepare(study: Study, sample: Callable[[str], Path]) -> Prepared:
     options = _with_plants(description["settings"])
     _check_figures(study, description)
     base = {p.name: _base(study, p, options) for p in study.parameters if p.relative}
-    all_points = list(points(study.plan, study.parameters, base))
+    try:
+        all_points = list(points(study.plan, study.parameters, base))
+        figures = {name: dict(figure) for name, figure in study.figures.items()}
+        _with_draws(figures, all_points[0])
+    except FormulaError as e:
+        raise study.error(("parameters",), f"{e}.") from None
     _check_names(study, options, all_points[0])
     _check_ranges(study, all_points)
     files = [_file(study, name, sample) for name in study.files]
     prepared = Prepared({}, {}, [])
-    figures = {name: dict(figure) for name, figure in study.figures.items()}
     sources = version()
     for path in files:
         config, file = portable(study.config), portable(path)
@@ -57,13 +62,32 @@ def prepare(study: Study, sample: Callable[[str], Path]) -> Prepared:
             for variant, (number, point) in itertools.product(study.variants or [""], enumerate(all_points)):
                 overrides = _overrides({**point, **study.variants.get(variant, {})})
                 before = study.befores.get(variant, study.before)
-                job = Job(config, file, seed, overrides, before, study.until_s, figures, sources, inputs)
+                job = Job(
+                    config,
+                    file,
+                    seed,
+                    overrides,
+                    before,
+                    study.until_s,
+                    _with_draws(figures, point),
+                    sources,
+                    inputs,
+                )
                 prepared.jobs[job.key] = job
                 prepared.points[job.key] = {VARIANT: variant, **point} if variant else point
                 prepared.order.append(job.key)
                 twins[number][variant] = job.key
                 prepared.twins[job.key] = twins[number]
     return prepared
+
+
+def _with_draws(figures: Mapping[str, dict[str, Any]], point: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Figures with what a formula of this point adds to them."""
+    draws = draws_of(point)
+    return {
+        name: {**figure, "add": evaluate(figure["add"], draws)} if figure.get("add") else figure
+        for name, figure in figures.items()
+    }
 
 
 def _describe(study: Study, point: Mapping[str, Any]) -> dict[str, Any]:
@@ -80,6 +104,8 @@ def _overrides(point: Mapping[str, Any]) -> tuple[tuple[str, str, str], ...]:
     found = []
     for name, value in point.items():
         section, _, option = name.rpartition(".")
+        if not section:  # a draw
+            continue
         text = f"{value:.9g}" if isinstance(value, float) else str(value)
         found.append((section.strip(), option.strip().lower(), text))
     return tuple(found)
@@ -151,7 +177,8 @@ def _check_names(study: Study, options: Options, point: Mapping[str, Any]) -> No
     """An option that the config of the file did not read may be one with these parameters: the host decides."""
     config_sections = _sections(study)
     for name, changes in (study.variants or {"": {}}).items():
-        keys: dict[str, tuple[str, ...]] = {p.name: ("parameters", p.name) for p in study.parameters}
+        names = [p.name for p in study.parameters if "." in p.name]
+        keys: dict[str, tuple[str, ...]] = {parameter: ("parameters", parameter) for parameter in names}
         keys |= {parameter: ("variants", name, parameter) for parameter in changes}
         for parameter, place in keys.items():
             if parameter.rpartition(".")[0].strip() not in config_sections:

@@ -108,7 +108,7 @@ def _write_page(
     verdicts: Sequence[Verdict],
     reports: frozenset[str],
 ) -> None:
-    varied = [p.name for p in study.parameters if p.kind != "constant"]
+    varied = [p.name for p in study.parameters if p.varies]
     base = study.plan.runs if study.plan.kind == "saltelli" else 0
     found = influences(prepared.order, prepared.points, rows, list(study.figures), varied, base)
     content = Content(

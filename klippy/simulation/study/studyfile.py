@@ -20,7 +20,11 @@ CONDITION = re.compile(
 )
 PRINTED = "printed"  # the limit on the share of prints that end well
 # Limits on the share of prints that ended in a way; all prints count.
-ENDINGS = {PRINTED: "printed", "tripped": "printer shut down", "refused": "calibration failed"}
+ENDINGS = {
+    PRINTED: ("printed",),
+    "tripped": ("printer shut down",),
+    "refused": ("calibration failed", "bad input"),  # what a calibration saved may be refused by the next start
+}
 VARIANT = "variant"
 SMALL = ("runs", "seeds", "files", "variants", "until_s", "reports")
 
@@ -210,7 +214,7 @@ def read_study(path: Path, small: bool = False, runs: int | None = None) -> Stud
         until_s=top.number("until_s"),
         reports=top.whole("reports", 1),
         plan=_read_plan(top.table("plan")),
-        parameters=tuple(_read_parameters(top.table("parameters"))),
+        parameters=(*_read_draws(top.table("draws")), *_read_parameters(top.table("parameters"))),
         variants=variants,
         befores=befores,
         figures=figures,
@@ -291,11 +295,29 @@ def _read_parameters(table: _Table) -> Iterable[Parameter]:
         value = table.values[name]
         if isinstance(value, list):
             value = table.values[name] = {"dist": "choice", "values": value}
+        if isinstance(value, str) and "{" in value:
+            table.take(name)
+            yield Parameter(name, "formula", {"formula": value})
+            continue
         if not isinstance(value, dict):
             table.take(name)
             yield Parameter(name, "constant", {"values": [value]})
             continue
         yield _read_distribution(name, table.table(name))
+
+
+def _read_draws(table: _Table) -> Iterable[Parameter]:
+    for name in list(table.values):
+        if not name.isidentifier():
+            raise table.error(name, "a draw has a name of letters, digits and _.")
+        if isinstance(table.values[name], list):
+            table.values[name] = {"dist": "choice", "values": table.values[name]}
+        if not isinstance(table.values[name], dict):
+            raise table.error(name, "a draw is a distribution or a list of values.")
+        draw = _read_distribution(name, table.table(name))
+        if draw.relative:
+            raise table.error(name, "a draw has no value in the config that 'scale' could multiply.")
+        yield draw
 
 
 def _read_distribution(name: str, table: _Table) -> Parameter:
@@ -338,7 +360,7 @@ def _check_plan(study: Study) -> None:
     """What a parameter needs or may not have in this kind of plan."""
     for parameter in study.parameters:
         keys = ("parameters", parameter.name)
-        if parameter.kind in ("choice", "constant"):
+        if parameter.kind in ("choice", "constant", "formula"):
             if parameter.steps:
                 raise study.error(keys, "a choice has the steps of its values; leave 'steps' out.")
         elif study.plan.kind == "grid" and parameter.steps < 2:
@@ -349,7 +371,7 @@ def _check_plan(study: Study) -> None:
             )
         elif study.plan.kind != "grid" and parameter.steps:
             raise study.error(keys, f"'steps' is for a grid; the plan is {study.plan.kind!r}.")
-    if study.plan.kind != "grid" and not any(p.kind != "constant" for p in study.parameters):
+    if study.plan.kind != "grid" and not any(p.varies for p in study.parameters):
         raise study.error(("plan", "kind"), f"{study.plan.kind!r} needs a parameter with a distribution.")
 
 
@@ -375,6 +397,10 @@ def _read_figures(table: _Table) -> dict[str, dict[str, Any]]:
         average_s, weight = one.number("average_s"), one.take("weight", "")
         figures[name] = {"trace": column, "take": take, "minus": one.take("minus", ""), "where": []}
         figures[name] |= {"average_s": average_s, "weight": weight}
+        less = one.take("less", "")
+        if less and less not in figures:
+            raise one.error("less", f"no figure before this one is {less!r}.{near(str(less), figures)}")
+        figures[name] |= {"less": less, "add": one.take("add", "")}
         where = one.take("where", "")
         for condition in str(where).split(" and ") if where else ():
             match = CONDITION.fullmatch(condition)

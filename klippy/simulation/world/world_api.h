@@ -87,6 +87,7 @@ struct world_target_epoch {
     double reach_s;                 /* until within band of the target, -1 never */
     double bound_s;                 /* the same at full phase all the time, from the nozzle's state; 0: no climb */
     double settle_s;                /* until within band for 2 s on end, -1 never */
+    double shown_settle_s;          /* the same of the host's estimate */
     double overshoot_c;             /* beyond the target in the direction of travel, within 15 s of reaching it */
     double settled_seconds;         /* time observed after settling */
     double max_error_c;             /* |true - target| after settling */

@@ -28,7 +28,7 @@ int world_trace_open(struct world *w, const char *path, double rate_hz)
     struct world_trace *t = &w->trace;
     if (!(rate_hz > 0.0 && rate_hz <= 1.0 / WORLD_TICK_S))
         return world_fail(w, "trace rate %g: from above 0 to %g rows a second", rate_hz, 1.0 / WORLD_TICK_S);
-    *t = (struct world_trace){ .period_s = 1.0 / rate_hz, .next_s = w->start_s, .band_since_s = -1.0 };
+    *t = (struct world_trace){ .period_s = 1.0 / rate_hz, .next_s = w->start_s, .band_since_s = -1.0, .shown_since_s = -1.0 };
     if (!path)
         return 0;
     t->file = fopen(path, "w");
@@ -104,10 +104,19 @@ static struct world_target_epoch *begin_epoch(struct world_trace *t, double t_s,
     struct world_target_epoch *e = &t->epochs[t->epoch_count - 1];
     *e = (struct world_target_epoch){
         .start_s = t_s, .from_c = from_c, .target_c = target_c, .reach_s = -1.0, .settle_s = -1.0,
+        .shown_settle_s = -1.0,
     };
-    t->band_since_s = -1.0;
+    t->band_since_s = t->shown_since_s = -1.0;
     t->last_target_c = target_c;
     return e;
+}
+
+static void follow_band(double *since_s, double t_s, int in_band)
+{
+    if (!in_band)
+        *since_s = -1.0;
+    else if (*since_s < 0.0)
+        *since_s = t_s;
 }
 
 static void epoch_row(struct world *w, double t_s, double true_c)
@@ -126,10 +135,10 @@ static void epoch_row(struct world *w, double t_s, double true_c)
     }
     double error_c = true_c - target_c, age_s = t_s - e->start_s;
     int in_band = fabs(error_c) <= BAND_C;
-    if (!in_band)
-        t->band_since_s = -1.0;
-    else if (t->band_since_s < 0.0)
-        t->band_since_s = t_s;
+    follow_band(&t->band_since_s, t_s, in_band);
+    follow_band(&t->shown_since_s, t_s, fabs(estimate_c - target_c) <= BAND_C);
+    if (e->shown_settle_s < 0.0 && t->shown_since_s >= 0.0 && t_s - t->shown_since_s >= SETTLE_S)
+        e->shown_settle_s = age_s;
     double beyond_c = e->from_c < target_c ? error_c : -error_c;
     if (e->reach_s < 0.0 && (in_band || beyond_c > 0.0))
         e->reach_s = age_s;

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simulation.study.formula import FormulaError, evaluate
 from simulation.study.sampling import Parameter, Plan, points, shares
 from simulation.study.studyfile import Study, StudyError, read_study
 
@@ -176,3 +177,37 @@ def test_saltelli_exchanges_one_column_at_a_time() -> None:
         assert (rows[:, column] == b[:, column]).all()
         others = [other for other in range(3) if other != column]
         assert (rows[:, others] == a[:, others]).all()
+
+
+DRAWS = '[draws]\nv = { dist = "uniform", low = 20, high = 30 }\nd = [1, 2]\n[limits]'
+
+
+def test_values_are_made_of_draws(tmp_path: Path) -> None:
+    text = GOOD.replace("[limits]", DRAWS).replace("0.001", '"0:{v}, 60:{-v * (d + 1) ** 2 / 4}"')
+    study = read(tmp_path, text)
+    for point in points(study.plan, study.parameters, {}):
+        v, d = float(point["v"]), float(point["d"])
+        first, second = str(point["simulator mcu.drop"]).split(", 60:")
+        assert float(first.removeprefix("0:")) == pytest.approx(v)
+        assert float(second) == pytest.approx(-v * (d + 1.0) ** 2 / 4.0)
+        assert 20.0 <= v <= 30.0
+
+
+@pytest.mark.parametrize(
+    ("formula", "message"),
+    [
+        ("{w}", "there is no draw 'w'; there are v"),
+        ("{v +}", "'v +' is no arithmetic"),
+        ("{v / 0}", "'v / 0' has no value"),
+        ("{open('x')}", "numbers, draws, + - * / ** and parentheses"),
+        ("{v.real}", "numbers, draws, + - * / ** and parentheses"),
+    ],
+)
+def test_a_formula_is_arithmetic_of_draws_and_nothing_else(formula: str, message: str) -> None:
+    with pytest.raises(FormulaError, match=re.escape(message)):
+        evaluate(formula, {"v": 1.0})
+
+
+def test_a_formula_of_braces_alone_is_a_number() -> None:
+    assert evaluate("{2 * v}", {"v": 1.5}) == 3.0
+    assert evaluate("0:{2 * v}", {"v": 1.5}) == "0:3"
