@@ -37,7 +37,12 @@ def test_machines_are_drawn_calibrated_and_printed_on_whatever_becomes_of_them(t
     machines = {row["simulator nozzle nozzle.machine_number"] for row in rows}
     assert len(machines) == 2
     assert sorted(row["variant"] for row in rows) == ["none", "none", "vdc", "vdc"]
-    assert {row["status"] for row in rows} <= {"printed", "printer shut down", "calibration failed", "bad input"}
+    assert {row["status"] for row in rows} <= {
+        "printed",
+        "printer shut down",
+        "calibration failed",
+        "bad input",
+    }
     for row in rows:
         tank = [row[f"simulator nozzle nozzle.{part}"] for part in ("c1_uf", "l1_uh")]
         assert tank[0] * tank[1] == pytest.approx(0.7351 * 3.6, rel=1e-6)  # along the tuned line
