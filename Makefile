@@ -86,7 +86,7 @@ bench-motion: ARGS = $(if $(PEER),--peer "$(PEER)")
 STUDIES_bench-control := control control_machines
 STUDIES_bench-plan    := plan_prints plan_steps
 STUDIES_bench-machines := bench_machines
-STUDIES_bench-studies := machines calibrated sample_print
+STUDIES_bench-studies := machines calibrated sample_print real
 BESIDE_bench-control  = $(PYTHON) scripts/bench/bench_control.py --json $(OUT)/bench/control.json $(if $(QUICK),--quick)
 BESIDE_bench-plan     = $(PYTHON) scripts/bench/bench_plan.py --json $(OUT)/bench/plan.json && \
     $(PYTHON) scripts/bench/bench_plan_cost.py --memory benchy.gcode && \
