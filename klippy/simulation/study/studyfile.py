@@ -23,7 +23,7 @@ PRINTED = "printed"  # the limit on the share of prints that end well
 ENDINGS = {
     PRINTED: ("printed",),
     "tripped": ("printer shut down",),
-    "refused": ("calibration failed", "bad input"),  # what a calibration saved may be refused by the next start
+    "refused": ("calibration failed", "bad input"),  # also a config with what a calibration saved
 }
 VARIANT = "variant"
 SMALL = ("runs", "seeds", "files", "variants", "until_s", "reports")
