@@ -60,7 +60,7 @@ def prepare(study: Study, sample: Callable[[str], Path]) -> Prepared:
         for seed in study.seeds:
             twins: list[dict[str, str]] = [{} for _ in all_points]
             for variant, (number, point) in itertools.product(study.variants or [""], enumerate(all_points)):
-                overrides = _overrides({**point, **study.variants.get(variant, {})})
+                overrides = _overrides(study, {**point, **study.variants.get(variant, {})})
                 before = study.befores.get(variant, study.before)
                 job = Job(
                     config,
@@ -97,18 +97,24 @@ def _describe(study: Study, point: Mapping[str, Any]) -> dict[str, Any]:
         gcode = folder / "nothing.gcode"
         gcode.write_text("G4 P1\n", encoding="utf-8")
         task = {"config": str(study.config), "gcode": str(gcode), "seed": 1, "describe": True}
-        return run_child({**task, "overrides": _overrides(point)}, folder)
+        return run_child({**task, "overrides": _overrides(study, point)}, folder)
 
 
-def _overrides(point: Mapping[str, Any]) -> tuple[tuple[str, str, str], ...]:
+def _overrides(study: Study, point: Mapping[str, Any]) -> tuple[tuple[str, str, str], ...]:
     found = []
-    for name, value in point.items():
+    sets = {parameter.name: parameter.sets for parameter in study.parameters if parameter.sets}
+    options = [pair for name, value in point.items() for pair in _options(sets, name, value)]
+    for name, value in options:
         section, _, option = name.rpartition(".")
         if not section:  # a draw
             continue
         text = f"{value:.9g}" if isinstance(value, float) else str(value)
         found.append((section.strip(), option.strip().lower(), text))
     return tuple(found)
+
+
+def _options(sets: Mapping[str, Any], name: str, value: Any) -> list[tuple[str, Any]]:
+    return list(sets[name][value].items()) if name in sets else [(name, value)]
 
 
 def _hashes(study: Study, config: str, file: str) -> tuple[str, str]:
@@ -179,10 +185,13 @@ def _check_names(study: Study, options: Options, point: Mapping[str, Any]) -> No
     for name, changes in (study.variants or {"": {}}).items():
         names = [p.name for p in study.parameters if "." in p.name]
         keys: dict[str, tuple[str, ...]] = {parameter: ("parameters", parameter) for parameter in names}
+        in_sets = {
+            option for p in study.parameters for options_of in p.sets.values() for option in options_of
+        }
         keys |= {parameter: ("variants", name, parameter) for parameter in changes}
-        for parameter, place in keys.items():
+        for parameter in (*keys, *in_sets):
             if parameter.rpartition(".")[0].strip() not in config_sections:
-                raise _unknown(study, parameter, options, place)
+                raise _unknown(study, parameter, options, keys.get(parameter, ()))
         answer = _describe(study, {**point, **changes})
         if answer["exit_status"] == 0:
             continue

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from .formula import evaluate
@@ -38,6 +38,8 @@ class Plan:
 class Parameter:
     """`section.option`, or the name of a draw. `relative`: the value is times that of the config; `steps`: points in a
     grid; a `formula` has the draws of its point.
+
+    With `sets` the name has no section, and a value is the name of a set: option → value.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Parameter:
     arguments: Mapping[str, Any]
     relative: bool = False
     steps: int = 0
+    sets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def levels(self) -> int:
@@ -133,5 +136,6 @@ def points(
 
 
 def draws_of(point: Mapping[str, float | str]) -> dict[str, float]:
-    """The draws of a point: names without a section."""
-    return {name: float(value) for name, value in point.items() if "." not in name}
+    """The draws of a point: numbers with names without a section."""
+    numbers = {name: value for name, value in point.items() if not isinstance(value, str)}
+    return {name: float(value) for name, value in numbers.items() if "." not in name}

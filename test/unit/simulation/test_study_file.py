@@ -211,3 +211,28 @@ def test_a_formula_is_arithmetic_of_draws_and_nothing_else(formula: str, message
 def test_a_formula_of_braces_alone_is_a_number() -> None:
     assert evaluate("{2 * v}", {"v": 1.5}) == 3.0
     assert evaluate("0:{2 * v}", {"v": 1.5}) == "0:3"
+
+
+SETS = GOOD.replace(
+    "[figures]",
+    """
+[parameters.machine]
+plain = {}
+heavy = { "simulator nozzle nozzle.mass_factor" = 1.3, "extruder.nozzle_diameter" = 0.6 }
+
+[figures]""",
+)
+
+
+def test_a_parameter_may_be_a_choice_of_sets_of_options(tmp_path: Path) -> None:
+    machine = read(tmp_path, SETS).parameters[-1]
+    assert machine.arguments["values"] == ["plain", "heavy"]
+    assert machine.sets["heavy"] == {
+        "simulator nozzle nozzle.mass_factor": 1.3,
+        "extruder.nozzle_diameter": 0.6,
+    }
+
+
+def test_a_set_of_something_else_than_options_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(StudyError, match=r'a set has "section\.option" = value'):
+        read(tmp_path, SETS.replace("extruder.nozzle_diameter", "diameter"))
