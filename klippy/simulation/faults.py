@@ -366,6 +366,6 @@ def _milli(seconds: float | None) -> float | None:
 def all_orders(machine: Machine, given: Sequence[str]) -> list[Order]:
     """Of the config and of the command line. Raises WorldError."""
     try:
-        return [parse(text) for text in (*machine.faults, *given)]
+        return [parse(text) for text in (*machine.recording.faults, *given)]
     except FaultError as e:
         raise WorldError(str(e)) from None

@@ -18,6 +18,7 @@ from typing import Any
 
 from .machine import Machine
 
+SETTLE_S = 2.0  # of world_trace.c: so long within the band is settled
 STATUS_TEXT = {0: "printed", 2: "bad input", 3: "printer shut down"}
 
 
@@ -100,6 +101,8 @@ def heater_figures(figures: Mapping[str, Any], epochs: Sequence[Mapping[str, Any
         "settled_mean_error_c": _rounded(errors / settled_s) if settled_s else None,
         "estimate_max_error_c": _largest(epochs, "estimate_max_error_c", settled_s),
         "overshoot_c": _largest(heating, "overshoot_c", settled_s),
+        "climb_ratio": _slowest(epochs, "settle_s"),
+        "shown_climb_ratio": _slowest(epochs, "shown_settle_s"),
         "time_to_heat_s": _rounded(_ever(heating[0]["reach_s"])) if heating else None,
         "peak_c": _rounded(figures["peak_c"]),
         "peak_power_w": _rounded(figures["peak_power_w"]),
@@ -117,11 +120,28 @@ def _epoch(epoch: Mapping[str, Any]) -> dict[str, Any]:
         "target_c": _rounded(epoch["target_c"]),
         "reach_s": _rounded(_ever(epoch["reach_s"])),
         "settle_s": _rounded(_ever(epoch["settle_s"])),
+        "climb_ratio": climb_ratio(epoch),
+        "climb_over_s": _rounded(epoch["settle_s"] - SETTLE_S - epoch["bound_s"])
+        if climb_ratio(epoch)
+        else None,
         "overshoot_c": _rounded(epoch["overshoot_c"]),
         "settled_s": _rounded(seconds),
         "max_error_c": _rounded(epoch["max_error_c"]) if seconds else None,
         "rms_error_c": _rounded(math.sqrt(epoch["square_error_sum"] / seconds)) if seconds else None,
     }
+
+
+def climb_ratio(epoch: Mapping[str, Any], settled: str = "settle_s") -> float | None:
+    """Time until the nozzle is in the band and stays there, over that of full power from the first moment; None: no
+    climb, or it never ended. `settled`: by the true temperature, or by the host's estimate.
+    """
+    climbed = epoch["bound_s"] > 0.0 and epoch[settled] >= 0.0
+    return _rounded((epoch[settled] - SETTLE_S) / epoch["bound_s"]) if climbed else None
+
+
+def _slowest(epochs: Sequence[Mapping[str, Any]], settled: str) -> float | None:
+    ratios = [climb_ratio(epoch, settled) for epoch in epochs]
+    return max((ratio for ratio in ratios if ratio is not None), default=None)
 
 
 def _largest(epochs: Sequence[Mapping[str, Any]], name: str, settled_s: float) -> float | None:

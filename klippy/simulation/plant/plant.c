@@ -97,7 +97,7 @@ static double metal_power(const struct plant *p)
         power *= 1 - p->v.curie_drop / (1 + exp((p->v.curie_c - p->skin_c) / p->v.curie_width_k));
     if (p->v.dead_time_ns > 0 && power > 0)
         power *= exp(p->v.heat_exponent *
-                     bridge_dead_time(p->v.dead_time_ns, plant_phase_in_force(p), p->skin_c).log_current);
+                     bridge_dead_time(p->v.dead_time_ns, plant_phase_in_force(p), p->skin_c, 1).log_current);
     return power;
 }
 

@@ -50,7 +50,7 @@
   X(vdc_gain,             "",       1.0,      1.0,      1.004,    0.5,  2,    "what the divider of vdc_pin reads of the bus voltage: 1 % resistors [assumed]") \
   X(vdc_noise_lsb,        "LSB",    0.0,      0.0,      1.0,      0,    100,  "noise at vdc_pin, rms [assumed]")               \
   X(switch_ohm,           "ohm",    0.0,      0.0,      0.02,     0,    1,    "two switches of the bridge in series with the tank: 10 mohm each [assumed]") \
-  X(dead_time_ns,         "ns",     0.0,      0.0,      60.0,     0,    200,  "dead time of the legs: table of the circuit simulation [bridge]") \
+  X(dead_time_ns,         "ns",     0.0,      0.0,      60.0,     0,    300,  "dead time of the legs: table of the circuit simulation [bridge]") \
   X(curie_c,              "degC",   665.0,    665.0,    665.0,    100,  1200, "Curie point of AISI 430")                       \
   X(curie_width_k,        "K",      15.0,     15.0,     15.0,     1,    200,  "width of the transition at the Curie point [assumed]") \
   X(curie_drop,           "",       0.0,      0.0,      0.0,      0,    1,    "share of the heating lost above it (0: as fitted)") \

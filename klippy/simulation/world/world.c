@@ -37,6 +37,7 @@ struct world *world_new(double start_s, uint64_t seed)
     w->tick = 1;
     w->lookahead_s = WORLD_LOOKAHEAD_MAX_S;
     machine_init(&w->machine);
+    w->channels[WORLD_MELT_TARGET_C] = NAN;
     world_trace_open(w, NULL, 100.0);
     return w;
 }
