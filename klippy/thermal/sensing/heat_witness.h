@@ -27,6 +27,7 @@ struct witness_inputs {
 
 struct witness_state {
     struct witness_inputs inputs;
+    double block_s;                         // end of the newest block
     double end_s, temp_c, sigma_c;          // of the block used last; NaN: none
     double heat_j, peak_w;                  // since then; highest of late
     double ratio;                           // of heat over heat capacity, true over set up; 0: not measured yet
