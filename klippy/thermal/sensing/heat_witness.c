@@ -40,9 +40,9 @@ is_exact(const struct witness_state *s, double phase_max, const struct coil_bloc
     return s->inputs.is_on && b->fault == BLOCK_GOOD && b->sigma_c <= SIGMA_MAX_C && share * share <= SHARE_MAX;
 }
 
-// Rise since the block used last, at least.
+// Min rise since the block used last.
 static double
-least_rise(const struct witness_state *s, double c_j_k, double over_k, double dt_s)
+min_rise(const struct witness_state *s, double c_j_k, double over_k, double dt_s)
 {
     const struct witness_inputs *in = &s->inputs;
     double ratio = s->ratio > 0.0 ? KNOWN_LOW * s->ratio : RATIO_LOW;
@@ -66,7 +66,7 @@ watch_ceiling(struct witness_state *s, const struct filter_params *p, int exact,
     if (exact)
         s->base_c = fmin(s->base_c, b->temp_c);
     else if (dt_s > 0.0 && dt_s < GAP_S)
-        sure_c = s->temp_c + least_rise(s, capacity(p, s->temp_c), fmax(s->temp_c - p->ambient_c, 0.0), dt_s);
+        sure_c = s->temp_c + min_rise(s, capacity(p, s->temp_c), fmax(s->temp_c - p->ambient_c, 0.0), dt_s);
     else
         return;
     s->base_c = fmax(s->base_c, in->target_c);
@@ -111,7 +111,7 @@ compare(struct witness_state *s, const struct filter_params *p, double dt_s, con
     const struct witness_inputs *in = &s->inputs;
     double c_j_k = capacity(p, b->temp_c), over_k = fmax(b->temp_c - p->ambient_c, 0.0);
     double rise_c = b->temp_c - s->temp_c, keep = exp(-dt_s / MEMORY_S);
-    double low_c = least_rise(s, c_j_k, over_k, dt_s);
+    double low_c = min_rise(s, c_j_k, over_k, dt_s);
     double ratio = s->ratio > 0.0 ? KNOWN_HIGH * s->ratio : RATIO_HIGH;
     double high_c = (ratio * s->heat_j - in->loss_low_w_k * over_k * dt_s) / c_j_k;
     // A nozzle that is off may be wiped, changed or cooled.
