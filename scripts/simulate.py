@@ -78,6 +78,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument("--until", type=float, metavar="SECONDS", help="stop after so much simulated time")
     parser.add_argument("--log", type=Path, metavar="FILE", help="the host's log")
+    parser.add_argument("--api", type=Path, metavar="SOCKET", help="serve the API on this unix socket")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     return parser.parse_args(argv)
 
@@ -119,7 +120,7 @@ def check_files(options: argparse.Namespace) -> None:
     for what, path in (("config", options.config), ("G-code file", options.gcode)):
         if not path.is_file():
             raise BadInput(f"There is no {what} {path}.")
-    for path in (options.trace, options.summary, options.report, options.log):
+    for path in (options.trace, options.summary, options.report, options.log, options.api):
         if path is not None and not path.resolve().parent.is_dir():
             raise BadInput(f"Cannot write {path}: the folder {path.parent} does not exist.")
     if options.report is not None and options.trace is None:
@@ -220,6 +221,7 @@ def main(argv: Sequence[str]) -> int:
                     parse_builds(options.builds),
                     options.log,
                     tuple(options.faults),
+                    api=options.api,
                 )
             ).run()
         write_results(options, outcome)

@@ -57,7 +57,7 @@ class RunOptions:
     """What to print on what.
 
     `overrides`: (section, option, value) over the config file; `builds`: MCU → the build it runs; `log`: where the
-    caller lets logging write, for what the host puts beside it.
+    caller lets logging write, for what the host puts beside it; `api`: where the host serves its API.
     """
 
     config: Path
@@ -70,6 +70,7 @@ class RunOptions:
     builds: Mapping[str, str] = field(default_factory=dict)
     log: Path | None = None
     faults: tuple[str, ...] = ()  # see faults.py
+    api: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +136,7 @@ class Simulation:
             "config_overrides": [("virtual_sdcard", "path", folder), *options.overrides],
             "open_port": self._open_port,
             "simulator_parameters": world_module.parameter_tables(),
-            "apiserver": None,
+            "apiserver": str(options.api) if options.api else None,
             "gcode_fd": None,
             "start_reason": "startup",
             "log_file": str(options.log.resolve()) if options.log else None,

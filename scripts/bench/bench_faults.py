@@ -101,7 +101,7 @@ def name_of(reason: str) -> str:
 
 
 def run(options: argparse.Namespace) -> list[Cell]:
-    from sample_gcode import sample_path
+    from simulation.sample_gcode import sample_path
     from simulation.study.prepare import prepare
     from simulation.study.results import Journal
     from simulation.study.run import run_study

@@ -130,6 +130,33 @@ int world_add_probe(struct world *w, const struct world_probe_options *options)
     return index >= 0 ? index : world_fail(w, "probe: too many, no such axis, or a pin out of range");
 }
 
+int world_add_frame(struct world *w, const struct world_frame *options)
+{
+    if (machine_add_frame(&w->machine, options, w->now_s))
+        return world_fail(w, "frame: it needs axes X and Y");
+    return 0;
+}
+
+int world_add_accelerometer(struct world *w, const struct world_accelerometer_options *options)
+{
+    int index = machine_add_accelerometer(&w->machine, options, (uint32_t)world_new_seed(w));
+    return index >= 0 ? index : world_fail(w, "accelerometer: too many, no frame, or an orientation or pin out of range");
+}
+
+int world_set_accelerometer_fault(struct world *w, int accelerometer, int fault)
+{
+    if (accelerometer < 0 || accelerometer >= w->machine.accelerometer_count)
+        return world_fail(w, "there is no such accelerometer");
+    w->machine.accelerometers[accelerometer].fault = fault;
+    return 0;
+}
+
+double world_frame_place(const struct world *w, int axis)
+{
+    const struct machine *m = &w->machine;
+    return m->has_frame && axis >= 0 && axis < FRAME_AXES ? m->frame[axis].x : NAN;
+}
+
 double world_bed_height(const struct world *w, int probe, double x, double y)
 {
     const struct machine *m = &w->machine;

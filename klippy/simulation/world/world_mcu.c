@@ -69,6 +69,22 @@ static void on_console_send(void *ctx, const uint8_t *data, uint32_t len, uint64
     link_send(&m->up, data, len, to_seconds(m, clock));
 }
 
+static void on_spi_exchange(void *ctx, uint32_t bus, uint8_t mode, uint8_t *data, uint32_t len, uint64_t clock)
+{
+    struct world_mcu *m = ctx;
+    (void)bus, (void)mode; /* a chip is known by its select pin */
+    machine_spi_exchange(&m->world->machine, m->index, data, len, to_seconds(m, clock));
+}
+
+static uint8_t on_i2c_exchange(void *ctx, uint32_t bus, uint8_t address, const uint8_t *write, uint32_t write_len,
+                               uint8_t *read, uint32_t read_len, uint64_t clock)
+{
+    struct world_mcu *m = ctx;
+    (void)bus; /* one device of an address on an MCU */
+    return machine_i2c_exchange(&m->world->machine, m->index, address, write, write_len, read, read_len,
+                                to_seconds(m, clock));
+}
+
 /* ---- the library ------------------------------------------------------------------------------ */
 
 static int find_function(struct world_mcu *m, const char *name, void *out)
@@ -115,6 +131,8 @@ int world_mcu_load(struct world_mcu *m, const char *path)
         .bridge_set = on_bridge_set,
         .sync_adc_read = on_sync_adc_read,
         .console_send = on_console_send,
+        .spi_exchange = on_spi_exchange,
+        .i2c_exchange = on_i2c_exchange,
     };
     return 0;
 }
