@@ -49,7 +49,7 @@ __all__ = [
     "Timing",
 ]
 
-FAN_W_K = 0.02  # most that a part fan takes
+FAN_W_K = 0.02  # max of what a part fan takes
 BALANCE_S = 0.1  # ten times a second is enough for a balance over half a minute
 
 # (block, its filtered estimate or None, print time of its arrival)
