@@ -30,7 +30,7 @@ COLOURS = {  # as in page.css
     "phase": "#6d4fc4",
     "flow": "#1b8a5a",
 }
-INCHES_A_PIXEL = 1.0 / 130.0  # of a chart's height on the page
+INCHES_A_PIXEL = 1.0 / 115.0  # of a chart's height on the page
 TABLE_INCHES, LAYER_INCHES = 2.6, 4.6
 SOFT = "#66717f"
 ERROR_MAP = LinearSegmentedColormap.from_list("error", ["#2166ac", "#b9c0c8", "#c62a2a"])
@@ -50,7 +50,6 @@ def draw_png(path: Path, title: str, run: PrintRun) -> None:
         axes = sheet.add_subplot(grid[row, :], sharex=first)
         first = first or axes
         _draw_chart(axes, chart, drawn)
-    sheet.axes[-1].set_xlabel("simulated time, s")
     _draw_layers(sheet.add_subplot(grid[-1, 0]), run.layers)
     _draw_path(sheet.add_subplot(grid[-1, 1]), run)
     sheet.align_ylabels()
@@ -103,9 +102,9 @@ def _mark_cuts(axes: Axes, at: Sequence[float] | np.ndarray, sign: int, colour: 
 
 def _draw_chart(axes: Axes, chart: Chart, drawn: Sequence[Line]) -> None:
     _style(axes, chart.unit)
-    axes.set_title(
-        chart.title + (f", scale to ±{chart.limit:g}" if chart.limit else ""), fontsize=11, loc="left"
-    )
+    note = f" (scale to ±{chart.limit:g}, ▲ ▼ where it goes beyond)" if chart.limit else ""
+    axes.set_title(chart.title + note, fontsize=11, loc="left")
+    axes.set_xlabel("simulated time, s", fontsize=8.5, color=SOFT, labelpad=1.0)
     shown = [line for line in drawn if line.series.shown]
     for line in shown:
         colour, style = COLOURS[line.series.colour], "--" if line.series.dashed else "-"
@@ -128,7 +127,9 @@ def _draw_chart(axes: Axes, chart: Chart, drawn: Sequence[Line]) -> None:
 
 def _draw_layers(axes: Axes, layers: Sequence[Layer]) -> None:
     _style(axes, "true − target, °C")
-    axes.set_title("By layer, extruding moves: mean, min and max", fontsize=11, loc="left")
+    axes.set_title(
+        "By layer, extruding moves: mean, min and max (▲ ▼ beyond the scale)", fontsize=11, loc="left"
+    )
     axes.set_xlabel("layer")
     if not layers:
         return

@@ -139,7 +139,10 @@ struct world_figures {
     uint64_t rows;
 };
 
-enum world_channel { WORLD_TARGET_C, WORLD_ESTIMATE_C, WORLD_BED_TARGET_C, WORLD_CHANNELS };
+/* What the host says; the last three are NaN until it does. */
+enum world_channel {
+    WORLD_TARGET_C, WORLD_ESTIMATE_C, WORLD_BED_TARGET_C, WORLD_SIGMA_C, WORLD_DRIFT_C, WORLD_SUPPLY, WORLD_CHANNELS
+};
 
 struct world *world_new(double start_s, uint64_t seed);
 void world_free(struct world *w);

@@ -44,7 +44,8 @@
 
   // The scale of a chart of errors: it shows the band, and ends at the limit.
   function errorRange(lowest, greatest, limit) {
-    return [Math.max(-limit, Math.min(lowest, -data.band_c) - 0.3), Math.min(limit, Math.max(greatest, data.band_c) + 0.3)];
+    const bottom = Math.min(lowest, -data.band_c) - 0.3, top = Math.max(greatest, data.band_c) + 0.3;
+    return [Math.max(-limit, bottom), Math.min(limit, top)];
   }
 
   const scaleNote = (limit) => (limit === null ? "" : " (scale to ±" + limit + ", ▲ ▼ where it goes beyond)");
@@ -76,7 +77,8 @@
   function timeAxis() {
     const digits = (step) => (step < 0.1 ? 2 : step < 1 ? 1 : 0);
     return axis(long ? "simulated time, h:mm:ss" : "simulated time, s", {
-      size: 30, space: 80, incrs: TIME_STEPS, values: (u, marks, i, space, step) => marks.map((t) => timeText(t, digits(step))),
+      size: 30, space: 80, incrs: TIME_STEPS,
+      values: (u, marks, i, space, step) => marks.map((t) => timeText(t, digits(step))),
     });
   }
 
@@ -100,8 +102,9 @@
 
   function timeSeries(s) {
     return {
-      label: s.label, show: s.shown, stroke: () => css("--c-" + s.colour), width: 1.3, dash: s.dashed ? [5, 4] : undefined,
-      points: { show: false }, value: (u, v) => (v === null ? "–" : number(v, Math.abs(v) >= 1000 ? 0 : 2)),
+      label: s.label, show: s.shown, stroke: () => css("--c-" + s.colour), width: 1.3,
+      dash: s.dashed ? [5, 4] : undefined, points: { show: false },
+      value: (u, v) => (v === null ? "–" : number(v, Math.abs(v) >= 1000 ? 0 : 2)),
     };
   }
 
@@ -230,7 +233,8 @@
       if (layer.min < -limit) markCut(u, i + 1, -1);
     });
     u.ctx.fillStyle = css("--accent");
-    u.ctx.fillRect(u.valToPos(current + 1, "x", true) - devicePixelRatio, u.bbox.top, 2 * devicePixelRatio, u.bbox.height);
+    const x = u.valToPos(current + 1, "x", true);
+    u.ctx.fillRect(x - devicePixelRatio, u.bbox.top, 2 * devicePixelRatio, u.bbox.height);
   }
 
   // The frame, in mm alike in both directions, is the chart's; the path is drawn into it.
