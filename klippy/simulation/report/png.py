@@ -40,7 +40,7 @@ def draw_png(path: Path, title: str, run: PrintRun) -> None:
     """Draws the sheet to `path`. Raises OSError if it cannot be written."""
     panels = [(chart, drawn) for chart in CHARTS if (drawn := lines(chart, run.trace, BUCKETS))]
     heights = [TABLE_INCHES, *(chart.height_px * INCHES_A_PIXEL for chart, _ in panels), LAYER_INCHES]
-    sheet = Sheet(figsize=(13.0, sum(heights) + 1.0), layout="constrained")
+    sheet = Sheet(figsize=(13.0, sum(heights) + 0.4 * len(heights)), layout="constrained")
     FigureCanvasAgg(sheet)
     grid = GridSpec(len(heights), 2, figure=sheet, height_ratios=heights, width_ratios=(3, 2))
     sheet.suptitle(f"{title} on the simulated printer", fontsize=17, fontweight="bold", x=0.01, ha="left")
@@ -143,6 +143,7 @@ def _draw_layers(axes: Axes, layers: Sequence[Layer]) -> None:
     )
     axes.plot(number, mean, ".", color=COLOURS["estimate"], markersize=4)
     room, limit = SETTLED_BAND_C * 1.2, SETTLED_BAND_C * 2.0
+    axes.set_xlim(0.5, len(layers) + 0.5)
     axes.set_ylim(max(-limit, min(-room, low.min())), min(limit, max(room, high.max())))
     _mark_cuts(axes, number[high > limit], 1, COLOURS["estimate"])
     _mark_cuts(axes, number[low < -limit], -1, COLOURS["estimate"])
