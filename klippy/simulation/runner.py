@@ -10,6 +10,7 @@ runner is the user: it waits until the printer is ready, starts the file, and wa
 from __future__ import annotations
 
 import gc
+import math
 import shlex
 import time
 from collections.abc import Callable, Mapping
@@ -195,6 +196,19 @@ class Simulation:
         if self._plan is not None:
             set_channel(pointer, lib.WORLD_MELT_TARGET_C, self._plan.melt_target_c())
 
+    def _sample_checks(self, now: float) -> None:
+        """What an induction heater thinks of its own estimate goes into the trace, too; it changes slowly."""
+        if not hasattr(self._heater, "get_detail"):
+            return  # an ordinary heater
+        detail, lib = self._heater.get_detail(now), self.world.lib
+        for channel, key in (
+            (lib.WORLD_SIGMA_C, "sigma"),
+            (lib.WORLD_DRIFT_C, "drift"),
+            (lib.WORLD_SUPPLY, "supply"),
+        ):
+            value = math.nan if detail[key] is None else detail[key]
+            lib.world_set_channel(self.world.pointer, channel, value)
+
     def _find_heaters(self) -> None:
         heaters = self.printer.lookup_object("heaters", None)
         if heaters is None:
@@ -240,6 +254,7 @@ class Simulation:
         if self._bed is not None:
             set_channel(pointer, lib.WORLD_BED_TARGET_C, self._bed.get_temp(now)[1])
         set_channel(pointer, lib.WORLD_WARNING, max((_weight(n.warning()) for n in self._nozzles), default=0))
+        self._sample_checks(now)
         until_s = self.options.until_s
         if until_s is not None and now - self.world.start_s >= until_s:
             self._end(PRINTED, f"stopped after {until_s:g} simulated seconds, as asked")

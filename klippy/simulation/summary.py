@@ -8,17 +8,23 @@ Units are in the names; -1 of the C side ("never") becomes null.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import resource
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
+
+from util import get_software_version
 
 from .machine import Machine
 
 SETTLE_S = 2.0  # of world_trace.c: so long within the band is settled
+ROOT = Path(__file__).resolve().parents[2]
 STATUS_TEXT = {0: "printed", 2: "bad input", 3: "printer shut down"}
 
 
@@ -52,14 +58,29 @@ def peak_memory_mb() -> float:
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
 
 
+@cache
+def _version() -> str:
+    return get_software_version(str(ROOT))
+
+
+def _sha256(path: Path) -> str | None:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return None
+
+
 def summary(facts: RunFacts, machine: Machine | None) -> dict[str, Any]:
     """The summary; without a machine (it was never built) only the run's own facts."""
     result: dict[str, Any] = {
         "status": STATUS_TEXT.get(facts.exit_status, "failed"),
         "exit_status": facts.exit_status,
         "reason": facts.reason,
+        "version": _version(),
+        "date": datetime.now().astimezone().isoformat(" ", "seconds"),
         "config": facts.config,
         "gcode": facts.gcode,
+        "gcode_sha256": _sha256(Path(facts.gcode)),
         "seed": facts.seed,
         "simulated_s": round(facts.simulated_s, 6),
         "wall_s": round(facts.wall_s, 3),

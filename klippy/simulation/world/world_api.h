@@ -141,8 +141,10 @@ struct world_figures {
     uint64_t rows;
 };
 
+/* What the host says; sigma, drift and supply are NaN until it does. */
 enum world_channel {
-    WORLD_TARGET_C, WORLD_ESTIMATE_C, WORLD_BED_TARGET_C, WORLD_MELT_TARGET_C, WORLD_WARNING, WORLD_CHANNELS
+    WORLD_TARGET_C, WORLD_ESTIMATE_C, WORLD_BED_TARGET_C, WORLD_MELT_TARGET_C, WORLD_WARNING, WORLD_SIGMA_C,
+    WORLD_DRIFT_C, WORLD_SUPPLY, WORLD_CHANNELS
 };
 
 struct world *world_new(double start_s, uint64_t seed);

@@ -36,7 +36,8 @@ int world_trace_open(struct world *w, const char *path, double rate_hz)
         return world_fail(w, "cannot write the trace %s: %s", path, strerror(errno));
     setvbuf(t->file, NULL, _IOFBF, 1 << 16);
     fputs("t_s,target_c,estimate_c,true_c,bore_c,melt_c,phase_ticks,power_w,flow_mm3_s,"
-          "x_mm,y_mm,z_mm,e_mm,bed_c,bed_target_c,fan,mean_c,tip_c,melt_target_c,warning\n", t->file);
+          "x_mm,y_mm,z_mm,e_mm,bed_c,bed_target_c,fan,mean_c,tip_c,melt_target_c,warning,"
+          "sigma_c,drift_c,supply\n", t->file);
     return 0;
 }
 
@@ -168,11 +169,13 @@ static double role_position_mm(const struct world *w, int role)
 static void write_row(const struct world *w, double t_s, const struct observation *o)
 {
     const double *c = w->channels;
-    fprintf(w->trace.file, "%.3f,%.2f,%.3f,%.3f,%.3f,%.3f,%u,%.3f,%.3f,%.4f,%.4f,%.4f,%.4f,%.2f,%.1f,%.3f,%.3f,%.3f,%.2f,%.0f\n", t_s,
+    fprintf(w->trace.file, "%.3f,%.2f,%.3f,%.3f,%.3f,%.3f,%u,%.3f,%.3f,%.4f,%.4f,%.4f,%.4f,%.2f,%.1f,%.3f,%.3f,%.3f,", t_s,
             c[WORLD_TARGET_C], c[WORLD_ESTIMATE_C], o->true_c, o->bore_c, o->melt_c, o->phase, o->power_w,
             o->flow_mm3_s, role_position_mm(w, WORLD_AXIS_X), role_position_mm(w, WORLD_AXIS_Y),
             role_position_mm(w, WORLD_AXIS_Z), role_position_mm(w, WORLD_AXIS_E), o->bed_c, c[WORLD_BED_TARGET_C],
-            o->fan, o->mean_c, o->tip_c, c[WORLD_MELT_TARGET_C], c[WORLD_WARNING]);
+            o->fan, o->mean_c, o->tip_c);
+    fprintf(w->trace.file, "%.2f,%.0f,%.3f,%.3f,%.4f\n", c[WORLD_MELT_TARGET_C], c[WORLD_WARNING], c[WORLD_SIGMA_C],
+            c[WORLD_DRIFT_C], c[WORLD_SUPPLY]);
 }
 
 void world_trace_row(struct world *w)
