@@ -104,7 +104,7 @@ class Accelerometer:
     def _build_config(self) -> None:
         mcu, chip = self._mcu, self.chip
         bus_oid = self._device.get_oid()
-        kind = self._of_enumeration("lis_chip_type", chip.config_values.get("lis_chip_type"))
+        kind = self._of_enumeration("lis_chip_type", chip.message_values.get("lis_chip_type"))
         bus_type = self._of_enumeration("bus_oid_type", self._bus_name)
         messages.configure(mcu, chip.command, self._oid, bus_oid, bus_type, kind)
         queue = self._device.get_command_queue()
