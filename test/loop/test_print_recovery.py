@@ -1,0 +1,151 @@
+"""[print_recovery] on the simulated machine: where it would resume, at many instants, and one print resumed."""
+
+from __future__ import annotations
+
+import math
+import random
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from extras.recovery.journal import Journal
+from extras.recovery.path import Refusal
+from simulation.runner import PRINTED, SHUT_DOWN, RunOptions, Simulation
+from system.conftest import CONFIG
+
+FULL_STEP_MM = 40.0 / 200
+FILAMENT_STEP_MM = 7.6 / 200
+AXES = {"x": "stepper_x", "y": "stepper_y", "z": "stepper_z", "extruder": "extruder"}
+
+
+def spiral(turns: int = 6) -> str:
+    """A print whose path never passes a place twice: 8-sided rings that grow, retractions between them."""
+    lines = ["M104 S250", "G28", "G90", "M83", "G1 X90 Y90 Z0.3 F6000", "M109 S250", "M106 S128"]
+    for number in range(8 * turns):
+        radius, angle = 4.0 + number * 0.3, number * math.pi / 4
+        x, y = 90 + radius * math.cos(angle), 90 + radius * math.sin(angle)
+        lines.append(f"G1 X{x:.3f} Y{y:.3f} E{radius * 0.03:.5f} F{1800 + 60 * number}")
+        if number % 8 == 7:
+            lines += ["G1 E-0.8 F1800", f"G1 X{x:.3f} Y{y + 0.5:.3f} Z{0.3 + number / 160:.3f}", "G1 E0.8"]
+    return "\n".join([*lines, "M400", "M104 S0", ""])
+
+
+@dataclass(slots=True)
+class Instant:
+    """What a crash at this moment would leave: the journal, the motors' steps; and where the axes are."""
+
+    record: dict[str, Any]
+    steps: dict[str, int]
+    place: dict[str, float]
+
+
+@dataclass(slots=True)
+class Seen:
+    at_s: list[float] = field(default_factory=list)
+    instants: list[Instant] = field(default_factory=list)
+
+
+class Watched(Simulation):
+    """Looks at journal and machine at given times; `script` runs instead of a print."""
+
+    def __init__(self, options: RunOptions, journal: Path, at_s: list[float], script: str = "") -> None:
+        super().__init__(options)
+        self.journal, self.script, self.seen = journal, script, Seen(sorted(at_s))
+        self.offer: dict[str, Any] = {}
+        self.outcome: Any = None
+
+    def axis(self, name: str) -> dict[str, Any]:
+        assert self.machine is not None
+        return self.world.axis(self.machine.axes[name])
+
+    def _before_advance(self, now: float) -> None:
+        super()._before_advance(now)
+        seen = self.seen
+        while seen.at_s and now - self.world.start_s >= seen.at_s[0]:
+            seen.at_s.pop(0)
+            axes = {name: self.axis(name) for name in AXES}
+            steps = {AXES[n]: int(a["steps_forward"] - a["steps_backward"]) for n, a in axes.items()}
+            place = {name: a["position_mm"] for name, a in axes.items()}
+            seen.instants.append(Instant(Journal(str(self.journal)).read(), steps, place))
+
+    def _print(self) -> None:
+        if not self.script:
+            super()._print()
+            return
+        self.offer = self.printer.lookup_object("print_recovery").get_status(0.0)
+        self.printer.lookup_object("gcode").run_script(self.script)
+        sdcard = self.printer.lookup_object("virtual_sdcard")
+        while self._pause():
+            if not sdcard.is_active():
+                self._finish_print(sdcard.get_status(0.0))
+                return
+
+
+def run(folder: Path, at_s: list[float], script: str = "", faults: tuple[str, ...] = ()) -> Watched:
+    part, journal = folder / "part.gcode", folder / "recovery"
+    if not part.exists():
+        part.write_text(spiral())
+    options = (("print_recovery", "filename", str(journal)), ("print_recovery", "interval", "0.5"))
+    simulation = Watched(
+        RunOptions(CONFIG, part, overrides=(*options, ("print_recovery", "z_stays", "True")), faults=faults),
+        journal, at_s, script,
+    )  # fmt: skip
+    simulation.outcome = simulation.run()
+    return simulation
+
+
+def filament_mm(text: bytes) -> float:
+    """The sum of E of a file with relative extrusion."""
+    return sum(float(word[1:]) for word in text.decode().split() if word[0] == "E")
+
+
+def test_at_20_instants_it_finds_line_and_point_within_a_full_step(tmp_path: Path) -> None:
+    chance = random.Random(21)
+    result = run(tmp_path, [chance.uniform(12.0, 20.5) for _ in range(20)])
+    assert result.outcome.status == PRINTED, result.outcome.reason
+    recovery, part = result.printer.lookup_object("print_recovery"), (tmp_path / "part.gcode").read_bytes()
+    assert len(result.seen.instants) == 20
+    for instant in result.seen.instants:
+        place = recovery.find({**instant.record, "steps": instant.steps})
+        for number, name in enumerate(AXES):
+            limit_mm = FILAMENT_STEP_MM if name == "extruder" else FULL_STEP_MM
+            assert abs(place.point[number] - instant.place[name]) < limit_mm, (name, place, instant.place)
+        # the lines themselves: filament before and after the one that was interrupted
+        through = part[: place.segment.offset]
+        before, after = filament_mm(through[: through.rindex(b"\n", 0, -1)]), filament_mm(through)
+        low, high = min(before, after) - FILAMENT_STEP_MM, max(before, after) + FILAMENT_STEP_MM
+        assert low < instant.place["extruder"] < high
+    assert 0.0 < recovery.get_status(0.0)["bytes_per_minute"] < 200_000
+
+
+def test_after_a_shutdown_the_next_start_offers_and_prints_the_rest(tmp_path: Path) -> None:
+    first = run(tmp_path, [], faults=("coil_open@16",))
+    assert first.outcome.status == SHUT_DOWN
+    assert "steps" in Journal(str(first.journal)).read()
+    second = run(tmp_path, [], script="RECOVER_PRINT")
+    assert second.outcome.status == PRINTED, second.outcome.reason
+    assert second.offer["state"] == "offered"
+    assert second.offer["file"] == str((tmp_path / "part.gcode").resolve())
+    total = first.axis("extruder")["position_mm"] + second.axis("extruder")["position_mm"]
+    assert abs(total - filament_mm((tmp_path / "part.gcode").read_bytes())) < FILAMENT_STEP_MM
+    assert not Journal(str(first.journal)).read()  # the print ended: nothing to offer at the next start
+
+
+def test_it_refuses_with_the_reason(tmp_path: Path) -> None:
+    result = run(tmp_path, [16.0])
+    recovery, instant = result.printer.lookup_object("print_recovery"), result.seen.instants[0]
+    record, part = {**instant.record, "steps": instant.steps}, tmp_path / "part.gcode"
+    wrong: list[tuple[dict[str, Any], str]] = [
+        (instant.record, "a board was reset or lost its power"),
+        ({**record, "config": 1}, "the configuration has changed"),
+        ({**record, "shifted": True}, "a bed mesh"),
+        ({**record, "steps": {**instant.steps, "stepper_x": 0}}, "not on the path"),
+    ]
+    for changed, reason in wrong:
+        with pytest.raises(Refusal, match=reason):
+            recovery.find(changed)
+    part.write_text(part.read_text() + "G1 X0\n")
+    with pytest.raises(Refusal, match="has changed since"):
+        recovery.find(record)
