@@ -345,7 +345,7 @@ class PrintRecovery:
 
 
 def _identity(file: str) -> dict[str, Any]:
-    """What tells that a file is the same."""
+    """A file that is the same has the same of these."""
     try:
         facts = os.stat(file)
     except OSError:

@@ -12,6 +12,7 @@ import pytest
 
 from extras.recovery.journal import Journal
 from extras.recovery.path import Refusal
+from reactor import Reactor
 from simulation.runner import PRINTED, SHUT_DOWN, RunOptions, Simulation
 from system.conftest import CONFIG
 
@@ -69,6 +70,25 @@ class Watched(Simulation):
             steps = {AXES[n]: int(a["steps_forward"] - a["steps_backward"]) for n, a in axes.items()}
             place = {name: a["position_mm"] for name, a in axes.items()}
             seen.instants.append(Instant(Journal(str(self.journal)).read(), steps, place))
+
+    def start_again(self) -> None:
+        """Start the host anew on the machine as it is, also after an MCU reset, until it is ready."""
+        self.world.lib.world_stall_host(self.world.pointer, self.world.now)
+        self._heater = self._bed = None
+        reason = "startup"
+        for _ in range(3):
+            self.reactor = Reactor(self.time)
+            self.printer = self._new_printer()
+            self.printer.start_args["start_reason"] = reason
+            self.reactor.register_callback(self._wait)
+            reason = self.printer.run()
+            if reason == "exit":
+                return
+
+    def _wait(self, eventtime: float) -> None:
+        while self.printer.get_state_message()[1] == "startup":
+            self.reactor.pause(self.reactor.monotonic() + 0.1)
+        self.printer.request_exit("exit")
 
     def _print(self) -> None:
         if not self.script:
@@ -131,6 +151,31 @@ def test_after_a_shutdown_the_next_start_offers_and_prints_the_rest(tmp_path: Pa
     total = first.axis("extruder")["position_mm"] + second.axis("extruder")["position_mm"]
     assert abs(total - filament_mm((tmp_path / "part.gcode").read_bytes())) < FILAMENT_STEP_MM
     assert not Journal(str(first.journal)).read()  # the print ended: nothing to offer at the next start
+
+
+@pytest.mark.parametrize("at_s", [13.137, 15.911, 18.482])
+def test_a_host_that_was_killed_finds_the_place_from_the_boards_own_counts(
+    tmp_path: Path, at_s: float
+) -> None:
+    result = run(tmp_path, [], faults=(f"host_kill@{at_s}",))
+    assert result.outcome.status == SHUT_DOWN
+    assert "steps" not in Journal(str(result.journal)).read()
+    result.start_again()
+    assert result.printer.get_state_message()[1] == "ready"
+    offer = result.printer.lookup_object("print_recovery").get_status(0.0)
+    assert offer["state"] == "offered", offer["reason"]
+    for name, found_mm in zip(AXES, offer["position"], strict=True):
+        limit_mm = FILAMENT_STEP_MM if name == "extruder" else FULL_STEP_MM
+        assert abs(found_mm - result.axis(name)["position_mm"]) < limit_mm
+
+
+def test_a_board_that_was_reset_is_a_refusal(tmp_path: Path) -> None:
+    result = run(tmp_path, [], faults=("mcu_reset@16",))
+    assert result.outcome.status == SHUT_DOWN
+    result.start_again()
+    offer = result.printer.lookup_object("print_recovery").get_status(0.0)
+    assert offer["state"] == "refused"
+    assert "a board was reset or lost its power" in offer["reason"]
 
 
 def test_it_refuses_with_the_reason(tmp_path: Path) -> None:

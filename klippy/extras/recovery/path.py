@@ -2,7 +2,7 @@
 
     checkpoint (byte, modes, place) ─► moves() ─► locate(place by the steps made) ─► Place (line, point on its move)
 
-The search is in space, not in time: it needs no clock. What it cannot tell apart it refuses.
+The search is in space, not in time: it needs no clock. Two possible places are a refusal.
 """
 
 from __future__ import annotations
