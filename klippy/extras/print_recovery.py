@@ -25,6 +25,7 @@ from .recovery import path
 from .recovery.journal import Journal
 from .recovery.path import Refusal
 
+NOTHING = "there is no print to resume"
 PA_FLOW_MM_S = 15.0  # pressure advance moves the filament by that much times its seconds [assumed peak]
 SETTLE_POLL_S, SETTLE_S = 0.25, 5.0  # of motors that still run when a crashed host comes back
 
@@ -54,7 +55,7 @@ class PrintRecovery:
         ] = []  # checkpoints not carried out yet, with their times
         self._done: dict[str, Any] | None = None  # the newest that has been
         self._place: path.Place | None = None
-        self._reason = "there is no print to resume"
+        self._reason = NOTHING
         self._state = "none"
         self._printing_s = 0.0
 
@@ -95,11 +96,16 @@ class PrintRecovery:
             state = self.printer.lookup_object("print_stats").state
             if state == "printing":
                 self._printing_s += self.settings.interval_s
+                if self._done is None and self.journal.record:  # of a print before this one
+                    self._discard()
                 self._keep()
             elif state != "paused" and self._done is not None:
                 self._forget()
-        except OSError as e:
-            self.gcode.respond_error(f"print_recovery: {self.journal.path} cannot be written: {e}")
+        except Exception as e:  # the print goes on without a record
+            logging.exception("print_recovery")
+            self.gcode.respond_error(
+                f"print_recovery: no record is kept from now on: {self.journal.path}: {e}"
+            )
             return self.reactor.NEVER
         return self.reactor.monotonic() + self.settings.interval_s
 
@@ -117,7 +123,6 @@ class PrintRecovery:
         now = toolhead.mcu.estimated_print_time(self.reactor.monotonic())
         while self._waiting and self._waiting[0][0] <= now:
             self._done = self._waiting.pop(0)[1]
-            self._state = "none"
             self.journal.write(self._done)
 
     def _checkpoint(self, sdcard: Any, toolhead: Any) -> dict[str, Any]:
@@ -253,8 +258,13 @@ class PrintRecovery:
         head = [*toolhead.get_kinematics().calc_position(places), e_mm]
         with open(file["path"], "rb") as source:
             source.seek(record["offset"])
-            segments = path.moves(source.read(), record["offset"], path.State(**record["state"]))
+            segments = path.moves(
+                source.read(), record["offset"], path.State(**record["state"]), self._is_known
+            )
         return path.locate(segments, head, self._tolerance(steppers, record["pressure_advance"]))
+
+    def _is_known(self, command: str) -> bool:
+        return self.gcode.get_handler(command) is not None
 
     def _tolerance(self, steppers: list[Any], advance_s: float) -> path.Tolerance:
         settings = self.printer.lookup_object("configfile").get_status(0.0)["settings"]
@@ -266,8 +276,14 @@ class PrintRecovery:
 
     def cmd_RECOVER_DISCARD(self, gcmd: GCodeCommand) -> None:
         """RECOVER_DISCARD."""
-        self.journal.write({})
-        self._place, self._state, self._reason = None, "none", "there is no print to resume"
+        self._discard()
+
+    def _discard(self) -> None:
+        try:
+            self.journal.write({})
+        except OSError as e:
+            raise self.printer.command_error(f"{self.journal.path} cannot be written: {e}") from None
+        self._place, self._state, self._reason = None, "none", NOTHING
 
     cmd_RECOVER_PRINT_help = "Resume the interrupted print where the head stopped"
 
@@ -281,10 +297,9 @@ class PrintRecovery:
         if self.printer.lookup_object("virtual_sdcard").is_active():
             raise gcmd.error("RECOVER_PRINT: a file is being printed")
         self._check_z(gcmd, place)
-        self._state = "none"
-        self._place = None
         self._heat(record)
         self._go_back(place)
+        self._discard()  # from here on more is printed than the record says
         self._go_on(record, place)
 
     def _check_z(self, gcmd: GCodeCommand, place: path.Place) -> None:

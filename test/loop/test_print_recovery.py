@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import math
 import random
-from dataclasses import dataclass, field
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+import bench_recovery
+from bench_recovery import FULL_STEP_MM
 from extras.recovery.journal import Journal
 from extras.recovery.path import Refusal
 from reactor import Reactor
-from simulation.runner import PRINTED, SHUT_DOWN, RunOptions, Simulation
-from system.conftest import CONFIG
+from simulation.runner import PRINTED, SHUT_DOWN, RunOptions
 
-FULL_STEP_MM = 40.0 / 200
-FILAMENT_STEP_MM = 7.6 / 200
-AXES = {"x": "stepper_x", "y": "stepper_y", "z": "stepper_z", "extruder": "extruder"}
+FILAMENT_STEP_MM = FULL_STEP_MM["extruder"]
 
 
 def spiral(turns: int = 6) -> str:
@@ -33,43 +32,13 @@ def spiral(turns: int = 6) -> str:
     return "\n".join([*lines, "M400", "M104 S0", ""])
 
 
-@dataclass(slots=True)
-class Instant:
-    """What a crash at this moment would leave: the journal, the motors' steps; and where the axes are."""
-
-    record: dict[str, Any]
-    steps: dict[str, int]
-    place: dict[str, float]
-
-
-@dataclass(slots=True)
-class Seen:
-    at_s: list[float] = field(default_factory=list)
-    instants: list[Instant] = field(default_factory=list)
-
-
-class Watched(Simulation):
-    """Looks at journal and machine at given times; `script` runs instead of a print."""
+class Restarted(bench_recovery.Watched):
+    """Can start the host again; `script` runs instead of a print."""
 
     def __init__(self, options: RunOptions, journal: Path, at_s: list[float], script: str = "") -> None:
-        super().__init__(options)
-        self.journal, self.script, self.seen = journal, script, Seen(sorted(at_s))
+        super().__init__(options, journal, at_s)
+        self.script = script
         self.offer: dict[str, Any] = {}
-        self.outcome: Any = None
-
-    def axis(self, name: str) -> dict[str, Any]:
-        assert self.machine is not None
-        return self.world.axis(self.machine.axes[name])
-
-    def _before_advance(self, now: float) -> None:
-        super()._before_advance(now)
-        seen = self.seen
-        while seen.at_s and now - self.world.start_s >= seen.at_s[0]:
-            seen.at_s.pop(0)
-            axes = {name: self.axis(name) for name in AXES}
-            steps = {AXES[n]: int(a["steps_forward"] - a["steps_backward"]) for n, a in axes.items()}
-            place = {name: a["position_mm"] for name, a in axes.items()}
-            seen.instants.append(Instant(Journal(str(self.journal)).read(), steps, place))
 
     def start_again(self) -> None:
         """Start the host anew on the machine as it is, also after an MCU reset, until it is ready."""
@@ -103,17 +72,19 @@ class Watched(Simulation):
                 return
 
 
-def run(folder: Path, at_s: list[float], script: str = "", faults: tuple[str, ...] = ()) -> Watched:
+def run(folder: Path, at_s: list[float], script: str = "", faults: tuple[str, ...] = ()) -> Restarted:
     part, journal = folder / "part.gcode", folder / "recovery"
     if not part.exists():
         part.write_text(spiral())
-    options = (("print_recovery", "filename", str(journal)), ("print_recovery", "interval", "0.5"))
-    simulation = Watched(
-        RunOptions(CONFIG, part, overrides=(*options, ("print_recovery", "z_stays", "True")), faults=faults),
-        journal, at_s, script,
-    )  # fmt: skip
+    simulation = Restarted(bench_recovery.options(part, journal, *faults), journal, at_s, script)
     simulation.outcome = simulation.run()
     return simulation
+
+
+def assert_there(point: Sequence[float], place: dict[str, float]) -> None:
+    """The point is within one full step of the machine's place, axis by axis."""
+    for name, limit_mm in FULL_STEP_MM.items():
+        assert abs(point[list(place).index(name)] - place[name]) < limit_mm, (name, point, place)
 
 
 def filament_mm(text: bytes) -> float:
@@ -126,12 +97,10 @@ def test_at_20_instants_it_finds_line_and_point_within_a_full_step(tmp_path: Pat
     result = run(tmp_path, [chance.uniform(12.0, 20.5) for _ in range(20)])
     assert result.outcome.status == PRINTED, result.outcome.reason
     recovery, part = result.printer.lookup_object("print_recovery"), (tmp_path / "part.gcode").read_bytes()
-    assert len(result.seen.instants) == 20
-    for instant in result.seen.instants:
+    assert len(result.instants) == 20
+    for instant in result.instants:
         place = recovery.find({**instant.record, "steps": instant.steps})
-        for number, name in enumerate(AXES):
-            limit_mm = FILAMENT_STEP_MM if name == "extruder" else FULL_STEP_MM
-            assert abs(place.point[number] - instant.place[name]) < limit_mm, (name, place, instant.place)
+        assert_there(place.point, instant.place)
         # the lines themselves: filament before and after the one that was interrupted
         through = part[: place.segment.offset]
         before, after = filament_mm(through[: through.rindex(b"\n", 0, -1)]), filament_mm(through)
@@ -164,9 +133,7 @@ def test_a_host_that_was_killed_finds_the_place_from_the_boards_own_counts(
     assert result.printer.get_state_message()[1] == "ready"
     offer = result.printer.lookup_object("print_recovery").get_status(0.0)
     assert offer["state"] == "offered", offer["reason"]
-    for name, found_mm in zip(AXES, offer["position"], strict=True):
-        limit_mm = FILAMENT_STEP_MM if name == "extruder" else FULL_STEP_MM
-        assert abs(found_mm - result.axis(name)["position_mm"]) < limit_mm
+    assert_there(offer["position"], {name: result.axis(name)["position_mm"] for name in FULL_STEP_MM})
 
 
 def test_a_board_that_was_reset_is_a_refusal(tmp_path: Path) -> None:
@@ -178,9 +145,16 @@ def test_a_board_that_was_reset_is_a_refusal(tmp_path: Path) -> None:
     assert "a board was reset or lost its power" in offer["reason"]
 
 
+def test_another_print_discards_the_offer_before_it_moves(tmp_path: Path) -> None:
+    first = run(tmp_path, [], faults=("coil_open@16",))
+    assert "steps" in Journal(str(first.journal)).read()
+    second = run(tmp_path, [2.0])
+    assert second.instants[0].record == {}
+
+
 def test_it_refuses_with_the_reason(tmp_path: Path) -> None:
     result = run(tmp_path, [16.0])
-    recovery, instant = result.printer.lookup_object("print_recovery"), result.seen.instants[0]
+    recovery, instant = result.printer.lookup_object("print_recovery"), result.instants[0]
     record, part = {**instant.record, "steps": instant.steps}, tmp_path / "part.gcode"
     wrong: list[tuple[dict[str, Any], str]] = [
         (instant.record, "a board was reset or lost its power"),

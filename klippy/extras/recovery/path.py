@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
-from copy import deepcopy
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 MOVES_MAX = 20_000  # after the checkpoint: more than minutes of any print
 CORNER = 4.0  # places on the path this many tolerances apart are two places
@@ -60,6 +59,9 @@ class State:
     speed: float
     speed_factor: float
     extrude_factor: float
+
+    def copy(self) -> State:
+        return replace(self, position=list(self.position), base=list(self.base))
 
     @property
     def velocity(self) -> float:
@@ -132,20 +134,21 @@ def _apply_move(state: State, words: dict[str, float]) -> None:
         state.position[axis] = value + (state.base if absolute else state.position)[axis]
 
 
-def moves(text: bytes, offset: int, state: State) -> Iterator[Segment]:
-    """The moves of the lines of `text`, which begins at byte `offset`, up to a line that may move otherwise."""
-    state = deepcopy(state)
-    yield Segment(tuple(state.position), deepcopy(state), offset)
+def moves(text: bytes, offset: int, state: State, is_known: Callable[[str], bool]) -> Iterator[Segment]:
+    """The moves of the lines of `text`, which begins at byte `offset`, up to a line that may move otherwise: a command
+    that exists and is none of those above."""
+    state = state.copy()
+    yield Segment(tuple(state.position), state.copy(), offset)
     for line in text.splitlines(keepends=True):
         offset += len(line)
         name, words = _command(line.decode("utf-8", "replace"))
         start = tuple(state.position)
         if name in ("G0", "G1"):
             _apply_move(state, words)
-            yield Segment(start, deepcopy(state), offset)
+            yield Segment(start, state.copy(), offset)
         elif name in _MODES:
             _apply_mode(state, name, words)
-        elif name and name not in HARMLESS:
+        elif name and name not in HARMLESS and is_known(name):
             return
 
 

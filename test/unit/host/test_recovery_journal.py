@@ -9,6 +9,7 @@ import pytest
 from extras.recovery.journal import SLOT_BYTES, Journal
 from extras.recovery.path import Refusal, State, Tolerance, locate, moves
 
+KNOWN = {"PARK"}.__contains__
 TOLERANCE = Tolerance(0.2, 0.04)
 
 
@@ -52,18 +53,19 @@ def test_a_record_too_long_for_its_slot_is_refused_and_the_old_one_stays(tmp_pat
 
 def test_modes_origins_and_factors_count_on_the_way() -> None:
     text = b"G92 X10 E5\nM221 S50\nG1 X20 E2 F600\nG91\nG1 Y3 E1\nM82\nG90\nG1 Y5 E9\n"
-    found = [segment.state.position for segment in moves(text, 0, state())]
+    found = [segment.state.position for segment in moves(text, 0, state(), KNOWN)]
     assert found[1:] == [[10.0, 0.0, 0.0, 1.0], [10.0, 3.0, 0.0, 1.5], [10.0, 5.0, 0.0, 2.0]]
 
 
 def test_a_line_that_may_move_otherwise_ends_the_search() -> None:
-    text = b"G1 X5\nPARK\nG1 X10\n"
+    text = b"G1 X5\nM201 X1\nPARK\nG1 X10\n"
+    assert [segment.offset for segment in moves(text, 0, state(), KNOWN)] == [0, 6]
     with pytest.raises(Refusal, match="not on the path"):
-        locate(moves(text, 0, state()), (8.0, 0.0, 0.0, 0.0), TOLERANCE)
+        locate(moves(text, 0, state(), KNOWN), (8.0, 0.0, 0.0, 0.0), TOLERANCE)
 
 
 def test_a_place_passed_twice_is_refused_unless_the_filament_differs() -> None:
     with pytest.raises(Refusal, match="more than once"):
-        locate(moves(b"G1 X10\nG1 X0\n", 0, state()), (4.0, 0.0, 0.0, 0.0), TOLERANCE)
-    place = locate(moves(b"G1 X10 E1\nG1 X0 E1\n", 0, state()), (4.0, 0.0, 0.0, 1.6), TOLERANCE)
+        locate(moves(b"G1 X10\nG1 X0\n", 0, state(), KNOWN), (4.0, 0.0, 0.0, 0.0), TOLERANCE)
+    place = locate(moves(b"G1 X10 E1\nG1 X0 E1\n", 0, state(), KNOWN), (4.0, 0.0, 0.0, 1.6), TOLERANCE)
     assert place.segment.offset == 19 and place.point == (4.0, 0.0, 0.0, 1.6)
