@@ -76,7 +76,7 @@ def off_mm(point: tuple[float, ...], instant: Instant) -> dict[str, float]:
 def judge(recovery: Any, instant: Instant, has_steps: bool) -> str:
     """'resumed', 'wrong', or why it is refused."""
     if not instant.record:
-        return "refused: no motion of the file was carried out yet"
+        return "refused: no record (no motion yet, or the end)"
     record = {**instant.record, "steps": instant.steps} if has_steps else instant.record
     try:
         place = recovery.find(record)

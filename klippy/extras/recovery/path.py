@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 
 MOVES_MAX = 20_000  # after the checkpoint: more than minutes of any print
 CORNER = 4.0  # places on the path this many tolerances apart are two places
@@ -170,23 +171,27 @@ def _nearest(segment: Segment, head: Sequence[float]) -> tuple[float, float, flo
 
 
 def locate(segments: Iterable[Segment], head: Sequence[float], tolerance: Tolerance) -> Place:
-    """The one place on the path where the head and the filament are. Raises Refusal."""
-    found: list[tuple[float, float, Place]] = []
+    """The place on the path where the head and the filament are. Raises Refusal.
+
+    The path may come back without having extruded meanwhile (a retraction and its end). Then the nearest place is
+    taken, the first of equal ones: what is done twice deposits nothing."""
+    way = list(islice(segments, MOVES_MAX))
+    found: list[tuple[float, float, int, Place]] = []
     path_mm = 0.0
-    for number, segment in enumerate(segments):
-        if number > MOVES_MAX:
-            break
+    for number, segment in enumerate(way):
         share, off_mm, filament_mm = _nearest(segment, head)
         length = math.dist(segment.start, segment.state.position)
         if off_mm <= tolerance.head_mm and filament_mm <= tolerance.filament_mm:
             place = Place(segment, segment.at(share), off_mm)
-            found.append((math.hypot(off_mm, filament_mm), path_mm + share * length, place))
+            found.append((math.hypot(off_mm, filament_mm), path_mm + share * length, number, place))
         path_mm += length
     if not found:
         raise Refusal(
             "the head is not on the path of the file's next moves (a macro, a pause or a shift moved it)"
         )
-    _, at_mm, place = min(found, key=lambda entry: entry[:2])
-    if any(abs(other - at_mm) > CORNER * tolerance.head_mm + tolerance.filament_mm for _, other, _ in found):
-        raise Refusal("the path passes the place of the head more than once")
-    return place
+    first, last = found[0], found[-1]
+    if last[1] - first[1] > CORNER * tolerance.head_mm + tolerance.filament_mm:
+        e_max = max(segment.state.position[3] for segment in way[first[2] : last[2]])
+        if e_max > head[3] + tolerance.filament_mm:
+            raise Refusal("the path passes the place of the head more than once")
+    return min(found, key=lambda entry: (round(entry[0], 6), entry[1]))[3]

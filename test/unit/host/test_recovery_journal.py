@@ -64,8 +64,19 @@ def test_a_line_that_may_move_otherwise_ends_the_search() -> None:
         locate(moves(text, 0, state(), KNOWN), (8.0, 0.0, 0.0, 0.0), TOLERANCE)
 
 
-def test_a_place_passed_twice_is_refused_unless_the_filament_differs() -> None:
+def test_a_place_passed_twice_is_refused_if_something_was_extruded_meanwhile() -> None:
+    loop = b"G1 X10 E1\nG1 X0 E1\nG1 E-2\nG1 X10\n"
     with pytest.raises(Refusal, match="more than once"):
-        locate(moves(b"G1 X10\nG1 X0\n", 0, state(), KNOWN), (4.0, 0.0, 0.0, 0.0), TOLERANCE)
+        locate(moves(loop, 0, state(), KNOWN), (0.0, 0.0, 0.0, 0.0), TOLERANCE)
+
+
+def test_where_the_filament_differs_a_place_passed_twice_is_found() -> None:
     place = locate(moves(b"G1 X10 E1\nG1 X0 E1\n", 0, state(), KNOWN), (4.0, 0.0, 0.0, 1.6), TOLERANCE)
     assert place.segment.offset == 19 and place.point == (4.0, 0.0, 0.0, 1.6)
+
+
+def test_of_a_retraction_and_its_end_the_first_is_taken() -> None:
+    text = b"G1 X10 E1\nG1 E-2\nG1 Z1\nG1 Z0\nG1 E2\nG1 X20 E1\n"
+    place = locate(moves(text, 0, state(), KNOWN), (10.0, 0.0, 0.0, 0.3), TOLERANCE)
+    assert text[: place.segment.offset].endswith(b"G1 E-2\n")
+    assert place.point == pytest.approx((10.0, 0.0, 0.0, 0.3))
