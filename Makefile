@@ -29,6 +29,7 @@ help:
 	@echo "make bench-firmware     cost of samples, steps, commands on the images of both chips (QUICK=1)"
 	@echo "make bench-identify     hidden plants found again from their recorded prints (QUICK=1)"
 	@echo "make bench-faults       every fault on every machine in every state: caught by what, how hot (QUICK=1)"
+	@echo "make bench-recovery     where an interrupted print would be resumed, at 1,000 instants"
 	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it (studies)"
 	@echo "make bench-machines     1,000 drifting machines, calibrated and printing for 20 minutes (a study; RUNS=20: 40; QUICK=1)"
 	@echo "make bench-studies      the studies of config/studies: random machines, calibrated machines, the sample"
@@ -75,7 +76,8 @@ printer: setup sim chelper
 
 # QUICK=1: what each bench leaves out then stands in its --help.
 BENCH = $(PYTHON) scripts/bench/bench_$*.py --json $(OUT)/bench/$*.json
-BENCHES := bench-print bench-api bench-thermometer bench-motion bench-steady bench-firmware bench-identify bench-faults
+BENCHES := bench-print bench-api bench-thermometer bench-motion bench-steady bench-firmware bench-identify bench-faults \
+           bench-recovery
 .PHONY: $(BENCHES)
 bench: bench-print
 $(BENCHES): bench-%: setup sim chelper
