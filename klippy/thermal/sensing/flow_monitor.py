@@ -47,6 +47,8 @@ class FlowMonitorParameters:
     model_share: float = 0.05  # of the planned melt's heat: errors of its law when the flow changes
     stored_max_w: float = 15.0  # in a faster change of temperature the capacity is judged, not the melt
     fan_settle_s: float = 3.0  # a fan takes so long to its new speed
+    fan_learn_s: float = 10.0  # for so long its cooling is learned and nothing is judged ...
+    fan_doubt_w: float = 0.1  # ... if it may be wrong by more than this
     ready_steps: int = 5  # with flow, before a condition is given
     all_share: float = 0.75  # so much lost is all of it
 
@@ -90,6 +92,7 @@ class FlowMonitorState:
     temp_c: float = math.nan
     fan: float = 0.0
     fan_s: float = -math.inf  # when that changed
+    judged_from_s: float = -math.inf
     step: Step = field(default_factory=Step)
     flow_steps: int = 0
     evidence: float = 0.0  # the sum of the test
@@ -125,6 +128,9 @@ def observe(p: FlowMonitorParameters, state: FlowMonitorState, reading: HeatRead
         )  # its cooling is not quite linear in its speed
         state.covariance[1][1] += spread**2
         state.fan, state.fan_s = reading.fan, reading.time_s
+        doubt_w = math.sqrt(state.covariance[1][1]) * reading.fan * (reading.temp_c - p.loss.ambient_c)
+        if doubt_w > p.fan_doubt_w:
+            state.judged_from_s = reading.time_s + p.fan_learn_s
     if not 0.0 < dt_s < 1.0:
         state.step = Step()
         return False
@@ -157,7 +163,7 @@ def _judge(p: FlowMonitorParameters, state: FlowMonitorState, step: Step) -> Non
     noise = p.noise_w_s**2 / lasts_s + (p.model_share * planned_w) ** 2
     variance = noise + sum(row[i] * spread[i] for i in UNKNOWNS)
     missing_w = sum(row[i] * state.unknowns[i] for i in UNKNOWNS) - step.taken_j / lasts_s  # minus innovation
-    if planned_w >= p.flow_min_w:
+    if planned_w >= p.flow_min_w and state.time_s >= state.judged_from_s:
         _test(p, state, planned_w * lasts_s, missing_w * lasts_s, lasts_s, variance)
     if not state.lost and state.evidence < 0.25 * p.threshold:
         _learn(state, spread, variance, -missing_w, lasts_s)
