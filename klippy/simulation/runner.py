@@ -39,7 +39,7 @@ OUTPUT_FOLDER = OUT / "simulation"  # of a run without a log: files of INDUCTION
 AFTERMATH_S = 2.0  # watched on after a shutdown, to see that the heat goes off
 PROGRESS_WALL_S = 0.1
 UNKNOWN_COMMAND = '// Unknown command:"'  # how the console says it; the print goes on
-WARNING = "// Induction heater '"
+WARNINGS = ("// Induction heater '", "// Nozzle monitor:")
 GC_ALLOCATIONS = 100_000  # between looks for cycles: blocks and moves come by the thousand and make none
 
 
@@ -301,8 +301,11 @@ class Simulation:
             self.facts.faults.append(
                 f"{self.reactor.monotonic() - self.world.start_s:.1f} s: {text[2:].strip()}"
             )
-        elif text.startswith(WARNING) and self.injector is not None:
-            self.injector.warned(text[3:], self.reactor.monotonic())
+        elif text.startswith(WARNINGS):
+            now = self.reactor.monotonic()
+            self.facts.messages.append(f"{now - self.world.start_s:.1f} s: {text[3:]}")
+            if self.injector is not None:
+                self.injector.warned(text[3:], now)
         elif text.startswith(UNKNOWN_COMMAND):
             name = text[len(UNKNOWN_COMMAND) :].strip('"')
             self.facts.unknown_commands[name] = self.facts.unknown_commands.get(name, 0) + 1
@@ -364,6 +367,11 @@ class Simulation:
             self._note_machine(self.machine)
         if facts.exit_status == SHUT_DOWN:
             facts.faults.insert(0, facts.reason)
+        monitor = self.printer.lookup_object("nozzle_monitor", None)
+        if monitor is not None:
+            facts.nozzle_monitor = [
+                {**row, "t_s": round(row["t_s"] - self.world.start_s, 1)} for row in monitor.history
+            ]
         if self.injector is not None and self.injector.injected:
             facts.injected = self.injector.results()
         return Outcome(facts.exit_status, facts.reason, summary(facts, self.machine))

@@ -42,6 +42,8 @@ class RunFacts:
     moves: int = 0
     file_progress: float = 0.0
     faults: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)  # warnings of the nozzle's chain and monitor
+    nozzle_monitor: list[dict[str, Any]] = field(default_factory=list)
     unknown_commands: dict[str, int] = field(default_factory=dict)  # name: how often
     injected: list[dict[str, Any]] = field(default_factory=list)  # see faults.py
     stages_s: dict[str, float] = field(default_factory=dict)
@@ -90,6 +92,8 @@ def summary(facts: RunFacts, machine: Machine | None) -> dict[str, Any]:
         "moves": facts.moves,
         "file_progress": round(facts.file_progress, 6),
         "faults": list(facts.faults),
+        "messages": list(facts.messages),
+        "nozzle_monitor": facts.nozzle_monitor,
         "unknown_commands": facts.unknown_commands,
         "injected": facts.injected,
     }
