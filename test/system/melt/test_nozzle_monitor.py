@@ -42,7 +42,7 @@ def test_an_alarm_runs_its_template_and_ends_when_filament_is_back(simulate: Sim
     assert run.status == 0, run.stderr
     assert [record["fault"] for record in run.summary["injected"]] == ["runout", "grind:0"]
     conditions = [row["condition"] for row in run.summary["nozzle_monitor"]]
-    assert "no_filament" in conditions
+    assert {"no_filament", "restricted"} & set(conditions)  # how much is lost shows while it is judged
     assert conditions[-1] == "clear"
     assert len(run.summary["messages"]) == 1
 
