@@ -15,9 +15,10 @@ from typing import Any
 
 from gcode import GCodeCommand
 from roles import Printer
+from thermal.drift import correction as drift
 from thermal.identification import sweep
 from thermal.models import heat_loss
-from thermal.sensing import drift, heat_balance_monitor, laws, temperature_filter
+from thermal.sensing import heat_balance_monitor, laws, temperature_filter
 
 from ..heater import run as heater_run
 from ..heater import tuning as heater_tuning

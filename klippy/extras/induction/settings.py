@@ -8,12 +8,12 @@ from dataclasses import fields, replace
 from configfile import ConfigWrapper
 from thermal.control import actuator, loop, nozzle_model, predictive, two_period
 from thermal.control import pid as pid_control
+from thermal.drift import observer as drift_observer
 from thermal.models import heat_loss, melt_exchange
 from thermal.models.drive_law import DriveLaw
 from thermal.records import ParameterError
 from thermal.sensing import (
     block_temperature,
-    drift_observer,
     features,
     guard_limits,
     heat_balance_monitor,

@@ -1,14 +1,15 @@
-"""The loop's side of thermal/sensing/drift.py: gives it blocks, heat and looks, and lets the chain follow."""
+"""The loop's side of thermal/drift/correction.py: gives it blocks, heat and looks, and lets the chain follow."""
 
 from __future__ import annotations
 
 import math
 
+from thermal.drift import correction as drift
+from thermal.drift import observer as drift_observer
+from thermal.drift.observer import DriftParameters
 from thermal.records import TempEstimate
-from thermal.sensing import drift, drift_observer
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 from thermal.sensing.blocks import Blocks
-from thermal.sensing.drift_observer import DriftParameters
 from thermal.sensing.laws import TankLaw
 from thermal.sensing.pipeline import Chain
 

@@ -17,9 +17,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from thermal.drift import correction as drift
 from thermal.models import heat_loss
 from thermal.records import PhaseCommand, SampleBlock, TempEstimate
-from thermal.sensing import drift, heat_balance_monitor, laws, supervision
+from thermal.sensing import heat_balance_monitor, laws, supervision
 from thermal.sensing.blocks import Blocks
 from thermal.sensing.pipeline import Chain
 
@@ -50,7 +51,7 @@ __all__ = [
     "Timing",
 ]
 
-FAN_W_K = 0.02  # most that a part fan takes
+FAN_W_K = 0.02  # max of what a part fan takes
 BALANCE_S = 0.1  # ten times a second is enough for a balance over half a minute
 
 # (block, its filtered estimate or None, print time of its arrival)
@@ -70,6 +71,9 @@ class InductionLoop:
         self.story = Story()
         self.listeners: list[BlockListener] = []  # given every block, in order
         self.on_listener_error: Callable[[Exception], None] = lambda problem: None
+        self.on_balance: Callable[[TempEstimate, float], None] | None = (
+            None  # with the heat (J) since its last call
+        )
         self.quiet = True  # set from outside: neither melt nor fan takes heat
         self.flow = control_api.IDLE  # set from outside: planned extrusion, mm^3/s
         self.fan = control_api.IDLE  # set from outside: part fan, 0..1
@@ -259,6 +263,8 @@ class InductionLoop:
         heat_balance_monitor.observe(
             p.heat_balance, state.heat_balance, news.time_s, news.temp_c, heat_j, self.quiet
         )
+        if self.on_balance is not None:
+            self.on_balance(news, heat_j)
         self._inform_witness(news)
         state.balanced_s = news.time_s
         state.warning = heat_balance_monitor.warning(p.heat_balance, state.heat_balance) or drift.warning(

@@ -6,13 +6,13 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
+from thermal.drift import correction as drift
+from thermal.drift import observer as drift_observer
 from thermal.models import heat_loss
 from thermal.models.melt_exchange import MeltExchange
 from thermal.records import PhaseCommand, Planned, PowerRequest, TempEstimate
 from thermal.sensing import (
     block_temperature,
-    drift,
-    drift_observer,
     features,
     heat_balance_monitor,
     laws,

@@ -13,15 +13,15 @@ from typing import Any
 import chelper
 from thermal import records
 from thermal.control import actuator, control_api, loop, pid, predictive, timeline, two_period
+from thermal.drift import correction as drift
+from thermal.drift import observer as drift_observer
+from thermal.drift import rest
 from thermal.models import drive_law, heat_loss, heater_model, melt_exchange
 from thermal.sensing import (
     block_temperature,
-    drift,
-    drift_observer,
     features,
     heat_balance_monitor,
     laws,
-    rest,
     supervision,
     temperature_filter,
 )

@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from thermal.sensing import drift_observer as observer
+from thermal.drift import observer
+from thermal.drift.observer import AMBIENT, COUNT, DRIFT, SUPPLY, DriftParameters
+from thermal.drift.rest import Rest
 from thermal.sensing import laws
-from thermal.sensing.drift_observer import AMBIENT, COUNT, DRIFT, SUPPLY, DriftParameters
-from thermal.sensing.rest import Rest
 
 LAW = laws.TankLaw(g=1160.0, t0=390.0, w=1440.0, delta=0.0, b=0.457, q=0.6, c=0.0, d=313.9, m=1.0)
 WEAK, FULL = 2012.0, 45000.0

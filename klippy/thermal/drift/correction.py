@@ -12,13 +12,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-from thermal.sensing import drift_observer as observer
+from thermal.drift import observer
+from thermal.drift.observer import DriftParameters, DriftState
+from thermal.drift.rest import Rest
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS, EstimatorParameters
 from thermal.sensing.blocks import Blocks
-from thermal.sensing.drift_observer import DriftParameters, DriftState
 from thermal.sensing.heat_balance_monitor import HeatBalanceParameters
 from thermal.sensing.laws import TankLaw
-from thermal.sensing.rest import Rest
 
 # A zero farther off is another nozzle or coil. Readings below the room's may be raised further: that heats less.
 ZERO_LOW_C, ZERO_HIGH_C = -150.0, 60.0
