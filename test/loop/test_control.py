@@ -207,7 +207,7 @@ def test_a_law_takes_over_in_the_climb(before: str, after: str, over_c: float) -
 
 @pytest.mark.parametrize("preset", ["reference", "strong"])
 def test_looks_out_of_a_hold_come_in_turn_and_hardly_move_the_temperature(preset: str) -> None:
-    power_w, looks = bench.POWER_W[preset], (45000, 31820)
+    power_w, looks = {"reference": 81.3, "strong": 282.0}[preset], (45000, 31820)
     parameters = default_parameters(law=true_law(), power_full_w=power_w)
     actuator = replace(parameters.actuator, hold_look_s=0.25, hold_look_ticks=looks)
     rig = Rig(Plant(4, preset), replace(parameters, actuator=actuator), 4)

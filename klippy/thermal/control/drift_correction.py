@@ -37,15 +37,20 @@ class DriftCorrection:
         drift.note_rest(m, p.estimator, blocks)
         if drift.zero(self.known, m, p.heat_balance, now_s):
             self._follow(math.inf)
-        state.is_waiting = drift.waits(self.known, m, now_s)
+        self._begin(now_s)
 
     def on_target(self, target_c: float, now_s: float) -> None:
         """A new target, before the law acts on it."""
         state, m = self.state, self.state.drift
         if not drift.note_target(m, target_c > 0.0, now_s):
             return
-        state.is_waiting = drift.waits(self.known, m, now_s)
-        if m.is_on and not state.is_waiting:
+        self._begin(now_s)
+
+    def _begin(self, now_s: float) -> None:
+        """Heat may go in, or waits for the zero."""
+        m = self.state.drift
+        self.state.is_waiting = drift.waits(self.known, m, now_s)
+        if m.is_on and not self.state.is_waiting:
             drift.glance(self.known, m)
             self._follow(math.inf)
 

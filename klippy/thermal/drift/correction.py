@@ -33,7 +33,8 @@ LOOKS_EACH_S = 0.1
 LEVER_MIN = 0.3  # of full drive, in drive_offset.h's shape
 LOOKS_SIGMA_C = 8.0  # k in more doubt says nothing
 WAY_C = 20.0  # farther from the target than this is the way to it
-WAY_C_S, NEAR_C_S = 20.0, 0.2  # the correction moves so fast
+WAY_C_S, NEAR_C_S = 20.0, 0.2  # the correction moves so fast ...
+MOVE_C, MOVED_C = 2.0, 0.3  # ... once the estimate is that far away, until it is as near as that
 NAMED_C = 10.0  # drift beyond this is named, if it is surely so much
 
 
@@ -44,6 +45,7 @@ class DriftMemory:
     state: DriftState = field(default_factory=DriftState)
     rest: Rest = field(default_factory=Rest)
     applied_c: float = 0.0
+    is_moving: bool = False
     time_s: float = math.nan  # of the state
     noise_c: float = 0.2
     zeroed_s: float = -math.inf
@@ -178,12 +180,16 @@ def note_balance(m: DriftMemory, drift_c: float | None) -> None:
 
 
 def follow(m: DriftMemory, dt_s: float, below_c: float) -> float:
-    """The correction from now on, `below_c` under the target; infinite: no heat goes in."""
-    wanted_c = m.state.drift_c
-    if below_c < math.inf:
-        step_c = dt_s * (WAY_C_S if below_c > WAY_C else NEAR_C_S)
-        wanted_c = max(m.applied_c - step_c, min(m.applied_c + step_c, wanted_c))
-    return wanted_c
+    """The correction from now on, `below_c` under the target; infinite: no heat goes in.
+
+    It moves only when the estimate is farther away than its own doubt, and then all the way: noise moves nothing.
+    """
+    off_c = m.state.drift_c - m.applied_c
+    m.is_moving = abs(off_c) > (MOVED_C if m.is_moving else max(MOVE_C, m.state.sigma_c))
+    if not m.is_moving:
+        return m.applied_c
+    step_c = math.inf if below_c == math.inf else dt_s * (WAY_C_S if below_c > WAY_C else NEAR_C_S)
+    return m.applied_c + max(-step_c, min(step_c, off_c))
 
 
 def corrected(estimator: EstimatorParameters, applied_c: float) -> EstimatorParameters:

@@ -46,7 +46,7 @@ class DriftParameters:
     power_max_w: float = 81.3
     balance_c: float = 10.0
     balance_walk_c: float = 0.1
-    law_c: float = 3.0
+    law_c: float = 6.0
     law_walk_c: float = 0.05
     room_c: float = 25.0
     ambient_c: float = 3.0  # of room_c; with a sensor 1.5

@@ -8,6 +8,7 @@
 #define START_C 60.0        // 1 sigma of k before any step: what 4 % of supply and 0.1 % of C1 make together
 #define WALK_C 0.25         // of k within a second at little drive ...
 #define STRONG_C 20.0       // ... and at full drive, by h^2: ripple and sag of the supply
+#define STRONG_MAX_S 1.0    // ... since the strong block before; no more after so long
 #define WARM_C 0.7          // ... and while the nozzle warms by a degree: the law's error changes with the temperature
 #define OTHER_C 3.0         // ... and while the strong drive moves by the whole of h: the shape is not quite right ...
 #define OTHER_SHARE 0.5     // ... by this share of k
@@ -60,7 +61,8 @@ drive_offset_block(struct drive_offset *s, const struct filter_params *p, double
         double other = h > STEP_MIN ? fabs(h - s->strong) : 0.0;
         double walk_c = WALK_C + STRONG_C * h * h;
         double shape_c = hypot(OTHER_C, OTHER_SHARE * s->full_c);
-        double walk = walk_c * walk_c * dt_s + WARM_C * WARM_C * fabs(rise_c) + shape_c * shape_c * other;
+        double since_s = h > STEP_MIN && s->strong_s > 0.0 ? fmin(STRONG_MAX_S, b->centre_s - s->strong_s) : dt_s;
+        double walk = walk_c * walk_c * since_s + WARM_C * WARM_C * fabs(rise_c) + shape_c * shape_c * other;
         s->variance = fmin(START_C * START_C, s->variance + walk);
         if (dt_s < GAP_S && fabs(h - s->lever) > STEP_MIN)
             learn(s, b, h - s->lever, rise_c);
@@ -74,7 +76,10 @@ drive_offset_block(struct drive_offset *s, const struct filter_params *p, double
     s->reading_c = reading_c;
     s->temp_c = b->temp_c;
     s->lever = h;
-    s->strong = h > STEP_MIN ? h : s->strong;
+    if (h > STEP_MIN) {
+        s->strong = h;
+        s->strong_s = b->centre_s;
+    }
     s->heat_w = b->heat_w;
     s->half_s = 0.5 * b->duration_s;
 }
