@@ -148,6 +148,7 @@ class Chain:
         None  # reading, degC, h, W, half its duration
     )
     strong: float = 0.0  # h of the newest strong drive
+    strong_s: float = 0.0  # its centre
     noise_lsb: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -210,7 +211,8 @@ class Chain:
             heat_j = before_w * first + heat_w * (dt - first) - max(0.0, lost_w) * dt
             rise_c = heat_j / p.heat.at(temp_c) + self.x[1] * dt
             other = abs(h - self.strong) if h > 0.02 else 0.0
-            walk = (0.25 + 20 * h * h) ** 2 * dt + 0.49 * abs(rise_c) + (9 + k * k / 4) * other
+            since = max(dt, min(1.0, own.time_s - self.strong_s)) if h > 0.02 else dt
+            walk = (0.25 + 20 * h * h) ** 2 * since + 0.49 * abs(rise_c) + (9 + k * k / 4) * other
             variance = min(3600.0, variance + walk)
             step = h - h_before
             if dt < 0.006 and abs(step) > 0.02:
@@ -223,7 +225,8 @@ class Chain:
                     k += variance * step / total * off_c
                     variance *= 1 - step**2 * variance / total
         self.offset = k, variance
-        self.strong = h if h > 0.02 else self.strong
+        if h > 0.02:
+            self.strong, self.strong_s = h, own.time_s
         corrected = own.temp_c - k * h
         self.last = own, corrected, h, heat_w, block.duration_s / 2
         doubt = h * math.hypot(math.sqrt(variance), 0.15 * k * (1 - h))

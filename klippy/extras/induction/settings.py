@@ -26,7 +26,8 @@ from ..heater import laws as heater_laws
 from .mcu import UnitSettings
 
 LOOK_SAMPLES, LONG_LOOK_SAMPLES = 16, 64
-HOLD_LOOK_S = 1.0  # a look at full drive out of a hold: 24 mJ on the reference nozzle, 85 on a strong one
+HOLD_LOOK_S = 1.0  # a look at full drive out of a hold: 24 mJ on the reference nozzle ...
+HOLD_LOOK_K = 0.18  # ... and on a strong one at the drive that warms it by so much
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
 GUARD_LOW_C = -150.0  # a tank detuned by 0.2 % of C1 reads -90 at full drive; an open coil reads far below
 ADC_MAX_12_BIT = 4095
@@ -127,7 +128,9 @@ def look_times_s(unit: UnitSettings) -> tuple[float, float]:
     return short / unit.frequency_hz, long / unit.frequency_hz
 
 
-def _drive(config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings) -> actuator.ActuatorParameters:
+def _drive(
+    config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings, heat: heat_loss.HeatCapacity
+) -> actuator.ActuatorParameters:
     vdc_v = config.getfloat("vdc", 24.0, above=0.0)
     law = DriveLaw(
         config.getfloat("power_full_w", 81.3, above=0.0),
@@ -137,6 +140,7 @@ def _drive(config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings) -> ac
     )
     pulse_s = timing.block_s + timing.settle_s + SETTLE_MARGIN_SAMPLES / unit.frequency_hz
     look_s, long_look_s = look_times_s(unit)
+    hold_w = HOLD_LOOK_K * heat.at_25c_j_k / look_s if look_s else 0.0
     return actuator.ActuatorParameters(
         law,
         pulse_s,
@@ -146,7 +150,7 @@ def _drive(config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings) -> ac
         look_s=look_s,
         long_look_s=long_look_s,
         hold_look_s=HOLD_LOOK_S,
-        hold_look_ticks=(round(law.phase_max_ticks),),
+        hold_look_ticks=(round(law.phase_ticks(hold_w)),),
     )
 
 
@@ -288,9 +292,9 @@ def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParam
     temp_low_c = config.getfloat("min_temp", -10.0, minval=-20.0)
     temp_high_c = config.getfloat("max_temp", above=max(temp_low_c, 0.0), maxval=700.0)
     timing = _timing(config, unit)
-    drive = _drive(config, timing, unit)
     loss = _loss(config)
     heat = heat_loss.HeatCapacity(config.getfloat("heat_capacity_j_per_k", 0.414, above=0.0))
+    drive = _drive(config, timing, unit, heat)
     balance = _heat_balance(config, heat, loss)
     melt = _melt(config)
     return loop.LoopParameters(

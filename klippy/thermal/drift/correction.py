@@ -27,14 +27,15 @@ BALANCE_EACH_S, BALANCE_SIGMA_C = 12.0, 2.0  # the heat balance averages over th
 CALIBRATED_C = 1.0  # what a calibration leaves
 ZERO_SIGMA_C = 3.0  # the excess at rest must be known so well
 ZERO_EACH_S = 60.0
-WAIT_S, WAIT_C = 2.0, 2.5
+WAIT_S, WAIT_C = 3.0, 2.5
 GLANCE_SIGMA_C = 2.0
 LOOKS_EACH_S = 0.1
 LEVER_MIN = 0.3  # of full drive, in drive_offset.h's shape
 LOOKS_SIGMA_C = 8.0  # k in more doubt says nothing
 WAY_C = 20.0  # farther from the target than this is the way to it
 WAY_C_S, NEAR_C_S = 20.0, 0.2  # the correction moves so fast ...
-MOVE_C, MOVED_C = 2.0, 0.3  # ... once the estimate is that far away, until it is as near as that
+MOVE_C, DOUBT_C = 2.0, 4.0  # ... once the estimate is farther away than its doubt, within these limits ...
+MOVED_C = 0.3  # ... until it is as near as that
 NAMED_C = 10.0  # drift beyond this is named, if it is surely so much
 
 
@@ -113,10 +114,7 @@ def zero(p: DriftParameters, m: DriftMemory, balance: HeatBalanceParameters, tim
     m.judged_s = newest_s
     is_late = m.is_on and time_s - m.since_s > WAIT_S  # what is known has to do
     excess_c, sigma_c = m.rest.excess_c(tau_s(balance), balance.heat.at_25c_j_k, m.noise_c, p.room_c)
-    below = m.rest.readings and m.rest.mean_c() < p.room_c
-    if not (
-        sigma_c <= (ZERO_SIGMA_C if not below else 2.0 * ZERO_SIGMA_C) or (is_late and sigma_c < math.inf)
-    ):
+    if not (sigma_c <= ZERO_SIGMA_C or (is_late and sigma_c < math.inf)):
         return False
     off_c = m.rest.mean_c() - p.room_c - excess_c
     if not ZERO_LOW_C <= off_c <= ZERO_HIGH_C:
@@ -185,7 +183,7 @@ def follow(m: DriftMemory, dt_s: float, below_c: float) -> float:
     It moves only when the estimate is farther away than its own doubt, and then all the way: noise moves nothing.
     """
     off_c = m.state.drift_c - m.applied_c
-    m.is_moving = abs(off_c) > (MOVED_C if m.is_moving else max(MOVE_C, m.state.sigma_c))
+    m.is_moving = abs(off_c) > (MOVED_C if m.is_moving else max(MOVE_C, min(m.state.sigma_c, DOUBT_C)))
     if not m.is_moving:
         return m.applied_c
     step_c = math.inf if below_c == math.inf else dt_s * (WAY_C_S if below_c > WAY_C else NEAR_C_S)

@@ -12,11 +12,11 @@ from dataclasses import dataclass, field
 APART_S = 0.09  # between two readings that are kept
 KEPT = 64
 WINDOW_S = 20.0
-READINGS_MIN = 3
+READINGS_MIN = 4
 PULSE_DOUBT = 0.15  # of the heat of the pulses
 TAU_DOUBT = 0.3  # of the excess: the second mass cools at another rate
-BELOW_C = 3.0  # a reading this far below the room's is no warm nozzle's ...
-BELOW_SIGMA_C = 5.0  # ... it is nearly as cold as the room, before the slope says so
+USUAL_C = 6.0  # a nozzle at rest is that much warmer than the room, 1 sigma, before the slope says more
+BELOW_C = 3.0  # one that reads less than the room's temperature is nearly as cold
 
 
 @dataclass(slots=True)
@@ -56,9 +56,11 @@ class Rest:
         slope = math.fsum((t - mean_s) * (c - mean_c) for t, c, _ in readings) / spread
         heated = (readings[-1][2] - readings[0][2]) / (readings[-1][0] - readings[0][0]) / capacity_j_k
         excess_c = tau_s * (heated - slope)
-        sigma_c = math.hypot(
-            tau_s * noise_c / math.sqrt(spread), tau_s * PULSE_DOUBT * heated, TAU_DOUBT * excess_c
-        )
-        if mean_c < room_c - BELOW_C and sigma_c > BELOW_SIGMA_C:
-            return 0.0, BELOW_SIGMA_C
-        return excess_c, sigma_c
+        left = math.fsum((c - mean_c - slope * (t - mean_s)) ** 2 for t, c, _ in readings)
+        noise_c = max(noise_c, math.sqrt(left / (count - 2)))
+        noise_c = math.hypot(tau_s * noise_c / math.sqrt(spread), tau_s * PULSE_DOUBT * heated)
+        # Most starts are cold: what the slope does not show for sure is noise.
+        excess_c = max(0.0, excess_c) * USUAL_C**2 / (USUAL_C**2 + noise_c**2)
+        most_c = max(0.0, mean_c - room_c) + BELOW_C
+        sigma_c = math.hypot(min(noise_c, USUAL_C), TAU_DOUBT * excess_c)
+        return min(excess_c, most_c), min(sigma_c, most_c)

@@ -61,7 +61,7 @@ drive_offset_block(struct drive_offset *s, const struct filter_params *p, double
         double other = h > STEP_MIN ? fabs(h - s->strong) : 0.0;
         double walk_c = WALK_C + STRONG_C * h * h;
         double shape_c = hypot(OTHER_C, OTHER_SHARE * s->full_c);
-        double since_s = h > STEP_MIN && s->strong_s > 0.0 ? fmin(STRONG_MAX_S, b->centre_s - s->strong_s) : dt_s;
+        double since_s = h > STEP_MIN ? fmax(dt_s, fmin(STRONG_MAX_S, b->centre_s - s->strong_s)) : dt_s;
         double walk = walk_c * walk_c * since_s + WARM_C * WARM_C * fabs(rise_c) + shape_c * shape_c * other;
         s->variance = fmin(START_C * START_C, s->variance + walk);
         if (dt_s < GAP_S && fabs(h - s->lever) > STEP_MIN)

@@ -19,7 +19,7 @@ struct drive_offset {
     double time_s;                  // centre of the newest block with a reading; NaN: none yet
     double reading_c, temp_c, noise_c;  // its reading, and corrected
     double lever;                   // its h
-    double strong, strong_s;        // h of the newest strong drive and its centre; 0: none yet
+    double strong, strong_s;        // h of the newest strong drive and its centre
     double heat_w, half_s;          // its heat and half its duration
 };
 
