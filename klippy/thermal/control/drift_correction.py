@@ -41,7 +41,7 @@ class DriftCorrection:
 
     def on_target(self, target_c: float, now_s: float) -> None:
         """A new target, before the law acts on it."""
-        state, m = self.state, self.state.drift
+        m = self.state.drift
         if not drift.note_target(m, target_c > 0.0, now_s):
             return
         self._begin(now_s)
