@@ -50,7 +50,7 @@ def cases() -> Iterator[Case]:
         yield f"{preset}-fan", FAN.format(target=200), {f"{PLANT}preset": preset}
     for name, values in {
         "supply_v": (22.8, 23.5, 24.5, 25.2),
-        "c1_factor": (0.9995, 1.0005, 1.005),
+        "c1_factor": (0.98, 0.9995, 1.0005, 1.005, 1.02),
         "noise_lsb": (0.1, 0.5, 3.0),
         "ripple_v": (0.5, 2.0),
         "frequency_ppm": (-50.0, 50.0),

@@ -49,7 +49,7 @@ class DriftParameters:
     law_c: float = 6.0
     law_walk_c: float = 0.05
     room_c: float = 25.0
-    ambient_c: float = 3.0  # of room_c; with a sensor 1.5
+    ambient_c: float = 2.5  # of room_c; with a sensor 1.5
     ambient_walk_c: float = 0.02
 
     def start(self) -> list[float]:
