@@ -59,8 +59,8 @@ class Rest:
         left = math.fsum((c - mean_c - slope * (t - mean_s)) ** 2 for t, c, _ in readings)
         noise_c = max(noise_c, math.sqrt(left / (count - 2)))
         noise_c = math.hypot(tau_s * noise_c / math.sqrt(spread), tau_s * PULSE_DOUBT * heated)
-        # Most starts are cold: what the slope does not show for sure is noise.
+        # Starts are usually cold: what the slope does not show for sure is noise.
         excess_c = max(0.0, excess_c) * USUAL_C**2 / (USUAL_C**2 + noise_c**2)
-        most_c = max(0.0, mean_c - room_c) + BELOW_C
+        max_c = max(0.0, mean_c - room_c) + BELOW_C
         sigma_c = math.hypot(min(noise_c, USUAL_C), TAU_DOUBT * excess_c)
-        return min(excess_c, most_c), min(sigma_c, most_c)
+        return min(excess_c, max_c), min(sigma_c, max_c)
