@@ -356,11 +356,8 @@ class PrinterConfig:
         configtext.ConfigParser(data).parse_file(filename)
         return ConfigWrapper(self.printer, data, {}, "printer")
 
-    def check_absent_sections(self, has_module: Callable[[str], bool]) -> list[str]:
-        """Before modules are loaded: leave out what Klipper has and we do not.
-
-        Returns the modules that sections left out would have loaded.
-        """
+    def check_absent_sections(self, has_module: Callable[[str], bool]) -> None:
+        """Before modules are loaded: leave out what Klipper has and we do not."""
         left_out = configabsent.find_left_out(self._data.sections, has_module)
         self._left_out = frozenset(left_out)
         if left_out:
@@ -368,7 +365,6 @@ class PrinterConfig:
             self.runtime_warning(text)
             respond = self.printer.lookup_object("gcode").respond_info
             self.printer.register_event_handler("klippy:ready", lambda: respond(text, log=False))
-        return [module for name, module in configabsent.BROUGHT_ALONG.items() if name in left_out]
 
     def sections_left_out(self) -> frozenset[str]:
         """Names of the sections that no module reads."""

@@ -3,7 +3,8 @@
  *     RS, D7..D4  ══X══ upper half ═══X══ lower half ═══      RS: 0 command, 1 data
  *     E           _____/‾‾‾\__________/‾‾‾\_______________     taken at the falling edge; then delay_ticks
  *
- * A message keeps the task busy for delay_ticks and 2 us a byte.
+ * The delay stands between the halves, too: while a chip still counts on eight lines, each half is a command to it.
+ * A message keeps the task busy for two delays and 2 us a byte.
  */
 #include "basecmd.h"
 #include "board/delay.h"
@@ -35,7 +36,7 @@ command_config_hd44780(const struct command_args *args)
 DECL_COMMAND(command_config_hd44780,
              "config_hd44780 oid=%c rs_pin=%u e_pin=%u d4_pin=%u d5_pin=%u d6_pin=%u d7_pin=%u delay_ticks=%u");
 
-/* Set-up 60 ns and pulse 450 ns at 2.7 V: 1 us is enough for both. */
+/* Data sheet, 2.7 V: set-up 60 ns, pulse 450 ns. */
 static void
 strobe(const struct hd44780 *h, uint8_t half)
 {
@@ -44,7 +45,7 @@ strobe(const struct hd44780 *h, uint8_t half)
     gpio_out_write(h->e, 1);
     delay_ticks(timer_from_us(1));
     gpio_out_write(h->e, 0);
-    delay_ticks(timer_from_us(1));
+    delay_ticks(h->delay_ticks);
 }
 
 static void
@@ -55,7 +56,6 @@ send_message(const struct command_args *args, uint8_t is_data)
     for (uint8_t i = 0; i < args->data_len; i++) {
         strobe(h, args->data[i] >> 4);
         strobe(h, args->data[i] & 0x0f);
-        delay_ticks(h->delay_ticks);
     }
 }
 
