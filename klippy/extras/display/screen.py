@@ -16,6 +16,7 @@ from gcode import GCodeCommand
 from .glyphs import read_glyphs
 from .groups import Renderer, read_groups, read_templates
 from .hd44780 import TYPES as CHARACTER_TYPES
+from .menu import Menu
 from .page_lcd import TYPES as PAGE_TYPES
 from .panel import Panel, Steps
 from .st7920 import TYPES as ST7920_TYPES
@@ -46,6 +47,7 @@ class Screen:
                 f"Option 'display_group' in section '{config.get_name()}': there is no group '{self._group}', only"
                 f" {', '.join(sorted(self._groups))} ({config.where('display_group')})."
             )
+        self.menu: Menu | None = None
         self._is_started = False
         self._steps: Steps | None = None
         self._timer = self.reactor.register_timer(self._on_timer)
@@ -108,4 +110,8 @@ class Screen:
         yield from self.panel.changes()
 
     def _draw(self, eventtime: float) -> Steps:
+        if self.menu is not None:
+            yield from self.menu.draw(eventtime)
+            if self.menu.is_running:
+                return
         yield from self._renderer.draw(self._groups[self._group], eventtime)
