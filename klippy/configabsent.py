@@ -35,6 +35,9 @@ DISPENSABLE = (
     Dispensable(frozenset({"replicape", "sx1509"}), "outputs on its pins do nothing"),
 )
 
+# Sections that another one reads, wherever they stand: kind of section -> the section without which they mean nothing
+READ_BY = {"display_data": "display", "display_glyph": "display", "menu": "display"}
+
 # Chips whose pins other sections may name: kind of section -> name of the chip; None: as the section, with "_"
 PIN_CHIPS: dict[str, str | None] = {
     "load_cell_probe": "probe",

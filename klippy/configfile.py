@@ -381,6 +381,12 @@ class PrinterConfig:
         for name, section in self._data.sections.items():
             if name in self._left_out or name in failed or (failed and configabsent.is_read_last(name)):
                 continue
+            reader = configabsent.READ_BY.get(configabsent.kind_of(name))
+            if reader in failed:
+                continue
+            if reader is not None and reader not in self._data.sections:
+                problems.append(f"Section '{name}' needs a section [{reader}] ({section.origin}).")
+                continue
             if name.lower() not in known_sections:
                 hint = _suggestion(name, known_sections | section_modules())
                 problems.append(f"Section '{name}' is not a valid config section ({section.origin}).{hint}")
