@@ -115,7 +115,7 @@ class Templates:
         return self.number(element.value, self.context(element), 0.0)
 
     def limits(self, element: Element) -> tuple[float, float]:
-        """Least and greatest value of an input."""
+        """Lowest and highest value of an input."""
         context = self.context(element)
         return (
             self.number(element.value_min, context, -VALUE_LIMIT),
