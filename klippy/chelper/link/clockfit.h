@@ -1,6 +1,6 @@
 #ifndef CHELPER_CLOCKFIT_H
 #define CHELPER_CLOCKFIT_H
-// The widest strip between the upper and lower bounds that answers to get_clock set: klippy/link/clockfit.py tells how.
+// The widest strip between the upper and lower bounds that answers to get_clock set; theory: klippy/link/clockfit.py.
 
 #include <stdint.h>
 

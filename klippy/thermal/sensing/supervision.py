@@ -173,8 +173,7 @@ def _doubt(
     loss: heat_loss.LossLaw,
 ) -> str:
     """A doubt holds the power back; one that stays, or is gross, is a fault."""
-    holding_w = 0.0 if math.isnan(temp_c) else heat_loss.loss_w(loss, temp_c)
-    state.limit_w = math.inf if math.isnan(witness.beyond_s) else holding_w
+    state.limit_w = 0.0 if math.isnan(temp_c) else heat_loss.loss_w(loss, temp_c)
     if not witness.is_tripped or seen.beyond:  # beyond a limit: that says more
         return ""
     return _WITNESS[witness.is_tripped].format(

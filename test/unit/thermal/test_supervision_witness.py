@@ -79,14 +79,16 @@ def test_what_stays_in_doubt_is_a_fault_and_stays_one(trip: int, words: str) -> 
     text = supervision.watch_reading(PARAMETERS, memory, seen, tripped, 210.0, 180.0, LOSS)
     assert words in text
     assert supervision.name_state(memory, witness(), 180.0, 180.0) == supervision.FAULT
-    assert supervision.watch_reading(PARAMETERS, memory, seen, witness(), 180.0, 180.0, LOSS) == text
+    for later in (witness(), witness(1.0)):
+        assert supervision.watch_reading(PARAMETERS, memory, seen, later, 180.0, 180.0, LOSS) == text
     assert supervision.name_state(memory, witness(), 180.0, 180.0) == supervision.FAULT
 
 
 def test_a_reading_beyond_a_limit_is_left_to_the_limit_s_own_words() -> None:
     memory, seen = watched(seen_beyond=1)
-    tripped = witness(1.0, 1, missing_c=41.0)
-    assert supervision.watch_reading(PARAMETERS, memory, seen, tripped, 310.0, 250.0, LOSS) == ""
+    for beyond_s in (NAN, 1.0):
+        tripped = witness(beyond_s, 1, missing_c=41.0)
+        assert supervision.watch_reading(PARAMETERS, memory, seen, tripped, 310.0, 250.0, LOSS) == ""
     assert memory.limit_w == heat_loss.loss_w(LOSS, 310.0)
 
 
