@@ -30,7 +30,7 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
         (
             "base",
             "util queuelogger reactor roles configabsent absentpins configaliases configtext configfile"
-            " gcode_command gcode gcode_io pins msgproto",
+            " gcode_command gcode_waits gcode gcode_io pins msgproto",
         ),
         ("link", "link serialhdl clocksync mcu"),
         ("motion", "motionlimits stepper stepstream kinematics lookahead toolhead"),
