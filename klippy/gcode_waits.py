@@ -60,7 +60,7 @@ class ScriptWaits:
     # --- scripts from outside ---
     @contextmanager
     def turn(self, script: str) -> Iterator[None]:
-        """Hold the lock for a script; waits are told before if it begins with a command that ends them."""
+        """Hold the lock for a script; it is announced to waits before if it begins with a command that ends them."""
         words = script.split(None, 1)
         first = words[0].upper() if words else ""
         ends = self.ends_waits(first)
