@@ -64,6 +64,7 @@ class BridgeDriver:
         if parameters.has_looks:
             self._packed.drive = self._ffi.addressof(chain.state, "drive")
         self._commands = self._ffi.new("struct phase_command[]", PLAN_MAX)
+        self._trusted_w = parameters.trusted_w
 
     def step(
         self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf
@@ -90,7 +91,7 @@ class BridgeDriver:
         approach, state = self.parameters.approach, self.state
         if state.is_waiting:
             return 0.0
-        trusted_w = self.parameters.trusted_w
+        trusted_w = self._trusted_w
         if below_c < approach.band_c:
             state.arriving = True
         elif below_c > approach.leave_c:
@@ -182,15 +183,16 @@ class PredictiveDriver(BridgeDriver):
         self._figures = self._ffi.buffer(self._inputs)
         self._found = predictive.StepOutput()
         self._ahead: Ahead | None = None  # what the inputs point to
+        self._follows_drive = parameters.approach.rebase_fraction == math.inf
 
     def is_held(self) -> bool:
         return not self.state.horizon and self.state.bridge.driving
 
     def _approach_w(self, below_c: float) -> float:
-        limit_w = super()._approach_w(below_c)
         # With a sensing law that follows the drive the control law knows when to stop.
-        unlimited = self.parameters.approach.rebase_fraction == math.inf and not self.state.is_waiting
-        return self.parameters.trusted_w if unlimited else limit_w
+        if self._follows_drive and not self.state.is_waiting:
+            return self._trusted_w
+        return super()._approach_w(below_c)
 
     def step(
         self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf

@@ -30,10 +30,10 @@ class DriftCorrection:
     def on_blocks(self, blocks: Blocks, now_s: float) -> None:
         """Blocks that went through the chain. While the heater is off they show the nozzle at rest."""
         p, state, m = self.parameters, self.state, self.state.drift
+        if m.is_on and state.target_c > 0.0 and not state.is_waiting:
+            return
         drift.advance(self.known, m, now_s, 0.0)
         drift.note_target(m, state.target_c > 0.0, now_s)
-        if m.is_on and not state.is_waiting:
-            return
         drift.note_rest(m, p.estimator, blocks)
         if drift.zero(self.known, m, p.heat_balance, now_s):
             self._follow(math.inf)
