@@ -129,6 +129,7 @@ def _drive(config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings) -> ac
         config.getfloat("idle_interval", 0.500, minval=2.0 * pulse_s, maxval=1.0),
         pulses_max=max(2, math.ceil(timing.control_s / pulse_s) + 1),
         look_s=look_s,
+        watch_interval_s=timing.control_s,
         long_look_s=long_look_s,
     )
 

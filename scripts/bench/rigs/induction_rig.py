@@ -183,6 +183,7 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
             drive,
             pulse_s,
             pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1,
+            watch_interval_s=defaults.DEFAULT_CONTROL_S,
             look_s=settle_s + defaults.LOOK_SAMPLES * PERIOD_S,
             long_look_s=settle_s + defaults.LONG_LOOK_SAMPLES * PERIOD_S,
         ),
