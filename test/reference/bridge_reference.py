@@ -146,7 +146,8 @@ def actuate(
 
     An empty list means: the bridge stays off, between pulses. The last command of a pulse turns the bridge off, so a
     host that dies in between leaves nothing running. `is_on`: with nothing more sent, the bridge is on at `time_s` or
-    later, booked pulses apart. `need`: sense rarely ("idle"), more often ("lost"), or shortly and all the time ("watch").
+    later, booked pulses apart. `need`: sense rarely ("idle"), more often ("lost"), or shortly
+    and all the time ("watch").
     """
     _account(parameters, state, time_s)
     state.last_s = time_s

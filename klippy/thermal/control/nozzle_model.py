@@ -19,7 +19,7 @@ FLOW_LAG_S = 0.020  # compliance between motor and nozzle
 # Plan this far ahead. The output of a step holds from 15 to 23 ms after it; the next step is up to 25 ms later, 50 if
 # the host is late, and holds 23 ms after that: until then, 90 ms after the first, the MCU goes by the plan.
 AHEAD_S = 0.090
-# Process noise of the disturbance power (W per sqrt(s)) and of the nodes (degC per sqrt(s)), and the density of coloured
+# Process noise of the disturbance power (W per sqrt(s)) and of the nodes (degC per sqrt(s)), density of coloured
 # errors of the reading. Together they set the bandwidth of the estimate: 11 rad/s on the reference nozzle, well damped.
 # A sine on the reading reaches the temperature by a factor of 1.4 at most, at 1 to 1.4 Hz, and by 0.02 at 20 Hz. An
 # unplanned flow of 25 mm3/s costs 0.9 degC.
