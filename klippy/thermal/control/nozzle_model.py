@@ -20,12 +20,14 @@ FLOW_LAG_S = 0.020  # compliance between motor and nozzle
 # the host is late, and holds 23 ms after that: until then, 90 ms after the first, the MCU goes by the plan.
 AHEAD_S = 0.090
 # Process noise of the disturbance power (W per sqrt(s)) and of the nodes (degC per sqrt(s)), density of coloured
-# errors of the reading. Together they set the bandwidth of the estimate: 11 rad/s on the reference nozzle, well damped.
-# A sine on the reading reaches the temperature by a factor of 1.4 at most, at 1 to 1.4 Hz, and by 0.02 at 20 Hz. An
-# unplanned flow of 25 mm3/s costs 0.9 degC.
-DISTURBANCE_W = 0.6
-TEMP_WALK_C = 0.22
-COLOURED_C2_S = 1e-4
+# errors of the reading. Together they set the bandwidth of the estimate: 20 rad/s on the reference nozzle, well damped.
+DISTURBANCE_W = 1.4
+TEMP_WALK_C = 0.36
+COLOURED_C2_S = 5e-5
+# An uncalibrated law is off by another amount at each drive. Its filter takes errors as white, follows a bias of the
+# innovations, and learns what the drive by itself adds to the reading (degC at full drive).
+UNCALIBRATED_DISTURBANCE_W = 0.3
+SLANT_C = 1.0
 DISTURBANCE_W2_PER_K = 0.012  # 1.6 W over a climb to 250 degC: losses wrong by 30 % are learned on the way
 DISTURBANCE_MAX_W = 20.0  # melt at any flow, a draught, losses wrong by half: 15 W
 
@@ -37,6 +39,7 @@ def nozzle_model(
     timing: Timing,
     melt: MeltExchange | None = None,
     fan_w_k: float = FAN_W_K,
+    calibrated: bool = True,
 ) -> ModelParameters:
     """Output in watts. Raises ParameterError where no nozzle can be so."""
     melt = melt or MeltExchange()
@@ -62,9 +65,10 @@ def nozzle_model(
         tau_s=TAU_S,
         delay_s=timing.lead_s,
         ahead=round(AHEAD_S / stride_s),
-        disturbance_w=DISTURBANCE_W,
+        disturbance_w=DISTURBANCE_W if calibrated else UNCALIBRATED_DISTURBANCE_W,
         disturbance_w2_per_k=DISTURBANCE_W2_PER_K,
         disturbance_max_w=DISTURBANCE_MAX_W,
-        temp_walk_c=TEMP_WALK_C,
-        coloured_c2_s=COLOURED_C2_S,
+        slant_c=0.0 if calibrated else SLANT_C,
+        temp_walk_c=TEMP_WALK_C if calibrated else 0.02,
+        coloured_c2_s=COLOURED_C2_S if calibrated else 0.0,
     )
