@@ -1,6 +1,7 @@
 // Supply, parts, wall, tip, movement and disturbances of a real machine.
 //
 //   supply   dVb/dt = (V - Rs I - Vb) / (Rs Cbus)                              bus behind the supply's resistance
+//            dVb/dt = -(P Vb^2/Vnom^2) / (Cbus Vb)                             with its switch open
 //   parts    C dT/dt = I^2 R - g (T - air)                                     coil (with copper's R), C1, L2
 //            i(C1) = w^2 L1 C1 i(L1),  i(L2) = |1 - w^2 L1 C1| i(L1)
 //   values   C1, L2: (1 + a (T - 25)),  coil: R + Rcu b (T - 25), L1 (1 + c (T - 25))
@@ -27,7 +28,7 @@ void effects_changed(struct plant *p)
     e->wall = v->wall_k_w > 0;
     e->tip = e->wall || v->tip_k_w > 0;
     e->parts = v->coil_j_k > 0 || v->cap_j_k > 0 || v->choke_j_k > 0;
-    e->bus = v->bus_uf > 0 && v->supply_ohm > 0;
+    e->bus = v->bus_uf > 0;
     e->moves = v->cable_l1_nh != 0 || v->cable_l2_nh != 0 || v->move_um != 0 || v->move_step_um != 0 ||
                v->move_random_um != 0;
     e->live_power = v->curie_drop > 0 || v->dead_time_ns > 0 || e->bus;
@@ -93,6 +94,16 @@ static void advance_parts(struct plant *p, double dt_s, double air_w)
                             v->choke_w_k, v->choke_j_k);
 }
 
+// With the supply's switch open the bridge alone empties the bus: its power goes with the square of the voltage.
+static double bus_tau_s(const struct plant *p)
+{
+    const struct plant_values *v = &p->v;
+    const double bus_f = v->bus_uf * 1e-6;
+    if (!p->supply_open)
+        return fmax(v->supply_ohm * bus_f, 1e-9);
+    return bus_f * v->supply_nominal_v * v->supply_nominal_v / fmax(plant_electrical_power(p, 0), 1e-3);
+}
+
 static double advance_wall(struct plant *p, double dt_s, double power_w)
 {
     struct plant_effects *e = &p->effects;
@@ -122,7 +133,7 @@ void effects_advance(struct plant *p, double dt_s, double power_w, double air_w)
     }
     if (e->bus) {
         const double end_v = plant_loaded_supply(p);
-        e->bus_v = end_v + (e->bus_v - end_v) * exp(-dt_s / (v->supply_ohm * v->bus_uf * 1e-6));
+        e->bus_v = end_v + (e->bus_v - end_v) * exp(-dt_s / bus_tau_s(p));
     }
     if (e->parts)
         advance_parts(p, dt_s, air_w);
@@ -147,10 +158,13 @@ void effects_drive(const struct plant *p, struct tank_drive *d)
     const double coil_k = v->coil_j_k > 0 ? e->coil_c - values_hold_c : 0;
     d->c1_uf = v->c1_uf * v->c1_factor * (1 + 1e-6 * v->c1_ppm_k * (cap_c - values_hold_c));
     d->l2_uh = v->l2_uh * (1 + 1e-6 * v->l2_ppm_k * (choke_c - values_hold_c)) + 1e-3 * v->cable_l2_nh * e->head;
-    d->l1_factor = 1 + v->coil_expansion_per_k * coil_k + (e->moves ? 1e-6 * v->move_ppm_um * place_um(p) : 0);
+    d->l1_factor = (1 - v->coil_short) * (1 - v->coil_short);
+    d->l1_factor *= 1 + v->coil_expansion_per_k * coil_k + (e->moves ? 1e-6 * v->move_ppm_um * place_um(p) : 0);
     d->l1_add_uh = 1e-3 * v->cable_l1_nh * e->head;
     d->r_add_ohm = v->coil_ohm * v->coil_rise_per_k * coil_k;
     d->late_ns = v->skew_ns + v->delay_ns_k * (v->board_c - values_hold_c);
+    if (plant_fault_is(p, PLANT_LEG_DEAD) && p->phase_ticks > 0) // the legs lie phi/2 before and behind the middle
+        d->late_ns += 0.25e9 / d->frequency_hz * (p->phase_ticks / phase_full_ticks - 1);
     d->signal_error = 0;
     for (int k = 0; k < LAW_ERROR_TERMS && v->signal_error > 0; k++)
         d->signal_error += e->law_error[k] * cos((k + 1) * pi * d->phase_ticks / phase_full_ticks);

@@ -161,6 +161,22 @@ static double duty_take(struct duty *d, double now_s)
 
 /* ---- what pins do ---------------------------------------------------------------------------- */
 
+/* ---- switch in a bridge's supply ------------------------------------------------------------- */
+
+static void switch_ask(struct supply_switch *s, int asked, double now_s)
+{
+    if (asked == s->asked)
+        return;
+    s->asked = asked;
+    s->asked_s = now_s;
+}
+
+static void switch_edge(struct supply_switch *s, uint8_t level, double now_s)
+{
+    s->edge_s = now_s;
+    switch_ask(s, s->options.watchdog_s > 0.0 || level != (s->options.enable.inverted != 0), now_s);
+}
+
 void machine_pin_write(struct machine *m, int mcu, uint32_t number, uint8_t value, double now_s)
 {
     if (number >= MACHINE_PINS)
@@ -170,12 +186,17 @@ void machine_pin_write(struct machine *m, int mcu, uint32_t number, uint8_t valu
     if (pin->level == value)
         return;
     pin->level = value;
-    if (pin->role == PIN_STEP)
+    if (pin->role == PIN_STEP) {
+        frame_advance(m, now_s);
         step_pin_changed(m, mcu, pin);
-    else if (pin->role == PIN_DUTY)
+    } else if (pin->role == PIN_DUTY)
         duty_set(&m->duties[pin->target], value, now_s);
     else if (pin->role == PIN_CONTROL)
         probe_control(&m->probes[pin->target], value, now_s);
+    else if (pin->role == PIN_ENABLE)
+        switch_edge(&m->nozzles[pin->target].supply_switch, value, now_s);
+    else if (pin->role == PIN_SELECT)
+        accelerometer_select(&m->accelerometers[pin->target], value);
 }
 
 void machine_pwm_write(struct machine *m, int mcu, uint32_t number, double level, double now_s)
@@ -241,6 +262,10 @@ void machine_reset_outputs(struct machine *m, int mcu, double now_s)
         if (pin->role == PIN_DUTY) {
             struct duty *d = &m->duties[pin->target];
             duty_set(d, d->inverted ? 1.0 : 0.0, now_s); /* boards hold a heater off while its pin floats */
+        } else if (pin->role == PIN_ENABLE) {
+            struct supply_switch *s = &m->nozzles[pin->target].supply_switch;
+            pin->level = (uint8_t)(s->options.enable.inverted != 0);
+            switch_ask(s, 0, now_s);
         }
     }
     machine_bridge_set(m, mcu, 0, now_s);
@@ -248,13 +273,26 @@ void machine_reset_outputs(struct machine *m, int mcu, double now_s)
 
 /* ---- nozzle ---------------------------------------------------------------------------------- */
 
-void nozzle_advance(struct nozzle *n, double now_s)
+static void advance_plant(struct nozzle *n, double now_s)
 {
     double dt = now_s - n->time_s;
     if (dt <= 0.0)
         return;
     n->time_s = now_s;
     plant_advance(&n->plant, dt);
+}
+
+void nozzle_advance(struct nozzle *n, double now_s)
+{
+    struct supply_switch *s = &n->supply_switch;
+    if (s->present && s->asked && s->options.watchdog_s > 0.0 && now_s > s->edge_s + s->options.watchdog_s)
+        switch_ask(s, 0, s->edge_s + s->options.watchdog_s);
+    if (s->present && s->asked != s->closed && now_s >= s->asked_s + s->options.delay_s) {
+        advance_plant(n, s->asked_s + s->options.delay_s);
+        s->closed = s->asked;
+        plant_set_supply(&n->plant, !s->closed);
+    }
+    advance_plant(n, now_s);
 }
 
 void machine_bridge_set(struct machine *m, int mcu, uint16_t phase, double now_s)
@@ -339,10 +377,12 @@ static double fan_speed(const struct machine *m, int fan)
 
 void machine_tick(struct machine *m, double now_s, double tick_s)
 {
+    frame_advance(m, now_s);
     for (int i = 0; i < m->fan_count; i++) {
         struct fan *f = &m->fans[i];
         double drive = duty_take(&m->duties[f->duty], now_s);
-        f->speed += (drive - f->speed) * (f->spin_up_s > 0.0 ? 1.0 - exp(-tick_s / f->spin_up_s) : 1.0);
+        if (!f->stuck)
+            f->speed += (drive - f->speed) * (f->spin_up_s > 0.0 ? 1.0 - exp(-tick_s / f->spin_up_s) : 1.0);
     }
     for (int i = 0; i < m->nozzle_count; i++) {
         struct nozzle *n = &m->nozzles[i];
