@@ -30,7 +30,10 @@ class Part:
         return self.source.endswith(".c")
 
 
-_SUPERVISION_TESTS = ("test/unit/thermal/test_thermal_supervise.py",)
+_SUPERVISION_TESTS = (
+    "test/unit/thermal/test_thermal_supervise.py",
+    "test/unit/thermal/test_supervision_witness.py",
+)
 SAFETY: dict[str, tuple[Part, ...]] = {
     "guard": (Part("src/guard.c", ("test/c/test_induction_guard.py",)),),
     "oversample": (Part("src/oversample.c", ("test/c/test_induction_oversample.py",)),),

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-import control_bench as bench
+import peers
 from induction_rig import Plant, Rig, default_parameters, true_law
 
 UNITS_PER_C = 0.795  # of the signal at little drive and 250 degC
@@ -15,7 +15,7 @@ TARGET_C = 250.0
 
 
 def held(preset: str) -> Rig:
-    parameters = default_parameters(law=true_law(), power_full_w=bench.POWER_W[preset])
+    parameters = default_parameters(law=true_law(), power_full_w=peers.POWER_W[preset])
     rig = Rig(Plant(5, preset, start_c=25.0), parameters, 5)
     rig.run(0.6)
     rig.set_target(TARGET_C)
