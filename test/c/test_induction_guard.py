@@ -57,13 +57,15 @@ def test_dead_signal_trips_inside_the_limits(low, high, expected):
     assert judge(g, 300, low=low, high=high) == expected
 
 
-def test_one_code_is_a_dead_signal_once_the_phase_has_moved_far():
+@pytest.mark.parametrize(("near", "far"), [(13191, 13192), (1, 0)])
+def test_one_code_is_a_dead_signal_once_the_phase_has_moved_far(near, far):
+    first = 5000 if far > near else 8192
     g = guard((0, 0, 65535, 3))
-    for phase in (5000, 5000, 13191, 5000, 2012):
+    for phase in (first, first, near, first):
         assert judge(g, 300, phase, low=300, high=300) == NONE
-    assert judge(g, 300, 13192, low=300, high=300) == NONE
-    assert judge(g, 300, 13192, low=300, high=300) == NONE
-    assert judge(g, 300, 5000, low=300, high=300) == STUCK, "it stays so until another code is seen"
+    assert judge(g, 300, far, low=300, high=300) == NONE
+    assert judge(g, 300, far, low=300, high=300) == NONE
+    assert judge(g, 300, first, low=300, high=300) == STUCK, "it stays so until another code is seen"
 
 
 def test_a_quiet_signal_that_moves_with_the_phase_is_no_dead_signal():
