@@ -554,11 +554,12 @@ def _observe_piece(
     spread = _spread_of(places, rows, run)
     column = _column(rows, _looking(places, run))
     gains = [value / spread for value in column]
-    kept = rows[places.gain][places.gain]
+    kept = [row[places.gain :] for row in rows[places.gain :]]
     rows = [[v - k * c for v, c in zip(row, column, strict=True)] for row, k in zip(rows, gains, strict=True)]
     if p.coloured_c2_s and run.output < GAIN_SHARE * p.output_high:
-        rows[places.gain][places.gain] = kept
-        gains[places.gain] = 0.0
+        for row, known in zip(rows[places.gain :], kept, strict=True):
+            row[places.gain :] = known
+        gains[places.gain :] = [0.0] * len(kept)
     by_c = run.innovation_c
     gain = min(GAIN_MAX, max(GAIN_MIN, state.gain + gains[places.gain] * by_c))
     max_w = p.disturbance_max_w

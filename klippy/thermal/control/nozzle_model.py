@@ -24,10 +24,10 @@ AHEAD_S = 0.090
 DISTURBANCE_W = 1.4
 TEMP_WALK_C = 0.36
 COLOURED_C2_S = 5e-5
-# An uncalibrated law is off by another amount at each drive. Its filter takes errors as white, follows a bias of the
-# innovations, and learns what the drive by itself adds to the reading (degC at full drive).
+SLANT_C = 1.0  # what full drive by itself may add to the reading (degC)
+# An uncalibrated law is off by another amount at each drive. Its filter takes errors as white and follows a bias of the
+# innovations.
 UNCALIBRATED_DISTURBANCE_W = 0.3
-SLANT_C = 1.0
 DISTURBANCE_W2_PER_K = 0.012  # 1.6 W over a climb to 250 degC: losses wrong by 30 % are learned on the way
 DISTURBANCE_MAX_W = 20.0  # melt at any flow, a draught, losses wrong by half: 15 W
 
@@ -68,7 +68,7 @@ def nozzle_model(
         disturbance_w=DISTURBANCE_W if calibrated else UNCALIBRATED_DISTURBANCE_W,
         disturbance_w2_per_k=DISTURBANCE_W2_PER_K,
         disturbance_max_w=DISTURBANCE_MAX_W,
-        slant_c=0.0 if calibrated else SLANT_C,
+        slant_c=SLANT_C,
         temp_walk_c=TEMP_WALK_C if calibrated else 0.02,
         coloured_c2_s=COLOURED_C2_S if calibrated else 0.0,
     )

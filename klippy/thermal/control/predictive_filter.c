@@ -381,10 +381,10 @@ update(const struct model_params *p, const struct model_places *at, struct model
     }
     for (int i = 0; i < at->size; i++)
         for (int j = 0; j < at->size; j++)
-            if (learns || i != at->gain || j != at->gain)
+            if (learns || i < at->gain || j < at->gain)
                 s->covariance[i][j] -= gains[i] * column[j];
-    if (!learns)
-        gains[at->gain] = 0.0;
+    for (int i = at->gain; i < at->size && !learns; i++)
+        gains[i] = 0.0;
     s->gain = lesser(GAIN_MAX, greater(GAIN_MIN, s->gain + gains[at->gain] * by_c));
     s->disturbance_w = bounded(s->disturbance_w + gains[at->disturbance] * by_c, p->disturbance_max_w);
     s->slant_c += at->slant >= 0 ? gains[at->slant] * by_c : 0.0;

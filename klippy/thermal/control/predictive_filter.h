@@ -41,8 +41,8 @@
 #define SWING_S 0.006
 #define SWING_SHARE 0.25
 #define SWING_KEEP_S 1.0
-// With coloured errors the gain is learned above this share of full drive: below it a swing that moves the drive would
-// pass for one. Then a jump of the thermometer begins at this much, beyond what interference does.
+// With coloured errors gain and slant are learned above this share of full drive: below it a swing that moves the drive
+// would pass for one. Then a jump of the thermometer begins at this much, beyond what interference does.
 #define GAIN_SHARE 0.25
 #define COLOURED_JUMP_C 12.0
 #define SECOND_MARGIN_C 20.0 // the second mass lies between air and the hottest node, give or take this
