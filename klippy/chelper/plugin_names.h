@@ -1,7 +1,7 @@
 #ifndef FERRITE_PLUGIN_NAMES_H
 #define FERRITE_PLUGIN_NAMES_H
 /* Functions of the helper library that plugins call by name, where this program has others for the purpose. */
-#include "trapq.h"
+#include "motion/trapq.h"
 
 struct pull_move {                  /* a piece of constant acceleration, as struct trapq_span */
     double print_time, move_t, start_v, accel;
