@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import configabsent
-import configaliases
 import configtext
 import util
 from configtext import ConfigData, ConfigError, Origin
@@ -355,7 +354,7 @@ class PrinterConfig:
         for note in data.notes:
             logging.warning(note)
             self.add_warning({"type": "runtime_warning", "message": note})
-        for warning in configaliases.replace_old(data.sections):
+        for warning in configtext.replace_old(data.sections):
             logging.warning(warning["message"])
             self.add_warning(warning)
         self._data = data
