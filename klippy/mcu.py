@@ -521,7 +521,7 @@ class MCU:
         text = f"{self._name}: {load} {self._serial.stats(eventtime)} {self._clocksync.stats(eventtime)}"
         return False, text
 
-    def get_status(self, eventtime: float) -> dict[str, Any]:
+    def get_status(self, eventtime: float = 0.0) -> dict[str, Any]:
         parser = self._serial.get_msgparser()
         version, build_versions = parser.get_version_info()
         clock = {"freq": round(self._clocksync.line.freq)}
