@@ -210,7 +210,7 @@ class FrameSettings:
 
 @dataclass(frozen=True, slots=True)
 class MountSettings:
-    """[simulator mount]: the vibration that the melt of a nozzle drives; `values`: fields of struct world_mount."""
+    """[simulator mount NOZZLE]: the vibration that the melt of a nozzle drives; `values`: fields of struct world_mount."""
 
     nozzle: str
     axis: int
@@ -248,7 +248,7 @@ def _read_mount(config: ConfigWrapper, name: str) -> MountSettings:
         return config.getfloat(option, default, minval=low, maxval=high)
 
     return MountSettings(
-        nozzle=config.get("nozzle"),
+        nozzle=name,
         axis="xyz".index(config.getchoice("axis", {axis: axis for axis in "xyz"}, "z")),
         values={
             "frequency_hz": number("frequency", 200.0, 1.0, 1000.0),

@@ -114,7 +114,7 @@ def assemble(
     for nozzle in _of(things, NozzleSettings):
         machine.nozzles[nozzle.name] = _add_nozzle(machine, nozzle, config)
     for mount in _of(things, MountSettings):
-        nozzle_number = _index(machine.nozzles, mount.nozzle, "nozzle", "simulator mount")
+        nozzle_number = _index(machine.nozzles, mount.nozzle, "nozzle", f"simulator mount {mount.nozzle}")
         world.add_mount(nozzle_number, mount.axis, mount.values)
     for reference in _of(things, ReferenceSettings):
         _add_reference(machine, reference, config)
