@@ -20,6 +20,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, field
+from functools import cache
 
 from thermal.models.nozzle_flow import Melt, NozzleShape, pressure_zones_pa
 
@@ -56,19 +57,20 @@ class MountParameters:
     false_alarm_s: float = 360e3
     step_s: float = 1.0
     flow_min_mm3_s: float = 1.0
-    doubt: float = 0.03  # of the law, in the logarithm of the amplitude
+    doubt: float = 0.02  # of the law, in the logarithm of the amplitude
+    doubt_sigmas: float = 1.5  # taken off before a test
     saved_doubt: float = 0.03
     exponent_doubt: float = 0.1  # of k, as a share
 
     @property
     def width_hz(self) -> float:
-        """Of each filter: twice that of the resonance."""
-        return 2.0 * self.frequency_hz / self.quality
+        """Of each filter: four times that of the resonance."""
+        return 4.0 * self.frequency_hz / self.quality
 
     @property
     def noise_width_hz(self) -> float:
         """B: of the resonance behind the filters."""
-        return 1.3 * self.frequency_hz / self.quality
+        return 1.8 * self.frequency_hz / self.quality
 
     @property
     def lag_s(self) -> float:
@@ -83,6 +85,11 @@ class MountParameters:
     def ready_weight(self) -> float:
         """Sum of W until A counts as known: 3.5 % of the amplitude."""
         return 200.0
+
+    @property
+    def learned_weight(self) -> float:
+        """Sum of W until A is kept."""
+        return 800.0
 
     @property
     def window_weight(self) -> float:
@@ -125,21 +132,23 @@ class MountState:
     covariance: float = 0.0
     weight: float = 0.0  # learned so far
     is_ready: bool = False
+    is_learned: bool = False  # A is kept
     noise_power: float = 0.0
     noise_weight: float = 0.0
     response: float = 0.0  # square of the expected law, behind the lag
     step: Step = field(default_factory=Step)
     narrowed: float = 0.0  # sums of the two tests
     lost: float = 0.0
+    evidence_steps: int = 0  # since both sums were 0
     is_narrowed: bool = False
     is_lost: bool = False
     news: float = 0.0  # log-likelihood ratio of lost flow, of the step that just ended
     recent: deque[tuple[float, float]] = field(default_factory=deque)  # W, ratio of power without noise
-    recent_weight: float = 0.0
     log_diameter: float = math.nan  # of d/d0
     log_sigma: float = math.nan
 
 
+@cache
 def law_exponents(p: MountParameters) -> tuple[float, float]:
     """m and b (K)."""
     n, j = pressure_exponents(p.hole_mm)
@@ -153,27 +162,15 @@ def start(p: MountParameters) -> MountState:
     m_sigma = 0.2 if p.flow_exponent is None else 0.05
     if p.amplitude_m_s2 is None:
         return MountState(0.0, m, [25.0, m_sigma**2])
-    return MountState(math.log(p.amplitude_m_s2), m, [p.saved_doubt**2, m_sigma**2], is_ready=True)
+    return MountState(math.log(p.amplitude_m_s2), m, [p.saved_doubt**2, m_sigma**2], is_ready=True, is_learned=True)
 
 
 def _expected_square(p: MountParameters, state: MountState, flow_mm3_s: float, temp_c: float) -> float:
     """Square of the law without A, over two: a power."""
-    _, b = law_exponents_of(p)
+    _, b = law_exponents(p)
     log_law = state.flow_exponent * (math.log(flow_mm3_s) - state.centre)
     log_law += b * (1.0 / (temp_c + KELVIN) - 1.0 / (TEMP_C + KELVIN))
     return 0.5 * math.exp(2.0 * log_law)
-
-
-_EXPONENTS: dict[MountParameters, tuple[float, float]] = {}
-
-
-def law_exponents_of(p: MountParameters) -> tuple[float, float]:
-    """As law_exponents, worked out once."""
-    found = _EXPONENTS.get(p)
-    if found is None:
-        _EXPONENTS.clear()
-        found = _EXPONENTS[p] = law_exponents(p)
-    return found
 
 
 def observe(p: MountParameters, state: MountState, window: MountWindow) -> bool:
@@ -223,18 +220,21 @@ def _judge(p: MountParameters, state: MountState, step: Step) -> None:
         _learn(p, state, signal, weight, away, variance)
         return
     doubt = math.sqrt(variance + p.doubt**2)
-    _test(p, state, ratio, weight, signal_share, doubt)
     state.recent.append((weight, signal))
-    state.recent_weight += weight
-    while state.recent_weight - state.recent[0][0] >= p.window_weight:
-        state.recent_weight -= state.recent.popleft()[0]
-    mean = sum(w * s for w, s in state.recent) / state.recent_weight
+    if _test(p, state, ratio, weight, signal_share, doubt):
+        while len(state.recent) > state.evidence_steps:  # what was before the change is no longer so
+            state.recent.popleft()
+    while sum(w for w, _ in state.recent) - state.recent[0][0] >= p.window_weight:
+        state.recent.popleft()
+    recent_weight = sum(w for w, _ in state.recent)
+    mean = sum(w * s for w, s in state.recent) / recent_weight
     state.log_diameter = -0.5 * math.log(max(1e-6, mean)) / p.exponent
-    scatter = math.sqrt(0.25 / state.recent_weight + doubt**2) / p.exponent
+    scatter = math.sqrt(0.25 / recent_weight + doubt**2) / p.exponent
     state.log_sigma = math.hypot(scatter, p.exponent_doubt * state.log_diameter)
     quiet = 0.25 * p.threshold
     if not state.is_narrowed and not state.is_lost and state.narrowed < quiet and state.lost < quiet:
-        _learn_flow(p, state, signal, weight, away, variance)
+        learn = _learn_flow if state.is_learned else _learn
+        learn(p, state, signal, weight, away, variance)
 
 
 def _log_ratio(weight: float, ratio: float, times: float, signal_share: float) -> float:
@@ -245,22 +245,27 @@ def _log_ratio(weight: float, ratio: float, times: float, signal_share: float) -
 
 def _test(
     p: MountParameters, state: MountState, ratio: float, weight: float, signal_share: float, doubt: float
-) -> None:
-    """Page's tests, for a change or for its end."""
+) -> bool:
+    """Page's tests, for a change or for its end; True when one of them found it."""
+    doubt *= 2.0 * p.doubt_sigmas  # of the power
     stronger = (1.0 - p.restriction) ** (-2.0 * p.exponent)
     weaker = (1.0 - p.lost_share) ** (2.0 * state.flow_exponent)
     down = _log_ratio(weight, ratio * math.exp(doubt), stronger, signal_share)
     up = _log_ratio(weight, ratio * math.exp(-doubt), stronger, signal_share)
     state.narrowed = max(0.0, state.narrowed + (-down if state.is_narrowed else up))
-    if state.narrowed > p.threshold:
-        state.is_narrowed, state.narrowed = not state.is_narrowed, 0.0
     state.news = _log_ratio(weight, ratio * math.exp(doubt), weaker, signal_share)
     if state.is_narrowed or ratio > math.sqrt(stronger):
         state.news = 0.0  # a narrowed hole: more power than before says nothing of the flow
     back = -_log_ratio(weight, ratio * math.exp(-doubt), weaker, signal_share)
     state.lost = max(0.0, state.lost + (back if state.is_lost else state.news))
+    state.evidence_steps = state.evidence_steps + 1 if max(state.narrowed, state.lost) > 0.0 else 0
+    if max(state.narrowed, state.lost) <= p.threshold:
+        return False
+    if state.narrowed > p.threshold:
+        state.is_narrowed, state.narrowed = not state.is_narrowed, 0.0
     if state.lost > p.threshold:
         state.is_lost, state.lost = not state.is_lost, 0.0
+    return True
 
 
 def _learn(
@@ -280,8 +285,9 @@ def _learn(
     state.covariance -= gains[0] * spread[1]
     state.variance[1] -= gains[1] * spread[1]
     state.weight += weight
-    if state.weight >= p.ready_weight:
-        state.is_ready = True
+    state.is_ready = state.weight >= p.ready_weight
+    if state.weight >= p.learned_weight:
+        state.is_learned = True
         _recentre(state)
 
 

@@ -32,12 +32,19 @@ class SampleClock:
     def __init__(self, nominal_ticks: float) -> None:
         self._nominal = nominal_ticks
         self._points: deque[tuple[float, float]] = deque(maxlen=POINTS_MAX)
+        self._line: tuple[float, float] | None = None
 
     def add(self, taken: int, clock: float) -> None:
         self._points.append((taken, clock))
+        self._line = None
 
     def line(self) -> tuple[float, float]:
         """(clock of sample 0, ticks a sample)."""
+        if self._line is None:
+            self._line = self._fit()
+        return self._line
+
+    def _fit(self) -> tuple[float, float]:
         points = self._points
         mean_n = sum(n for n, _ in points) / len(points)
         mean_clock = sum(clock for _, clock in points) / len(points)

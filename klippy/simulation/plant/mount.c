@@ -11,7 +11,7 @@ static const double FLOW_MM3_S = 5.0; /* v0 */
 void mount_init(struct mount *m, double place_mm, uint64_t seed)
 {
     m->x = place_mm;
-    m->rate = m->force_m_s2 = 0.0;
+    m->rate = m->force = 0.0;
     m->left = 0;
     noise_seed(&m->noise, seed);
 }
@@ -20,13 +20,13 @@ void mount_init(struct mount *m, double place_mm, uint64_t seed)
 void mount_follow(struct mount *m, const struct plant *p)
 {
     double force_n = plant_back_force(p), flow = p->flow_in * p->v.flow_share;
-    m->force_m_s2 = 0.0;
+    m->force = 0.0;
     if (force_n < FORCE_N_MIN || flow <= 0.0 || p->v.melt_force_n <= 0.0)
         return;
     double over = m->exponent / p->v.force_hole_exponent;
     double amplitude = m->amplitude_m_s2 * pow(force_n / p->v.melt_force_n, over) *
                        pow(flow / FLOW_MM3_S, m->flow_exponent - over * p->v.force_flow_exponent);
-    m->force_m_s2 = amplitude / sqrt(2.0 * PI * FRAME_STEP_S * m->frequency_hz * m->quality);
+    m->force = amplitude / sqrt(2.0 * PI * m->frequency_hz * m->quality);
 }
 
 static double draw(struct mount *m)
@@ -39,10 +39,10 @@ static double draw(struct mount *m)
     return m->rows.sign[i] * (m->rows.a[i] + m->rows.b[i]);
 }
 
-void mount_step(struct mount *m, double base_mm, double base_rate)
+void mount_step(struct mount *m, double base_mm, double base_rate, double step_s)
 {
     double w = 2.0 * PI * m->frequency_hz;
-    double noise = m->force_m_s2 > 0.0 ? m->force_m_s2 * MM_PER_M * draw(m) : 0.0;
-    m->rate += FRAME_STEP_S * (w * w * (base_mm - m->x) + w / m->quality * (base_rate - m->rate) + noise);
-    m->x += FRAME_STEP_S * m->rate;
+    double noise = m->force > 0.0 ? m->force * MM_PER_M / sqrt(step_s) * draw(m) : 0.0;
+    m->rate += step_s * (w * w * (base_mm - m->x) + w / m->quality * (base_rate - m->rate) + noise);
+    m->x += step_s * m->rate;
 }

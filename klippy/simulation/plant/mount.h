@@ -20,7 +20,7 @@
 struct mount {
     double frequency_hz, quality;
     double amplitude_m_s2, exponent, flow_exponent, motion_share;
-    double force_m_s2; /* rms of f */
+    double force; /* rms of f in steps of a second, m/s^2 s^0.5 */
     double x, rate;    /* mm, mm/s */
     struct noise_source noise;
     struct noise_rows rows;
@@ -30,7 +30,7 @@ struct mount {
 void mount_init(struct mount *m, double place_mm, uint64_t seed);
 /* What the nozzle does now. */
 void mount_follow(struct mount *m, const struct plant *p);
-/* One FRAME_STEP_S with the mount's base at base_mm. */
-void mount_step(struct mount *m, double base_mm, double base_rate);
+/* step_s with the mount's base at base_mm. */
+void mount_step(struct mount *m, double base_mm, double base_rate, double step_s);
 
 #endif

@@ -155,8 +155,7 @@ struct machine {
     int has_frame;
     struct mount mount;
     int has_mount, mount_nozzle, mount_axis; /* axis: 0 to 2 */
-    double frame_start_s;
-    int64_t frame_steps;
+    double frame_s, frame_step_s; /* up to when it has been advanced */
     int axis_count, duty_count, fan_count, nozzle_count, load_count, reference_count, probe_count, accelerometer_count;
     int nozzle_of_mcu[MACHINE_MCUS]; /* index, -1 */
     double chip_temp_c[MACHINE_MCUS];

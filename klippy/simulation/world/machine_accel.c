@@ -1,6 +1,6 @@
 /* The ringing frame, the extruder's mount, and the accelerometers on them: their buses, mounting, noise and faults.
  *
- *     steps ──► frame (plant/frame.h), every 39 us ─┬─► mean acceleration since the last sample, as a chip's filter makes it
+ *     steps ──► frame (plant/frame.h) ──────────────┬─► mean acceleration since the last sample, as a chip's filter makes it
  *     melt ──► back force ──► mount (mount.h) ──────┘
  *           + gravity ──► turned as the sensor is mounted ──► noise ──► registers (plant/accel_chip.h) ◄──► SPI or I2C
  */
@@ -12,6 +12,7 @@
 
 static const double GRAVITY_M_S2 = 9.80665;
 static const double M_PER_MM = 1e-3;
+static const double FRAME_SLOW_RATE_HZ = 1000.0;
 static const double BEYOND_ANY_RANGE_M_S2 = 1e4;
 enum { I2C_DONE = 0, I2C_NO_DEVICE = 3 }; /* of src/board/i2c_status.h */
 
@@ -29,8 +30,8 @@ int machine_add_frame(struct machine *m, const struct world_frame *o, double now
                         axis_position_mm(&m->axes[axis]));
     }
     m->has_frame = 1;
-    m->frame_start_s = now_s;
-    m->frame_steps = 0;
+    m->frame_s = now_s;
+    m->frame_step_s = FRAME_STEP_S;
     return 0;
 }
 
@@ -53,8 +54,18 @@ int machine_add_mount(struct machine *m, const struct world_mount *o, uint64_t s
     return 0;
 }
 
+/* Slow sensors need no fine steps. */
+static double step_for(const struct machine *m)
+{
+    for (int i = 0; i < m->accelerometer_count; i++)
+        if (accel_chip_rate(&m->accelerometers[i].chip) > FRAME_SLOW_RATE_HZ)
+            return FRAME_STEP_S;
+    return FRAME_SLOW_STEP_S;
+}
+
 void mount_tick(struct machine *m)
 {
+    m->frame_step_s = step_for(m);
     if (m->has_mount)
         mount_follow(&m->mount, &m->nozzles[m->mount_nozzle].plant);
 }
@@ -142,15 +153,15 @@ void frame_advance(struct machine *m, double now_s)
 {
     if (!m->has_frame)
         return;
-    double time_s;
-    while ((time_s = m->frame_start_s + (double)(m->frame_steps + 1) * FRAME_STEP_S) <= now_s) {
-        m->frame_steps++;
+    while (m->frame_s + m->frame_step_s <= now_s) {
+        m->frame_s += m->frame_step_s;
         for (int i = 0; i < FRAME_AXES; i++)
-            frame_axis_step(&m->frame[i], axis_position_mm(&m->axes[m->frame_of[i]]));
+            frame_axis_step(&m->frame[i], axis_position_mm(&m->axes[m->frame_of[i]]), m->frame_step_s);
         if (m->has_mount)
-            mount_step(&m->mount, mount_base_mm(m), m->mount.motion_share * (m->frame[0].x_rate + m->frame[1].x_rate));
+            mount_step(&m->mount, mount_base_mm(m), m->mount.motion_share * (m->frame[0].x_rate + m->frame[1].x_rate),
+                       m->frame_step_s);
         for (int i = 0; i < m->accelerometer_count; i++)
-            sample_if_due(m, &m->accelerometers[i], time_s);
+            sample_if_due(m, &m->accelerometers[i], m->frame_s);
     }
 }
 
