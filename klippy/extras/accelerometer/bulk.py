@@ -72,6 +72,7 @@ class BulkReader:
     def build(self, chip: str, cmd_queue: Any) -> None:
         """Called when the MCU's commands are known."""
         self._status = messages.status(self._mcu, chip, self._oid, cmd_queue)
+        self._mcu.let_wait(messages.DATA)  # asking for the status fetches them
 
     def start(self, rate_hz: float) -> None:
         """The firmware has begun anew."""
