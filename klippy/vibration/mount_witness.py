@@ -57,6 +57,8 @@ class MountParameters:
     false_alarm_s: float = 360e3
     step_s: float = 1.0
     flow_min_mm3_s: float = 1.0
+    noise_s: float = 0.5  # without flow, before anything is judged
+    signal_share_min: float = 0.5  # of the power: a weaker signal is not judged
     doubt: float = 0.02  # of the law, in the logarithm of the amplitude
     doubt_sigmas: float = 1.5  # taken off before a test
     saved_doubt: float = 0.03
@@ -93,8 +95,8 @@ class MountParameters:
 
     @property
     def window_weight(self) -> float:
-        """Sum of W of a diameter: 4.6 % of the amplitude, 1.2 % of the diameter."""
-        return 120.0
+        """Sum of W of a diameter: 3.7 % of the amplitude, 1 % of the diameter, in 10 s direct and 60 s Bowden."""
+        return 180.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,7 @@ class MountWindow:
     flow_mm3_s: float
     temp_c: float
     is_disturbed: bool = False  # by motion in the band, or in doubt
+    moves: bool = False
 
 
 @dataclass(slots=True)
@@ -134,7 +137,8 @@ class MountState:
     is_ready: bool = False
     is_learned: bool = False  # A is kept
     noise_power: float = 0.0
-    noise_weight: float = 0.0
+    noise_weight: float = 0.0  # s
+    noise_moves: bool = False  # it is that of motion
     response: float = 0.0  # square of the expected law, behind the lag
     step: Step = field(default_factory=Step)
     narrowed: float = 0.0  # sums of the two tests
@@ -186,7 +190,7 @@ def observe(p: MountParameters, state: MountState, window: MountWindow) -> bool:
         if state.response < 1e-4:
             _learn_noise(state, window)
         return False
-    if window.flow_mm3_s < p.flow_min_mm3_s:
+    if window.flow_mm3_s < p.flow_min_mm3_s or state.noise_weight < p.noise_s:
         return False
     step = state.step
     expected = state.response * math.exp(2.0 * state.log_amplitude)
@@ -204,7 +208,11 @@ def observe(p: MountParameters, state: MountState, window: MountWindow) -> bool:
 
 
 def _learn_noise(state: MountState, window: MountWindow) -> None:
-    """Power of the band at rest, over the last minute of it."""
+    """Power of the band without flow, over the last minute of it; once known, that of motion."""
+    if state.noise_moves and not window.moves:
+        return
+    if window.moves and not state.noise_moves:
+        state.noise_moves, state.noise_weight = True, 0.0
     state.noise_weight = min(60.0, state.noise_weight + window.lasts_s)
     state.noise_power += window.lasts_s / state.noise_weight * (window.power - state.noise_power)
 
@@ -212,7 +220,9 @@ def _learn_noise(state: MountState, window: MountWindow) -> None:
 def _judge(p: MountParameters, state: MountState, step: Step) -> None:
     ratio = step.power / step.expected
     weight = p.noise_width_hz * step.expected**2 / step.expected_square
-    signal_share = max(0.05, 1.0 - step.noise / step.expected)
+    signal_share = 1.0 - step.noise / step.expected
+    if signal_share < p.signal_share_min:
+        return
     away = step.log_flow / step.lasts_s - state.centre
     variance = state.variance[0] + away**2 * state.variance[1] + 2.0 * away * state.covariance
     signal = max(1e-3, (ratio - 1.0) / signal_share + 1.0)

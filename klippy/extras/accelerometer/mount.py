@@ -27,6 +27,7 @@ SETTLED_RATE_S = 3.0  # until the chip's clock is known
 CLIPPED_MAX = 0.02  # share of samples at the end of the range: a knock may reach it
 FROZEN_SAMPLES = 200
 STILL_S = 0.5
+HARMONICS = (1, 2, 3)  # of a motor's steps
 
 
 @dataclass(frozen=True, slots=True)
@@ -180,7 +181,8 @@ class MountVibration:
         if math.isnan(power):
             return
         window = mount_witness.MountWindow(
-            end_s, lasts_s, power, motion.fed_mm3 / lasts_s, self.temp_c(), self._is_in_band(speeds)
+            end_s, lasts_s, power, motion.fed_mm3 / lasts_s, self.temp_c(), self._is_in_band(speeds),
+            any(speeds),
         )
         if self.recording is not None:
             self.recording.append(window)
@@ -189,9 +191,9 @@ class MountVibration:
 
     def _is_in_band(self, speeds: Sequence[float]) -> bool:
         """Do a motor's steps fall in the mount's band?"""
-        low = self.parameters.frequency_hz - self.parameters.width_hz
-        high = self.parameters.frequency_hz + self.parameters.width_hz
-        return any(low < speed < high for speed in speeds)
+        wide_hz = 0.75 * self.parameters.width_hz
+        low, high = self.parameters.frequency_hz - wide_hz, self.parameters.frequency_hz + wide_hz
+        return any(low < times * speed < high for speed in speeds for times in HARMONICS)
 
     def _look_up(self, mean: Sequence[float], lasts_s: float, moves: bool) -> None:
         """Where is gravity, while nothing moves?"""

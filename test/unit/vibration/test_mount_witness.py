@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 import random
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import signal
 
+from thermal.models.nozzle_flow import AMPLITUDES
 from vibration import mount_witness
 from vibration.band_meter import BandMeter, SampleFormat, design
 from vibration.mount_witness import MountParameters, MountState, MountWindow
 
-DIRECT = MountParameters(amplitude_m_s2=0.6479)
-BOWDEN = MountParameters(16.0, 10.0, 0.35, 4.91, amplitude_m_s2=0.252)
+DIRECT = MountParameters()
+BOWDEN = MountParameters(16.0, 10.0, 0.35, 4.91)
 # Tables 2 and 3: diameter mm, measured m/s^2
 TABLES = {
     "direct": (DIRECT, 10.0, [0.4, 0.3969, 0.3901, 0.3813, 0.3659, 0.3454],
@@ -43,6 +45,13 @@ def ringing(p: MountParameters, amplitude: float, seconds: float, seed: int) -> 
     return counts.astype("<i2").tobytes()
 
 
+def settled(p: MountParameters) -> MountState:
+    """Before the first extrusion: a second at rest has been seen."""
+    state = mount_witness.start(p)
+    mount_witness.observe(p, state, MountWindow(-1.0, 1.0, 1e-6, 0.0, 230.0))
+    return state
+
+
 def mean_power(p: MountParameters, amplitude: float, seconds: float, seed: int) -> list[float]:
     settle_s = 12.0 * p.lag_s
     meter = BandMeter(FORMAT, WINDOW, round(settle_s * RATE_HZ))
@@ -53,13 +62,15 @@ def mean_power(p: MountParameters, amplitude: float, seconds: float, seed: int) 
 
 @pytest.mark.parametrize("kind", TABLES)
 def test_the_diameters_of_the_source_are_found_in_still_air(kind: str) -> None:
-    p, seconds, diameters, amplitudes = TABLES[kind]
-    clear = mean_power(p, amplitudes[0], 10.0 * seconds, 1)
-    gain = math.sqrt(sum(clear) / len(clear) / (0.5 * amplitudes[0] ** 2))  # of the band, as a calibration has it
-    for seed, (diameter, amplitude) in enumerate(zip(diameters, amplitudes, strict=True), 2):
-        state = mount_witness.start(
-            MountParameters(p.frequency_hz, p.quality, p.hole_mm, p.exponent, amplitudes[0] * gain)
-        )
+    p, seconds, diameters, measured = TABLES[kind]
+    law = AMPLITUDES[kind]
+    factors = [math.log(a / law.amplitude_m_s2(d)) for d, a in zip(diameters, measured, strict=True)]
+    factor = math.exp(sum(factors) / len(factors))  # the laws fit the tables' theory, 4 to 7 % lower
+    clear = mean_power(p, 1.0, 10.0 * seconds, 1)
+    gain = math.sqrt(2.0 * sum(clear) / len(clear))  # of the band, as a calibration has it
+    p = replace(p, amplitude_m_s2=law.base_m_s2 * factor * gain)
+    for seed, (diameter, amplitude) in enumerate(zip(diameters, measured, strict=True), 2):
+        state = settled(p)
         for number, power in enumerate(mean_power(p, amplitude, seconds, seed)):
             lasts_s = WINDOW / RATE_HZ
             window = MountWindow(number * lasts_s, lasts_s, power, mount_witness.FLOW_MM3_S, mount_witness.TEMP_C)
@@ -72,7 +83,7 @@ class Mount:
 
     def __init__(self, seed: int = 1, p: MountParameters | None = None, flow_exponent: float = 1.0) -> None:
         self.p = p or MountParameters()
-        self.state: MountState = mount_witness.start(self.p)
+        self.state = settled(self.p)
         self.random = random.Random(seed)
         self.time_s = 0.0
         self.flow_exponent = flow_exponent
@@ -114,11 +125,11 @@ def test_a_bowden_mount_needs_less_than_45_seconds() -> None:
 
 
 @pytest.mark.parametrize("share", [0.7, 0.0])
-def test_lost_flow_is_found_within_ten_seconds(share: float) -> None:
+def test_lost_flow_is_found_within_twenty_seconds_by_vibration_alone(share: float) -> None:
     for seed in range(20):
         mount = Mount(seed)
         assert mount.run(120.0) is None
-        assert mount.run(10.0, share=share) is not None
+        assert mount.run(20.0, share=share) is not None
         assert mount.state.is_lost and not mount.state.is_narrowed
 
 
@@ -138,9 +149,12 @@ def test_a_clog_that_grows_through_the_first_layer_is_not_learned() -> None:
     assert mount.state.is_narrowed and hole_um >= 360
 
 
-def test_motion_and_slow_flow_are_not_judged() -> None:
+def test_motion_in_the_band_slow_flow_and_weak_signals_are_not_judged() -> None:
     mount = Mount()
     mount.run(60.0)
-    for window in (MountWindow(0.0, 2.0, 9.9, 4.0, 230.0, is_disturbed=True), MountWindow(0.0, 2.0, 9.9, 0.5, 230.0)):
+    strong = MountWindow(0.0, 2.0, 9.9, 4.0, 230.0)
+    for window in (replace(strong, is_disturbed=True), replace(strong, flow_mm3_s=0.5)):
         assert not mount_witness.observe(mount.p, mount.state, window)
-    assert mount.state.narrowed == 0.0 or not mount.state.is_narrowed
+    noisy = Mount()
+    noisy.state.noise_power = 1.0
+    assert noisy.run(600.0, hole_mm=0.3) is None and not noisy.state.is_ready
