@@ -168,7 +168,8 @@ class NozzleMonitor:
     def _diameter(self) -> tuple[float | None, float | None]:
         """mm, and its standard deviation."""
         _, vibration = self._witnesses()
-        if not vibration.judges or vibration.parameters is None or vibration.state is None:
+        lost = self._condition not in GOOD and vibration.state is not None and not vibration.state.is_narrowed
+        if lost or not vibration.judges or vibration.parameters is None or vibration.state is None:
             return None, None
         hole_mm = vibration.parameters.hole_mm * vibration.diameter_share()
         return round(hole_mm, 4), round(hole_mm * vibration.state.log_sigma, 4)
@@ -191,8 +192,8 @@ class NozzleMonitor:
         if vibration.judges and vibration.state is not None and vibration.state.is_narrowed:
             percent = 100.0 * (1.0 - vibration.diameter_share())
             return (
-                f"the mount vibrates as with a hole of {diameter_mm:.2f} mm, {percent:.0f} % less than before: the nozzle"
-                " is partly clogged, or too cold for this filament"
+                f"the mount vibrates as with a hole of {diameter_mm:.2f} mm, {percent:.0f} % less than before: the"
+                " nozzle is partly clogged, or too cold for this filament"
             )
         if self._state is not None and self._state.lost:
             percent = 100.0 * self._state.lost_share
@@ -240,7 +241,9 @@ class NozzleMonitor:
             gain, sigma = status["heat_gain"], status["heat_gain_sigma"]
             lines.append(f"Heat of the melt: {gain:.3f} +- {sigma:.3f} of that of the model")
         if self._vibration is None:
-            lines.append("Diameter: not measured, this needs an accelerometer on the extruder's mount (accel_chip)")
+            lines.append(
+                "Diameter: not measured, this needs an accelerometer on the extruder's mount (accel_chip)"
+            )
         elif self._vibration.fault is not None:
             lines.append(f"Diameter: not measured, the accelerometer is {self._vibration.fault}")
         elif status["diameter"] is None:

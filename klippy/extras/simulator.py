@@ -210,7 +210,7 @@ class FrameSettings:
 
 @dataclass(frozen=True, slots=True)
 class MountSettings:
-    """[simulator mount NOZZLE]: the vibration that the melt of a nozzle drives; `values`: fields of struct world_mount."""
+    """[simulator mount NOZZLE]: the vibration that its melt drives; `values`: fields of struct world_mount."""
 
     nozzle: str
     axis: int

@@ -166,7 +166,9 @@ def start(p: MountParameters) -> MountState:
     m_sigma = 0.2 if p.flow_exponent is None else 0.05
     if p.amplitude_m_s2 is None:
         return MountState(0.0, m, [25.0, m_sigma**2])
-    return MountState(math.log(p.amplitude_m_s2), m, [p.saved_doubt**2, m_sigma**2], is_ready=True, is_learned=True)
+    return MountState(
+        math.log(p.amplitude_m_s2), m, [p.saved_doubt**2, m_sigma**2], is_ready=True, is_learned=True
+    )
 
 
 def _expected_square(p: MountParameters, state: MountState, flow_mm3_s: float, temp_c: float) -> float:

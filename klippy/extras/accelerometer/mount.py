@@ -16,7 +16,6 @@ from roles import Printer
 from vibration import mount_witness
 from vibration.band_meter import BandMeter, SampleFormat, design
 
-
 WINDOW_S = 0.05
 PERIOD_S = 0.5  # between looks at the samples
 SETTLE_LAGS = 6.0  # of the mount, until the filters have forgotten a gap
@@ -26,7 +25,9 @@ UPRIGHT_MIN = 0.7  # of gravity along z
 SETTLED_RATE_S = 3.0  # until the chip's clock is known
 CLIPPED_MAX = 0.02  # share of samples at the end of the range: a knock may reach it
 FROZEN_SAMPLES = 200
-STILL_S = 0.5
+UP_S = 3.0  # mean of the acceleration
+START_S = 1.0  # after ready: clients are connected and see what is wrong
+RATE_MIN = 2.5  # samples a second over the end of the band
 HARMONICS = (1, 2, 3)  # of a motor's steps
 
 
@@ -66,7 +67,7 @@ class MountVibration:
         self._motors: list[tuple[Any, float]] = []  # with full steps a step
         self._waiting: list[tuple[int, float, int, int, int, int, tuple[float, ...]]] = []
         self._before: Motion | None = None
-        self._still_s = 0.0
+        self._seen_s = 0.0
         self._up = [0.0, 0.0, 0.0]
         self._lost = 0
 
@@ -79,19 +80,20 @@ class MountVibration:
                 " accelerometer, such as adxl345."
             )
         rate, highest = self._sensor.rate, self.parameters.frequency_hz + self.parameters.width_hz
-        if rate < 2.5 * highest:
+        if rate < RATE_MIN * highest:
             raise self.printer.config_error(
                 f"Section 'nozzle_monitor' ({where}): [{self._section}] takes {rate} samples a second; a mount of"
-                f" {self.parameters.frequency_hz:g} Hz needs rate: {2.5 * highest:.0f} or more."
+                f" {self.parameters.frequency_hz:g} Hz needs rate: {RATE_MIN * highest:.0f} or more."
             )
 
     def start(self) -> None:
         """The printer is ready."""
         kinematics = self.printer.lookup_object("toolhead").get_kinematics()
         self._motors = [(motor, 1.0) for motor in kinematics.get_steppers()]
-        self._begin()
+        reactor = self.printer.get_reactor()
+        reactor.register_callback(self._begin, reactor.monotonic() + START_S)
 
-    def _begin(self) -> None:
+    def _begin(self, eventtime: float) -> None:
         chip, p = self._sensor.chip, self.parameters
         weight = [0.0, 0.0, 0.0]
         along = self._sensor.axes[self._axis]
@@ -121,7 +123,15 @@ class MountVibration:
     def _take_message(self, first: int, data: bytes) -> None:
         for w in self._meter.take(first, data):
             self._waiting.append(
-                (w.first, w.power, w.clipped, w.same, w.failures, w.settled, (w.mean[0], w.mean[1], w.mean[2]))
+                (
+                    w.first,
+                    w.power,
+                    w.clipped,
+                    w.same,
+                    w.failures,
+                    w.settled,
+                    (w.mean[0], w.mean[1], w.mean[2]),
+                )
             )
 
     def _on_batch(self, batch: dict[str, Any]) -> bool:
@@ -132,22 +142,23 @@ class MountVibration:
         self._lost += batch["overflows"]
         samples = round(WINDOW_S * self._sensor.rate)
         for first, power, clipped, same, failures, settled, mean in waiting:
+            self._look_up(mean)
             fault = self._find_fault(clipped / samples, same, failures)
             if fault != self.fault:
                 self._fail(fault) if fault else self._recover()
             if fault is None:
                 end_s = self._sensor.time_of(first + samples)
-                self._add(end_s, power if settled else math.nan, mean)
+                self._add(end_s, power if settled else math.nan)
         return True
 
     def _find_fault(self, clipped: float, same: int, failures: int) -> str | None:
         if failures:
             return "unplugged: it gives no samples. Check its power and its wires"
-        if same >= FROZEN_SAMPLES:
-            return "frozen: its samples do not change. Check its power and its wires"
         if clipped > CLIPPED_MAX:
             return "saturated: its samples reach the end of its range. Check that it is fixed, and its wires"
-        if self._still_s >= STILL_S and max(map(abs, self._up)) > 0.5 * GRAVITY_M_S2:
+        if same >= FROZEN_SAMPLES:
+            return "frozen: its samples do not change. Check its power and its wires"
+        if self._seen_s >= UP_S and max(map(abs, self._up)) > 0.5 * GRAVITY_M_S2:
             along = max(range(3), key=lambda axis: abs(self._up[axis]))
             if along != 2 or self._up[2] < UPRIGHT_MIN * GRAVITY_M_S2:
                 sign = "-" if self._up[along] < 0.0 else ""
@@ -167,7 +178,7 @@ class MountVibration:
 
     # --- windows ---
 
-    def _add(self, end_s: float, power: float, mean: tuple[float, ...]) -> None:
+    def _add(self, end_s: float, power: float) -> None:
         """A window that ended at a print time."""
         motion = Motion(
             end_s, tuple(motor.get_past_mcu_position(end_s) for motor, _ in self._motors), self.fed_mm3(end_s)
@@ -177,11 +188,15 @@ class MountVibration:
             return
         lasts_s = end_s - before.time_s
         speeds = [abs(b - a) / lasts_s for a, b in zip(before.steps, motion.steps, strict=True)]
-        self._look_up(mean, lasts_s, any(speeds))
         if math.isnan(power):
             return
         window = mount_witness.MountWindow(
-            end_s, lasts_s, power, motion.fed_mm3 / lasts_s, self.temp_c(), self._is_in_band(speeds),
+            end_s,
+            lasts_s,
+            power,
+            motion.fed_mm3 / lasts_s,
+            self.temp_c(),
+            self._is_in_band(speeds),
             any(speeds),
         )
         if self.recording is not None:
@@ -195,12 +210,10 @@ class MountVibration:
         low, high = self.parameters.frequency_hz - wide_hz, self.parameters.frequency_hz + wide_hz
         return any(low < times * speed < high for speed in speeds for times in HARMONICS)
 
-    def _look_up(self, mean: Sequence[float], lasts_s: float, moves: bool) -> None:
-        """Where is gravity, while nothing moves?"""
-        self._still_s = 0.0 if moves else self._still_s + lasts_s
-        if moves:
-            return
-        scale, axes = self._sensor.chip.mm_s2_per_count * 1e-3, self._sensor.axes
-        self._up = [math.copysign(scale, axis) * mean[abs(axis) - 1] for axis in axes]
-
-
+    def _look_up(self, mean: Sequence[float]) -> None:
+        """Where is gravity? Motion is no acceleration in the mean of some seconds."""
+        scale = self._sensor.chip.mm_s2_per_count * 1e-3
+        self._seen_s += WINDOW_S
+        share = WINDOW_S / min(self._seen_s, UP_S)
+        for place, axis in enumerate(self._sensor.axes):
+            self._up[place] += share * (math.copysign(scale, axis) * mean[abs(axis) - 1] - self._up[place])

@@ -163,9 +163,7 @@ class Accelerometer:
             self._row_clients -= 1
             raise
 
-    def add_raw_client(
-        self, handler: RawHandler, client: Callable[[Params], bool], period_s: float
-    ) -> None:
+    def add_raw_client(self, handler: RawHandler, client: Callable[[Params], bool], period_s: float) -> None:
         """Each message goes to `handler`; then `client` gets the batch, its rows only if others want them."""
         self._batches.add_client(client, period_s)
         self._raw_handlers.append(handler)

@@ -57,7 +57,12 @@ def mean_power(p: MountParameters, amplitude: float, seconds: float, seed: int) 
     meter = BandMeter(FORMAT, WINDOW, round(settle_s * RATE_HZ))
     meter.set_sections(design(p.frequency_hz, p.width_hz, [], RATE_HZ))
     data = ringing(p, amplitude, seconds + settle_s + 0.1, seed)
-    return [w.power for at in range(0, len(data), 240) for w in meter.take(at // 6, data[at : at + 240]) if w.settled]
+    return [
+        w.power
+        for at in range(0, len(data), 240)
+        for w in meter.take(at // 6, data[at : at + 240])
+        if w.settled
+    ]
 
 
 @pytest.mark.parametrize("kind", TABLES)
@@ -73,7 +78,9 @@ def test_the_diameters_of_the_source_are_found_in_still_air(kind: str) -> None:
         state = settled(p)
         for number, power in enumerate(mean_power(p, amplitude, seconds, seed)):
             lasts_s = WINDOW / RATE_HZ
-            window = MountWindow(number * lasts_s, lasts_s, power, mount_witness.FLOW_MM3_S, mount_witness.TEMP_C)
+            window = MountWindow(
+                number * lasts_s, lasts_s, power, mount_witness.FLOW_MM3_S, mount_witness.TEMP_C
+            )
             mount_witness.observe(p, state, window)
         assert p.hole_mm * math.exp(state.log_diameter) == pytest.approx(diameter, rel=0.03)
 
@@ -89,7 +96,9 @@ class Mount:
         self.flow_exponent = flow_exponent
         self.alarms = 0
 
-    def run(self, seconds: float, hole_mm: float = 0.4, share: float = 1.0, flow: float = 4.0) -> float | None:
+    def run(
+        self, seconds: float, hole_mm: float = 0.4, share: float = 1.0, flow: float = 4.0
+    ) -> float | None:
         """Returns the seconds until a test found a change."""
         begin_s = self.time_s
         weight = self.p.noise_width_hz * 0.25
