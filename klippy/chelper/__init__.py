@@ -1,6 +1,6 @@
 """The C helper: compiles the host's C files into one shared library when stale and loads it through cffi.
 
-The C files of motion and link are below this folder, the others beside their Python in klippy/thermal/ and klippy/vibration/.
+The C files of motion and link are below this folder, the others beside their Python in thermal/ and vibration/.
 helper_api.h includes the headers that Python sees. cffi's form of them is made with the library and lies beside it.
 Both are named after a hash of all that goes into them: an unchanged tree never compiles, and two trees never mix.
 """

@@ -1,4 +1,4 @@
-"""[nozzle_monitor]: is the hole narrowed, or filament lost? By the melt's heat and the vibration of the extruder's mount.
+"""[nozzle_monitor]: is the hole narrowed, or filament lost? By the melt's heat and the extruder mount's vibration.
 
 heater's loop ── each 0.1 s temperature, heat put in ──► thermal/sensing/flow_monitor.py ──┐
 extruder ── filament fed ──────────────────────────┬─────▲                                 ├─► condition, diameter
@@ -187,7 +187,7 @@ class NozzleMonitor:
 
     def _describe_alarm(self) -> str:
         """What was seen, and what it may be."""
-        heat, vibration = self._witnesses()
+        _, vibration = self._witnesses()
         diameter_mm, _ = self._diameter()
         if vibration.judges and vibration.state is not None and vibration.state.is_narrowed:
             percent = 100.0 * (1.0 - vibration.diameter_share())

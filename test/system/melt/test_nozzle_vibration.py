@@ -1,4 +1,4 @@
-"""[nozzle_monitor] with an accelerometer, through the whole stack: diameter, clogs, and what is wrong with the sensor."""
+"""[nozzle_monitor] with an accelerometer, through the whole stack: diameter, clogs, faults of the sensor."""
 
 from __future__ import annotations
 
