@@ -110,8 +110,8 @@ SHUTDOWN_HELP = (
     ),
     (
         ("Induction bridge off: no phase command",),
-        "The board received nothing from the host for max_duration of the induction heater and switched the bridge off"
-        " by itself. The host program ended, the host computer was too busy or swapping memory, or the cable came off.",
+        "The board received nothing from the host for 3 s; it had switched the bridge off before. The host program"
+        " ended, the host computer was too busy or swapping memory, or the cable came off.",
     ),
     (
         ("Thermocouple reader fault",),

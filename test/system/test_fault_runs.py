@@ -136,8 +136,3 @@ def test_a_longer_silence_stops_the_printer_with_the_bridge_off(
     assert says in record["detected_by"]
     assert record["peak_above_target_c"] < 1.0
     assert phases(run, 12.26) == {0.0}
-
-
-def test_a_board_without_a_host_for_three_seconds_stops_by_itself(simulate: Simulate) -> None:
-    run = simulate(HOLD, more=["--fault", "host_stall:6@10"])
-    assert "no phase command from the host" in run.log.read_text()
