@@ -95,6 +95,7 @@ class Fan:
 
     def set_speed_from_command(self, value: float) -> None:
         """Set the speed in step with the moves queued so far."""
+        self.get_mcu().require_connected()
         toolhead = self.printer.lookup_object("toolhead")
         toolhead.register_lookahead_callback(lambda print_time: self._schedule(print_time, value))
 

@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from configfile import ConfigWrapper
+from link import optional_board
 from roles import Printer
 from thermal.control import loop
 from thermal.identification.run import OutputRun, as_control
@@ -231,7 +232,7 @@ class InductionHeater:
             self._quiet_s = eventtime
             self.loop.quiet = self._is_quiet(eventtime)
             self._warn()
-            self._tell_lapse(eventtime)
+            self._report_lapse(eventtime)
         if now_s - self.loop.state.decided_s >= period_s:
             self._send(self.loop.on_timer(now_s), now_s)
         return eventtime + period_s if self._running else self._reactor.NEVER
@@ -276,7 +277,7 @@ class InductionHeater:
             )
         self._warned = kind
 
-    def _tell_lapse(self, eventtime: float) -> None:
+    def _report_lapse(self, eventtime: float) -> None:
         """Heat lapsed and was resumed: a line in the log each time, a message not too often."""
         lapse_s, self.loop.state.lapse_s = self.loop.state.lapse_s, 0.0
         if lapse_s <= self.unit.settings.max_duration_s:
@@ -556,6 +557,7 @@ def load_config_prefix(config: ConfigWrapper) -> InductionSection:
     printer = config.get_printer()
     printer.load_object(config, "heaters")
     name = config.get_name().split()[-1]
+    optional_board.refuse(config, "sense_pin")
     sense = printer.lookup_object("pins").lookup_pin(config.get("sense_pin"))
     unit_settings = settings.read_unit(config)
     parameters = settings.read_parameters(config, unit_settings)

@@ -58,6 +58,7 @@ class MCU_digital_out:
         self._max_duration_s = MAX_DURATION_DEFAULT_S
         self._oid = mcu.create_oid()
         self._last_clock = 0
+        self._last_value: int | None = None
         self._set: Any = None
         mcu.register_config_callback(self._build_config)
 
@@ -86,6 +87,9 @@ class MCU_digital_out:
             f" max_duration={_duration_ticks(mcu, self._pin, self._max_duration_s)}"
         )
         mcu.add_config_cmd(f"update_digital_out oid={oid} value={self._start_value}", on_restart=True)
+        if self._last_value is not None:  # the board was absent
+            mcu.add_config_cmd(f"update_digital_out oid={oid} value={self._last_value}", is_init=True)
+        self._last_clock = 0
         self._set = mcu.lookup_command(
             "queue_digital_out oid=%c clock=%u on_ticks=%u", cq=mcu.alloc_command_queue()
         )
@@ -95,7 +99,7 @@ class MCU_digital_out:
         clock = self._mcu.print_time_to_clock(print_time)
         on_ticks = int(bool(value)) ^ self._invert
         self._set.send([self._oid, clock, on_ticks], minclock=self._last_clock, reqclock=clock)
-        self._last_clock = clock
+        self._last_clock, self._last_value = clock, on_ticks
 
 
 class MCU_pwm:
@@ -113,6 +117,7 @@ class MCU_pwm:
         self._pwm_max = 0.0  # value of a duty cycle of 1, in what the command takes
         self._start_clock = 0  # of the start value, if that was sent as a queued command
         self._clocks = deque([0], maxlen=1)  # of the last values
+        self._last_duty: float | None = None
         self._set: Any = None
         mcu.register_config_callback(self._build_config)
 
@@ -156,10 +161,16 @@ class MCU_pwm:
         max_ticks = _duration_ticks(mcu, self._pin, self._max_duration_s)
         # The clock is chosen once at each start: it must not be in the configuration's CRC.
         self._start_clock = mcu.get_query_slot(self._oid)
+        self._clocks = deque([0] * len(self._clocks), maxlen=len(self._clocks))
         if self._hardware_pwm:
             self._build_hardware(cycle_ticks, max_ticks)
         else:
             self._build_software(cycle_ticks, max_ticks)
+        if self._last_duty is not None:  # the board was absent
+            name, value = ("pwm", "value") if self._hardware_pwm else ("digital", "on_ticks")
+            clock, raw = self._start_clock + 1, self._raw(self._last_duty)
+            mcu.add_config_cmd(f"queue_{name}_out oid={self._oid} clock={clock} {value}={raw}", is_init=True)
+            self._start_clock = clock
 
     def _build_hardware(self, cycle_ticks: int, max_ticks: int) -> None:
         mcu, oid = self._mcu, self._oid
@@ -203,9 +214,12 @@ class MCU_pwm:
     def set_pwm(self, print_time: float, value: float) -> None:
         """The duty cycle from print_time on; times must not decrease."""
         clock = self._mcu.print_time_to_clock(print_time)
-        if not self._clocks[-1] and (self._starts_by_queue() or self._mcu.kept_configuration()):
+        if not self._clocks[-1] and (
+            self._starts_by_queue() or self._last_duty is not None or self._mcu.kept_configuration()
+        ):
             clock = max(clock, self._start_clock + 1)
-        data = [self._oid, clock, self._raw(self._duty(value))]
+        self._last_duty = self._duty(value)
+        data = [self._oid, clock, self._raw(self._last_duty)]
         self._set.send(data, minclock=self._clocks[0], reqclock=clock)
         self._clocks.append(clock)
 

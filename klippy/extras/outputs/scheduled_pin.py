@@ -49,6 +49,7 @@ class ScheduledPin:
 
     def queue_from_command(self, value: float) -> None:
         """Set the pin in step with the moves queued so far."""
+        self._mcu.require_connected()
         toolhead = self._printer.lookup_object("toolhead")
         toolhead.register_lookahead_callback(lambda print_time: self.request(print_time, value))
 
