@@ -87,8 +87,7 @@ class MCU:
         section = config.get_name()
         self._name = "mcu" if section == "mcu" else section.removeprefix("mcu ").strip()
         self._options = mcu_options.read_options(config)
-        start_args = printer.get_start_args()
-        self._start_args = start_args
+        self._start_args = start_args = printer.get_start_args()
         self._is_fileoutput = start_args.get("debugoutput") is not None
         self._serial = serialhdl.SerialReader(
             self._reactor,
@@ -235,7 +234,7 @@ class MCU:
         """Is the board one that may vanish? Then it is gone from now on, and looked for."""
         if self._optional is None or self._printer.is_shutdown():
             return False
-        if not self._optional.is_absent:
+        if not self._serial.is_absent:
             self._optional.lose(reason)
             self._disconnect()
             self._optional.look()
@@ -243,9 +242,8 @@ class MCU:
 
     def _build_script(self) -> tuple[list[bytes], ...]:
         """Commands at each start, for a board that kept its configuration, and for one that was reset."""
-        script = self._script
-        script.build(self._printer.lookup_object("pins").get_pin_resolver(self._name).update_command)
-        lists = (script.init_cmds, script.restart_cmds, script.config_cmds)
+        self._script.build(self._printer.lookup_object("pins").get_pin_resolver(self._name).update_command)
+        lists = (self._script.init_cmds, self._script.restart_cmds, self._script.config_cmds)
         return tuple([self._encode_config(cmd) for cmd in cmds] for cmds in lists)
 
     def _configure(self) -> None:
@@ -559,7 +557,7 @@ class MCU:
         return self._is_shutdown
 
     def require_connected(self) -> None:
-        """Raise command_error if this is a board that may vanish, and did."""
+        """Raise command_error if this board may vanish, and did."""
         if self._optional is not None:
             self._optional.require()
 

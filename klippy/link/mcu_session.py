@@ -38,9 +38,9 @@ class ConfigScript:
         Again for a board that returns: its clock is another, and so are the times in its commands."""
         if self._given is None:
             lists = (self.callbacks, self.config_cmds, self.init_cmds, self.restart_cmds)
-            self._given = (self.reserved_move_slots, *map(tuple, lists))
-        self.reserved_move_slots = self._given[0]
-        self.callbacks, self.config_cmds, self.init_cmds, self.restart_cmds = map(list, self._given[1:])
+            self._given = (self.reserved_move_slots, *(tuple(part) for part in lists))
+        self.reserved_move_slots, *lists_given = self._given
+        self.callbacks, self.config_cmds, self.init_cmds, self.restart_cmds = map(list, lists_given)
         for callback in self.callbacks:  # may add callbacks
             callback()
         for commands in (self.config_cmds, self.init_cmds, self.restart_cmds):

@@ -36,6 +36,13 @@ def refuse(config: Any, option: str) -> None:
         )
 
 
+def require_connected(mcu: Any) -> None:
+    """Raise command_error if the board of a pin is absent. A chip made by a plugin is always there."""
+    check = getattr(mcu, "require_connected", None)
+    if check is not None:
+        check()
+
+
 class OptionalBoard:
     """Whether the board is there; looks for it while it is not."""
 

@@ -93,6 +93,10 @@ def test_a_board_that_vanishes_and_returns_does_not_touch_the_print(tmp_path: Pa
     said = "\n".join(simulation.said)
     assert said.count("MCU 'hood' is not connected") == 1
     assert said.count("MCU 'hood' is connected again") == 1
+    init = simulation.printer.lookup_object("mcu hood")._script.init_cmds
+    light, lamp = (cmd for cmd in init if "_digital_out" in cmd)
+    assert light.endswith("value=1"), "as it was before the board vanished"
+    assert lamp.endswith(f"on_ticks={round(0.25 * 0.1 * 72e6)}")
 
 
 def test_a_command_for_a_board_that_is_absent_is_refused(tmp_path: Path) -> None:
