@@ -166,11 +166,6 @@ class MCU_pwm:
             self._build_hardware(cycle_ticks, max_ticks)
         else:
             self._build_software(cycle_ticks, max_ticks)
-        if self._last_duty is not None:  # the board was absent
-            name, value = ("pwm", "value") if self._hardware_pwm else ("digital", "on_ticks")
-            clock, raw = self._start_clock + 1, self._raw(self._last_duty)
-            mcu.add_config_cmd(f"queue_{name}_out oid={self._oid} clock={clock} {value}={raw}", is_init=True)
-            self._start_clock = clock
 
     def _build_hardware(self, cycle_ticks: int, max_ticks: int) -> None:
         mcu, oid = self._mcu, self._oid
@@ -182,9 +177,11 @@ class MCU_pwm:
         self._set = mcu.lookup_command(
             "queue_pwm_out oid=%c clock=%u value=%hu", cq=mcu.alloc_command_queue()
         )
-        start_raw = self._raw(self._start_value)
+        raw, is_back = self._raw(self._first_duty()), self._last_duty is not None
         mcu.add_config_cmd(
-            f"queue_pwm_out oid={oid} clock={self._start_clock} value={start_raw}", on_restart=True
+            f"queue_pwm_out oid={oid} clock={self._start_clock} value={raw}",
+            is_init=is_back,
+            on_restart=not is_back,
         )
 
     def _build_software(self, cycle_ticks: int, max_ticks: int) -> None:
@@ -200,12 +197,16 @@ class MCU_pwm:
         self._set = mcu.lookup_command(
             "queue_digital_out oid=%c clock=%u on_ticks=%u", cq=mcu.alloc_command_queue()
         )
-        by_queue = self._starts_by_queue()
+        by_queue = self._starts_by_queue() or self._last_duty is not None
         mcu.add_config_cmd(
-            f"queue_digital_out oid={oid} clock={self._start_clock} on_ticks={self._raw(self._start_value)}",
+            f"queue_digital_out oid={oid} clock={self._start_clock} on_ticks={self._raw(self._first_duty())}",
             is_init=by_queue,
             on_restart=not by_queue,
         )
+
+    def _first_duty(self) -> float:
+        """At a start, or when a board that was absent is back."""
+        return self._start_value if self._last_duty is None else self._last_duty
 
     def _starts_by_queue(self) -> bool:
         """config_digital_out can only set on or off."""
