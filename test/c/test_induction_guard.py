@@ -123,6 +123,7 @@ def test_silence_has_the_power_lapse_at_max_duration_and_trips_at_its_end(fed):
     assert lib.guard_check_silence(g, (fed + 90000) & 0xFFFFFFFF) == NONE, "power comes first"
     assert lib.guard_lapse(g, (fed + 7200) & 0xFFFFFFFF)
     assert not lib.guard_lapse(g, (fed + 7201) & 0xFFFFFFFF), "once"
+    assert lib.guard_is_waiting(g)
     assert (g.powered, g.trip, lib.guard_deadline(g)) == (0, NONE, (fed + 90000) & 0xFFFFFFFF)
     assert lib.guard_check_silence(g, (fed + 89999) & 0xFFFFFFFF) == NONE
     assert lib.guard_check_silence(g, (fed + 90000) & 0xFFFFFFFF) == TIMEOUT
