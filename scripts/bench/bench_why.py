@@ -193,7 +193,7 @@ def _report(changes: dict[str, int], at_s: float) -> None:
         now = {name: value * looks if name == "swapped" else value for name, value in changes.items()}
         return facts | (now if looks > at_s - 8.0 else {})
 
-    statistics.read_computer = read_computer
+    statistics.read_computer, statistics.READ_S = read_computer, 0.0  # a simulated second is shorter
 
 
 def one(job: tuple[int, int]) -> tuple[int, str]:
