@@ -32,6 +32,7 @@ class ActuatorParameters:
     idle_interval_s: float = (
         0.5  # the same with the heater off, if its blocks arrive: 1.5 W * 8.9 ms / 0.5 s = 27 mW
     )
+    watch_interval_s: float = 0.0  # longest time without a measurement while a target is set, if `look_s`
     phase_low_ticks: int = SENSING_PHASE_TICKS
     pulses_max: int = 2  # in one piece: as many as fill the time until the next command
     look_s: float = 0.0  # a look at the sensing phase within a strong drive; 0: none ...
@@ -55,6 +56,7 @@ class ActuatorParameters:
             "pulse_s": self.pulse_s,
             "sense_interval_s": self.sense_interval_s,
             "idle_interval_s": self.idle_interval_s,
+            "watch_interval_s": self.watch_interval_s,
             "phase_low_ticks": self.phase_low_ticks,
             "pulses_max": self.pulses_max,
             "look_s": self.look_s,

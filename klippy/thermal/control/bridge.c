@@ -142,9 +142,18 @@ account(const struct actuator_params *p, struct actuator_state *s, double time_s
     s->owed_j = lesser(limit_j, greater(-limit_j, s->owed_j));
 }
 
+// Length of the pulse that is due for the sake of measuring; 0: none is.
+static double
+sensing_s(const struct actuator_params *p, enum sensing_need need, double since_s)
+{
+    if (need == SENSE_WATCH && p->look_s > 0.0)
+        return since_s >= p->watch_interval_s - TIME_SLACK_S ? p->look_s : 0.0;
+    return since_s >= (need == SENSE_IDLE ? p->idle_interval_s : p->sense_interval_s) ? p->pulse_s : 0.0;
+}
+
 int
 actuator_act(const struct actuator_params *p, struct actuator_state *s, double power_w, double time_s, int is_on,
-             int idle, struct phase_command *out)
+             enum sensing_need need, struct phase_command *out)
 {
     account(p, s, time_s);
     s->last_s = time_s;
@@ -155,15 +164,13 @@ actuator_act(const struct actuator_params *p, struct actuator_state *s, double p
         out[0] = at_phase(p, time_s, phase);
         return 1;
     }
-    double pulse_j = p->power_low_w * p->pulse_s, interval_s = idle ? p->idle_interval_s : p->sense_interval_s;
-    double pulses = lesser(p->pulses_max, floor(s->owed_j / pulse_j + 0.5));
-    if (pulses < 1.0 && time_s - s->last_excited_s >= interval_s)
-        pulses = 1.0;
+    double pulse_j = p->power_low_w * p->pulse_s, pulses = lesser(p->pulses_max, floor(s->owed_j / pulse_j + 0.5));
+    double length_s = pulses >= 1.0 ? pulses * p->pulse_s : sensing_s(p, need, time_s - s->last_excited_s);
     out[0] = (struct phase_command){time_s, 0, 0.0};
-    if (pulses < 1.0)
+    if (length_s == 0.0)
         return is_on ? 1 : 0;
-    double end_s = time_s + pulses * p->pulse_s;
-    s->owed_j -= pulses * pulse_j;
+    double end_s = time_s + length_s;
+    s->owed_j -= p->power_low_w * length_s;
     s->last_excited_s = end_s;
     out[0] = (struct phase_command){time_s, p->phase_low_ticks, p->power_low_w};
     out[1] = (struct phase_command){end_s, 0, 0.0};
@@ -281,10 +288,11 @@ bridge_command(const struct bridge_params *p, struct bridge_state *s, const stru
     if (taken && r->apart_s > 0.0 && !improves(p, s, taken, power_w, r->horizon, horizon))
         return 0;
     // On a line that loses the blocks of pulses the next pulse comes sooner.
-    int idle = is_off && age_s <= p->actuator.idle_interval_s + p->pulse_delay_s;
+    int arrives = age_s <= p->actuator.idle_interval_s + p->pulse_delay_s;
+    enum sensing_need need = !is_off ? SENSE_WATCH : arrives ? SENSE_IDLE : SENSE_LOST;
     // A horizon may turn on again a bridge that is off; a pulse ends by itself and stays.
     int is_on = timeline_is_on_from(&s->line, greater(at_s, s->actuator.last_excited_s));
-    int count = actuator_act(&p->actuator, &s->actuator, power_w, at_s, is_on, idle, out);
+    int count = actuator_act(&p->actuator, &s->actuator, power_w, at_s, is_on, need, out);
     if (count == 1)
         count += actuator_ahead(&p->actuator, r->horizon, horizon, out);
     struct phase_command head = out[0];

@@ -40,11 +40,15 @@ struct timeline {
 struct actuator_params {
     double power_max_w, exponent, phase_max_ticks;  // drive law
     double power_low_w, pulse_s, sense_interval_s, idle_interval_s;
+    double watch_interval_s;        // longest time without a measurement while a target is set; one takes look_s
     double look_s, long_look_s;     // at the sensing phase within a strong drive; 0: none
     double hold_look_s;             // from one look out of a weak drive, a pulse or idle to the next; 0: none
     int32_t phase_low_ticks, pulses_max;
     int32_t hold_looks, hold_look_ticks[HOLD_LOOKS_MAX];    // phases of those looks, in turn
 };
+
+// How often a bridge that need not heat measures: rarely and surely, more often, or shortly and all the time.
+enum sensing_need { SENSE_IDLE, SENSE_LOST, SENSE_WATCH };
 
 struct actuator_state {
     double last_s;          // start of the interval the last request holds for
@@ -103,7 +107,7 @@ double drive_phase_ticks(const struct actuator_params *p, double power_w);
 void actuator_reset(struct actuator_state *s);
 // Commands into `out`, at most two.
 int actuator_act(const struct actuator_params *p, struct actuator_state *s, double power_w, double time_s, int is_on,
-                 int idle, struct phase_command *out);
+                 enum sensing_need need, struct phase_command *out);
 // What follows out[0], from out[1] on; returns how many.
 int actuator_ahead(const struct actuator_params *p, const struct model_planned *horizon, int count,
                    struct phase_command *out);
