@@ -15,7 +15,7 @@ endif
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
-	@echo "make printer a simulated printer in real time with Moonraker, for any web front end"
+	@echo "make printer a simulated printer in real time with Moonraker, for any web front end (FRONT_END=folder)"
 	@echo "make test    all checks and tests, except for:"
 	@echo "make test-browser the tests of the report in a browser (installs Chromium)"
 	@echo "make test-flash   the tests of make flash with the boards' tools (installs avrdude, openocd)"
@@ -72,7 +72,7 @@ demo: setup sim chelper
 
 printer: setup sim chelper
 	@scripts/setup.sh moonraker
-	@$(PYTHON) scripts/run_printer.py
+	@$(PYTHON) scripts/run_printer.py $(if $(FRONT_END),--front-end $(FRONT_END))
 
 # QUICK=1: what each bench leaves out then stands in its --help.
 BENCH = $(PYTHON) scripts/bench/bench_$*.py --json $(OUT)/bench/$*.json

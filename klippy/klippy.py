@@ -161,6 +161,9 @@ def main(argv: list[str] | None = None) -> int:
         return _EXIT_ERROR
     start_args["log_listener"] = listener
     logging.info("Starting Ferrite\n%s", _versions(start_args))
+    if not options.debuginput:
+        for note in util.take_priority():
+            logging.info(note)
     try:
         result = serve(start_args, listener)
     except KeyboardInterrupt:
