@@ -3,7 +3,7 @@
 #
 #   scripts/install.sh [options]
 #
-#   --front-end NAME   mainsail (default), fluidd, none, or a folder with an unpacked release
+#   --front-end NAME   mainsail (default), fluidd, dashboard (ours, plain), none, or a folder with an unpacked release
 #   --port N           port of the front end (default 80)
 #   --no-moonraker     the host only
 #   --moonraker-port N (default 7125)
@@ -66,8 +66,9 @@ names=("$name")
 case $front_end in
   mainsail) repo=mainsail-crew/mainsail; pages=$HOME/mainsail ;;
   fluidd)   repo=fluidd-core/fluidd; pages=$HOME/fluidd ;;
+  dashboard) repo=; pages=$root/klippy/webhooks/dashboard ;;
   none)     repo=; pages= ;;
-  *) repo=; pages=$(cd "$front_end" 2>/dev/null && pwd) || fail "there is no folder $front_end; --front-end takes mainsail, fluidd, none or a folder"
+  *) repo=; pages=$(cd "$front_end" 2>/dev/null && pwd) || fail "there is no folder $front_end; --front-end takes mainsail, fluidd, dashboard, none or a folder"
      [ -e "$pages/index.html" ] || fail "$pages has no index.html: it is not the unpacked release of a web front end" ;;
 esac
 
@@ -119,10 +120,10 @@ if [ -n "$repo" ] && [ ! -e "$pages/index.html" ]; then
   if [ "$packages" = yes ] && .venv/bin/python scripts/build/fetch_pages.py "$url" "$pages"; then
     say "unpacked $front_end into $pages"
   else
-    [ "$packages" = no ] || say "going on without $front_end: unpack $url into $pages, then run this again"
-    say "meanwhile http://my.mainsail.xyz and http://app.fluidd.xyz can use this printer, if the browser allows it"
-    names=("${names[@]:0:2}")
-    front_end=none
+    say "going on with a plain dashboard. For $front_end unpack $url into $pages, then run this again"
+    say "http://my.mainsail.xyz and http://app.fluidd.xyz can use this printer, too, if the browser allows it"
+    repo=
+    pages=$root/klippy/webhooks/dashboard
   fi
 fi
 
@@ -134,7 +135,7 @@ if [ ! -e "$data/config/printer.cfg" ]; then
 fi
 
 web_entry() { # an entry of Moonraker's update manager for a front end from its release
-  [ -n "$repo" ] && [ "$front_end" != none ] || return 0
+  [ -n "$repo" ] || return 0
   printf '\n[update_manager %s]\ntype: web\nchannel: stable\nrepo: %s\npath: %s\n' "$front_end" "$repo" "$pages"
 }
 

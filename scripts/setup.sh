@@ -5,7 +5,7 @@
 #   scripts/setup.sh study      that, and what studies of many prints need (scripts/study.py)
 #   scripts/setup.sh moonraker  demo, and Moonraker in an environment of its own
 #   scripts/setup.sh test       what `make test` needs: study, Moonraker, clang, cross compilers, mypy, pytest, ...
-#   scripts/setup.sh browser    what `make test-browser` needs: pytest and Chromium
+#   scripts/setup.sh browser    what `make test-browser` needs: pytest, Moonraker and Chromium
 #   scripts/setup.sh flash      what `make test-flash` needs: pytest, cross compilers, avrdude, openocd
 #   scripts/setup.sh host       what the host needs on a printer (scripts/install.sh)
 #   scripts/setup.sh printer    that, and Moonraker in .moonraker
@@ -59,7 +59,7 @@ test_packages=(
   "libsimavr-dev            /usr/include/simavr/sim_avr.h"
 )
 browser_packages=(
-  "${demo_packages[@]}"
+  "${moonraker_packages[@]}"
   "chromium          chromium"
 )
 flash_packages=(
@@ -259,7 +259,7 @@ case $level in
   *) need_python_for test ;;
 esac
 case $level in
-  moonraker|test) need_moonraker out/moonraker-venv ;;
+  moonraker|test|browser) need_moonraker out/moonraker-venv ;;
   printer) need_moonraker .moonraker ;;
 esac
 if [ "$level" = test ]; then need_registers; fi

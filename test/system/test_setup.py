@@ -283,7 +283,7 @@ def test_install_asks_for_the_group_of_serial_ports(anna_with_all: Computer) -> 
     assert any("usermod -a -G dialout anna" in call for call in anna_with_all.calls("sudo"))
 
 
-def test_install_without_a_network_goes_on_without_a_front_end(anna_with_all: Computer) -> None:
+def test_install_without_a_network_goes_on_with_a_plain_dashboard(anna_with_all: Computer) -> None:
     python = anna_with_all.checkout / ".venv" / "bin" / "python"
     python.write_text(python.read_text() + "case $1 in */fetch_pages.py) exit 1 ;; esac\n")
     done = anna_with_all.run("install.sh", "--front-end", "fluidd")
@@ -292,7 +292,8 @@ def test_install_without_a_network_goes_on_without_a_front_end(anna_with_all: Co
         "unpack https://github.com/fluidd-core/fluidd/releases/latest/download/fluidd.zip into" in done.stdout
     )
     assert "http://app.fluidd.xyz" in done.stdout
-    assert anna_with_all.calls("sudo")[-1].endswith("enable --now klipper moonraker")
+    unit = anna_with_all.home / "printer_data" / "systemd" / "front-end.service"
+    assert f'"{anna_with_all.checkout}/klippy/webhooks/dashboard" --port 80' in unit.read_text()
 
 
 def test_install_keeps_what_is_there_and_uninstall_removes_what_it_made(anna_with_all: Computer) -> None:
