@@ -11,11 +11,12 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan bench-control bench-machines bench-studies soak soak-motion soak-api fuzz mutants clean distclean
+.PHONY: help setup setup-test sim chelper demo printer deb test test-browser test-flash check format bench bench-plan bench-control bench-machines bench-studies soak soak-motion soak-api fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
 	@echo "make printer a simulated printer in real time with Moonraker and a dashboard (FRONT_END=folder: another front end)"
+	@echo "make deb     a Debian package of the host: $(OUT)/ferrite_VERSION_all.deb"
 	@echo "make test    all checks and tests, except for:"
 	@echo "make test-browser the tests of report and dashboard in a browser (installs Chromium)"
 	@echo "make test-flash   the tests of make flash with the boards' tools (installs avrdude, openocd)"
@@ -73,6 +74,9 @@ demo: setup sim chelper
 printer: setup sim chelper
 	@scripts/setup.sh moonraker
 	@$(PYTHON) scripts/run_printer.py --front-end $(or $(FRONT_END),klippy/webhooks/dashboard)
+
+deb:
+	@scripts/build/build_deb.py --out $(OUT)
 
 # QUICK=1: what each bench leaves out then stands in its --help.
 BENCH = $(PYTHON) scripts/bench/bench_$*.py --json $(OUT)/bench/$*.json
