@@ -5,6 +5,7 @@ Each runs in a copy of the checkout's scripts with a PATH of the test's own: apt
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -75,11 +76,16 @@ class Computer:
         path.chmod(0o755)
 
     def with_environment(self) -> None:
-        """A finished .venv, whose Python notes its calls."""
+        """A finished .venv, whose Python notes its calls, and Moonraker's."""
         python = self.checkout / ".venv" / "bin" / "python"
         python.parent.mkdir(parents=True)
         python.write_text(NOTED.format(name="python"))
         python.chmod(0o755)
+        moonraker = self.checkout / ".moonraker"
+        (moonraker / "bin").mkdir(parents=True)
+        shutil.copy(python, moonraker / "bin" / "moonraker")
+        pinned = (self.checkout / "requirements-moonraker.txt").read_bytes()
+        (moonraker / ".ferrite").write_text(hashlib.sha256(pinned).hexdigest())
 
     def run(self, script: str, *options: str, **environment: str) -> subprocess.CompletedProcess[str]:
         clean = {

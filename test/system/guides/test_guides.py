@@ -1,9 +1,8 @@
-"""The commands of the guides, as they stand there: shell on a computer of the test's own, G-code on the simulated printer."""
+"""The commands of the guides as they stand there: shell on a computer of the test's own, G-code in simulation."""
 
 from __future__ import annotations
 
 import os
-import shutil
 import subprocess
 from pathlib import Path
 
@@ -25,6 +24,57 @@ sense_pin: PA0
 estimator: uncalibrated
 max_temp: 370
 calibration_folder: {{folder}}
+"""
+# As someone has it for a RAMPS board.
+AXES = "".join(
+    f"[stepper_{axis}]\nstep_pin: {step}\ndir_pin: {way}\nenable_pin: !{enable}\nmicrosteps: 16\n"
+    f"rotation_distance: {turn}\nendstop_pin: ^{end}\nposition_endstop: 0\nposition_max: 200\n"
+    for axis, step, way, enable, end, turn in (
+        ("x", "PF0", "PF1", "PD7", "PE5", 40),
+        ("y", "PF6", "PF7", "PF2", "PJ1", 40),
+        ("z", "PL3", "PL1", "PK0", "PD3", 8),
+    )
+)
+KLIPPER_CONFIG = f"""
+[mcu]
+serial: /dev/serial/by-id/usb-ramps
+[printer]
+kinematics: cartesian
+max_velocity: 300
+max_accel: 3000
+max_z_velocity: 5
+max_z_accel: 100
+{AXES}
+[extruder]
+step_pin: PA4
+dir_pin: PA6
+enable_pin: !PA2
+microsteps: 16
+rotation_distance: 33.5
+nozzle_diameter: 0.400
+filament_diameter: 1.750
+heater_pin: PB4
+sensor_type: EPCOS 100K B57560G104F
+sensor_pin: PK5
+control: pid
+pid_Kp: 22.2
+pid_Ki: 1.08
+pid_Kd: 114
+min_temp: 0
+max_temp: 250
+[heater_bed]
+heater_pin: PH5
+sensor_type: EPCOS 100K B57560G104F
+sensor_pin: PK6
+control: watermark
+min_temp: 0
+max_temp: 130
+[fan]
+pin: PH6
+[gcode_macro START_PRINT]
+gcode:
+    G28
+    M104 S{{params.T|default(200)}}
 """
 
 
@@ -91,8 +141,8 @@ def test_the_installation_on_a_bare_computer(tmp_path: Path) -> None:
 
 
 def test_an_ordinary_printer_from_a_klipper_config(tmp_path: Path) -> None:
-    shutil.copy(ROOT / "config" / "example-cartesian.cfg", tmp_path / "printer.cfg")
-    (tmp_path / "part.gcode").write_text("G28\nG1 X20 Y20 Z1 F3000\nG1 X30 F1200\nM400\n")
+    (tmp_path / "printer.cfg").write_text(KLIPPER_CONFIG)
+    (tmp_path / "part.gcode").write_text("START_PRINT T=190\nG1 X20 Y20 Z1 F3000\nG1 X30 E1 F1200\nM400\n")
     dictionary_of("atmega2560")
     shell("\n".join(blocks("Your_Printer.md", "sh")), ROOT, os.environ["PATH"], HOME=str(tmp_path))
     assert "queue_step" in (tmp_path / "part.txt").read_text()
