@@ -279,7 +279,7 @@ class NozzleMonitor:
 def _load_vibration(config: ConfigWrapper, options: dict[str, Any]) -> MountVibration | None:
     """The witness of an accelerometer, if there is one."""
     printer = config.get_printer()
-    section = config.get("accel_chip", None)
+    section = config.get("accel_chip", "")
     frequency_hz, quality, exponent = config.getchoice("mount", MOUNTS, "direct")
     frequency_hz = config.getfloat("mount_frequency", frequency_hz, minval=5.0, maxval=1000.0)
     hole_mm = config.getfloat("nozzle_diameter", 0.4, minval=0.1, maxval=2.0)
@@ -296,7 +296,7 @@ def _load_vibration(config: ConfigWrapper, options: dict[str, Any]) -> MountVibr
     )
     axis = axis_number(config, "mount_axis", "z")
     notches = config.getlists("notch_frequencies", [], parser=float)
-    if section is None:
+    if not section:
         return None
     respond = printer.lookup_object("gcode").respond_info
     return MountVibration(printer, section, axis, parameters, notches, lambda text: respond(text, log=True))
