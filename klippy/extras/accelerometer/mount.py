@@ -17,7 +17,7 @@ from vibration import mount_witness
 from vibration.band_meter import BandMeter, SampleFormat, design
 
 WINDOW_S = 0.05
-PERIOD_S = 0.5  # between looks at the samples
+PERIOD_S = 1.0  # between looks at the samples
 SETTLE_LAGS = 6.0  # of the mount, until the filters have forgotten a gap
 RATE_CHANGE = 0.002  # of the chip's clock, until the filters are designed anew
 GRAVITY_M_S2 = 9.80665
