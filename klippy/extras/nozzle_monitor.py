@@ -337,6 +337,7 @@ def load_config(config: ConfigWrapper) -> NozzleMonitor:
         "false_alarm_s": 3600.0 * config.getfloat("false_alarm_hours", 100.0, minval=1.0, maxval=1e6),
         "noise_w_s": config.getfloat("heat_noise", 0.15, minval=0.01, maxval=10.0),
     }
+    options["has_other"] = bool(config.get("accel_chip", ""))
     gain = config.getfloat("heat_gain", None, minval=0.5, maxval=2.0)
     if gain is not None:
         options |= {"gain": gain, "gain_sigma": CALIBRATED_SIGMA}
