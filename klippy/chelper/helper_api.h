@@ -10,6 +10,7 @@
 #include "chelper/motion/gcode_rows.h"
 #include "chelper/motion/kinematics.h"
 #include "chelper/motion/lookahead.h"
+#include "chelper/plugin_names.h"
 #include "chelper/motion/stepcompress.h"
 #include "chelper/motion/steppersync.h"
 #include "thermal/control/bridge.h"

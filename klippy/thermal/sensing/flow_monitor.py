@@ -67,7 +67,7 @@ class HeatReading:
     temp_c: float
     second_c: float  # second mass, followed by the heat-balance monitor
     second_doubt_c: float
-    heat_j: float  # into the nozzle since the reading before
+    heat_j: float  # into the nozzle since the reading before; NaN: not known
     planned_mm3: float  # likewise; filament that returns from a retraction is no flow
     fan: float  # 0..1
     other: float = 0.0  # log-likelihood ratio of the same loss by another witness
@@ -137,7 +137,7 @@ def observe(p: FlowMonitorParameters, state: FlowMonitorState, reading: HeatRead
         doubt_w = math.sqrt(state.covariance[1][1]) * reading.fan * (reading.temp_c - p.loss.ambient_c)
         if doubt_w > p.fan_doubt_w:
             state.judged_from_s = reading.time_s + p.fan_learn_s
-    if not 0.0 < dt_s < 1.0:
+    if not 0.0 < dt_s < 1.0 or math.isnan(reading.heat_j):
         state.step = Step()
         return False
     mid_c = 0.5 * (reading.temp_c + before_c)
