@@ -109,10 +109,10 @@ def note_rest(m: DriftMemory, estimator: EstimatorParameters, raw_blocks: Blocks
 def zero(p: DriftParameters, m: DriftMemory, balance: HeatBalanceParameters, time_s: float) -> bool:
     """The automatic zero, if it is due and the nozzle's rest is known well enough."""
     newest_s = m.rest.readings[-1][0] if m.rest.readings else m.judged_s
-    if newest_s == m.judged_s or time_s - m.zeroed_s < ZERO_EACH_S:
+    is_late = m.is_on and time_s - m.since_s > WAIT_S  # what is known has to do
+    if (newest_s == m.judged_s and not is_late) or time_s - m.zeroed_s < ZERO_EACH_S:
         return False
     m.judged_s = newest_s
-    is_late = m.is_on and time_s - m.since_s > WAIT_S  # what is known has to do
     excess_c, sigma_c = m.rest.excess_c(tau_s(balance), balance.heat.at_25c_j_k, m.noise_c, p.room_c)
     if not (sigma_c <= ZERO_SIGMA_C or (is_late and sigma_c < math.inf)):
         return False
