@@ -38,6 +38,8 @@ class DriftCorrection:
         if drift.zero(self.known, m, p.heat_balance, now_s):
             self._follow(math.inf)
         self._begin(now_s)
+        if drift.is_detuned(m, p.supervise.temp_low_c):
+            self.chain.watch.beyond = 0  # no heat goes in, and the zero is yet to come
 
     def on_target(self, target_c: float, now_s: float) -> None:
         """A new target, before the law acts on it."""

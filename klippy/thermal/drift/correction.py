@@ -142,6 +142,11 @@ def waits(p: DriftParameters, m: DriftMemory, time_s: float) -> bool:
     return ZERO_LOW_C < off_c < -WAIT_C or WAIT_C < off_c < ZERO_HIGH_C
 
 
+def is_detuned(m: DriftMemory, low_c: float) -> bool:
+    """Does a nozzle at rest that has no zero yet read so cold as a detuned tank does?"""
+    return m.zeroed_s == -math.inf and bool(m.rest.readings) and ZERO_LOW_C < m.rest.mean_c() < low_c
+
+
 def note_looks(
     m: DriftMemory, estimator: EstimatorParameters, drive: object, temp_c: float, phase_max: float
 ) -> None:

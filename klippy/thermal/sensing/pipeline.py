@@ -83,6 +83,8 @@ class Chain:
         self._parameters.law = laws.packed(estimator.law)[0][0]
         self._filter.temp_c += moved_c
         self.state.drive.full_c += drive_moved_c
+        self.witness.temp_c += moved_c
+        self.witness.base_c += moved_c
         self.state.drive.time_s = math.nan  # the newest reading was by the law before
 
     def set_doubt(self, sigma_c: float) -> None:
