@@ -11,7 +11,7 @@ import pytest
 from extras.display import font8x16
 from simulation.panel.image import as_text
 from simulation.panel.simulated import SimulatedPanel
-from simulation.runner import RunOptions, Simulation
+from simulation.runner import PRINTED, RunOptions, Simulation
 from system.conftest import CONFIG
 
 KNOB = "encoder_pins: ^PF1, ^PF2\nclick_pin: ^!PF3\nback_pin: ^!PF4\n"
@@ -70,6 +70,7 @@ class ByHand(Simulation):
             self._body(self)
         except BaseException as e:  # out of the reactor's greenlet
             self.failure = e
+        self._end(PRINTED, "done by hand")
 
 
 def run(
@@ -82,7 +83,7 @@ def run(
     outcome = simulation.run()
     if simulation.failure is not None:
         raise simulation.failure
-    assert outcome.status != 2, outcome.reason
+    assert outcome.status == PRINTED, outcome.reason
 
 
 def letters(lines: list[str]) -> str:
@@ -103,9 +104,9 @@ def test_each_kind_of_display_shows_its_screen(tmp_path: Path, lcd_type: str) ->
         if lcd_type in CHARACTER:
             s.panel.read()
             assert s.panel.objection is None
-            assert s.panel.chip.text() == ["Ferrite".ljust(20), " " * 20, " " * 20, "  Ready".ljust(20)]
+            assert s.panel.chip.text() == ["Ferrite".ljust(20), " " * 20, " " * 20, "  Idle".ljust(20)]
         else:
-            assert as_text(s.panel.picture()) == letters(["Ferrite", "", "", "  Ready"])
+            assert as_text(s.panel.picture()) == letters(["Ferrite", "", "", "  Idle"])
 
     run(tmp_path, lcd_type, body, PLAIN)
 
@@ -123,7 +124,7 @@ def test_the_knob_leads_from_the_first_screen_to_a_print(tmp_path: Path) -> None
         assert as_text(s.panel.picture()) == letters(
             [" Control       >", " Temperature   >", " Filament      >", ">Setup         >"]
         )
-        s.do(s.panel.turn(-3))
+        s.do(s.panel.turn(-4))
         s.do(s.panel.press("click"))
         assert s.status("menu")["list"] == "__main __sdcard"
         assert as_text(s.panel.picture()) == letters([" ..", ">part.gcode    >", "", ""])
@@ -142,6 +143,10 @@ def test_the_knob_leads_from_the_first_screen_to_a_print(tmp_path: Path) -> None
 
 
 def test_a_value_is_edited_by_the_knob_and_set_at_the_next_click(tmp_path: Path) -> None:
+    def set_value(picture: str) -> list[str]:
+        """The first eight letters of the second line; the estimate follows them."""
+        return [row[:64] for row in picture.splitlines()[16:32]]
+
     def body(s: ByHand) -> None:
         s.wait(3.0)
         s.do(s.panel.press("click"))
@@ -149,14 +154,14 @@ def test_a_value_is_edited_by_the_knob_and_set_at_the_next_click(tmp_path: Path)
         s.do(s.panel.press("click"))
         assert s.status("menu")["list"] == "__main __temp"
         s.do(s.panel.press("click"))
-        assert (
-            as_text(s.panel.picture()).splitlines()[16:32]
-            == letters(["", "*Nozzle:   0 (25)"[:16]]).splitlines()[16:32]
-        )
-        s.do(s.panel.turn(5))
+        assert set_value(as_text(s.panel.picture())) == set_value(letters(["", "*Ex0:  0"]))
+        for _ in range(3):  # slowly: a detent is a degree
+            s.do(s.panel.turn(1))
+        assert set_value(as_text(s.panel.picture())) == set_value(letters(["", "*Ex0:  3"]))
         assert s.status("extruder")["target"] == 0
         s.do(s.panel.press("click"))
-        assert s.status("extruder")["target"] == s.status("induction_heater nozzle")["target"] > 0
+        assert s.status("extruder")["target"] == 3
+        assert not s.status("menu")["editing"]
         s.do(s.panel.press("back"))
         s.do(s.panel.press("back"))
         assert not s.status("menu")["running"]
