@@ -26,6 +26,7 @@ from extras.simulator import (
     FrameSettings,
     LoadSettings,
     McuSettings,
+    MountSettings,
     NozzleSettings,
     PanelSettings,
     ProbeSettings,
@@ -48,6 +49,7 @@ Settings = (
     | ReferenceSettings
     | ProbeSettings
     | FrameSettings
+    | MountSettings
     | AccelerometerSettings
     | PanelSettings
 )
@@ -108,8 +110,8 @@ def assemble(
         world.add_frame(frame.frequency_hz, frame.damping_ratio, frame.motor_hz)
     for accelerometer in _of(things, AccelerometerSettings):
         machine.accelerometers[accelerometer.name] = _add_accelerometer(machine, accelerometer, config)
-    for panel in _of(things, PanelSettings):
-        machine.panels[panel.name] = _add_panel(machine, panel, config)
+    panels = _of(things, PanelSettings)
+    machine.panels.update({panel.name: _add_panel(machine, panel, config) for panel in panels})
     for probe in _of(things, ProbeSettings):
         machine.probes[probe.name] = _add_probe(machine, probe, config)
     for fan in _of(things, FanSettings):
@@ -117,6 +119,9 @@ def assemble(
         machine.fans[fan.name] = world.add_fan(pin, fan.spin_up_s)
     for nozzle in _of(things, NozzleSettings):
         machine.nozzles[nozzle.name] = _add_nozzle(machine, nozzle, config)
+    for mount in _of(things, MountSettings):
+        nozzle_number = _index(machine.nozzles, mount.nozzle, "nozzle", f"simulator mount {mount.nozzle}")
+        world.add_mount(nozzle_number, mount.axis, mount.values)
     for reference in _of(things, ReferenceSettings):
         _add_reference(machine, reference, config)
     for load in _of(things, LoadSettings):
