@@ -13,7 +13,7 @@ from .wires import Wires, with_control_byte
 
 BUTTONS = ("click", "back", "up", "down", "kill")
 GRAY = (0, 1, 3, 2)  # states of a knob's switches, turned clockwise; bit 0 is the first pin
-STATE_S = 0.008  # the board looks every 2 ms, and believes what it sees twice
+STATE_S = 0.008  # the board looks every 2 ms; two looks must agree
 PRESS_S, LONG_PRESS_S, REST_S = 0.1, 1.0, 0.1
 
 ParsePin = Callable[[str], Pin]

@@ -1,4 +1,4 @@
-"""From what comes over a display's lines (events of the world) to what its chip is told: commands, data, frames."""
+"""From the events on a display's lines in the world to what its chip gets: commands, data, frames."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from .chips import ChipError, Hd44780, PageChip, Picture, St7920
 
 BYTE, SELECTED, RELEASED, RESET = range(4)  # enum world_panel_event
 
-Take = Callable[[int, int, bool], None]  # event, value, level of the line that tells data from commands
+Take = Callable[[int, int, bool], None]  # event, value, level of the line that is high for data
 
 
 class Wires:
