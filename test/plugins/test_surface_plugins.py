@@ -120,9 +120,10 @@ class Session:
         self.probe.toolhead().get_last_move_time()
         times = [time for time, _place in self.marks]
         gaps = [after - before for before, after in zip(times, times[1:])]
-        turns = sorted(set(round(x, 3) for x, _y in self.probe.ends if x and not any(p[0] == x for _t, p in self.marks)))
+        columns = [0.0, *(p[0] for _time, p in self.marks)]
+        turns = sorted(set(round(x, 3) for x, _y in self.probe.ends if x not in columns))
         self.probe.printer.lookup_object("gcode").respond_info(
-            "%d points, at most %.2f s apart, turns at %s" % (len(times), max(gaps), turns))
+            "%d points, at most %.2f s apart, turns at %s" % (len(times), max(gaps, default=0), turns))
         return [[p[0], p[1], 2.0 + p[0] / 1000] for _time, p in self.marks[: self.probe.keep]]
 
     def end_probe_session(self):
@@ -182,7 +183,8 @@ def test_a_bed_is_scanned_without_a_stop(tmp_path: Path) -> None:
     (tmp_path / "plugins").mkdir()
     (tmp_path / "plugins" / "eddy.py").write_text(EDDY)
     config = EDDY_CONFIG.format(root=ROOT, folder=tmp_path / "plugins")
-    script = "G28\nEDDY_KEEP COUNT=12\nBED_MESH_CALIBRATE METHOD=rapid_scan\nBED_MESH_MAP\nBED_MESH_CALIBRATE METHOD=scan\n"
+    scan = "BED_MESH_CALIBRATE METHOD="
+    script = f"G28\nEDDY_KEEP COUNT=12\n{scan}rapid_scan\nBED_MESH_MAP\n{scan}scan\n"
     status, log = run_host(tmp_path, ROOT / "klippy", config, script)
     assert status == 0, log[-3000:]
     assert "12 points, at most 0.67 s apart, turns at [2.0, 158.0]" in log
