@@ -366,11 +366,8 @@ class PrinterConfig:
         configtext.ConfigParser(data).parse_file(filename)
         return ConfigWrapper(self.printer, data, {}, "printer")
 
-    def check_absent_sections(self, has_module: Callable[[str], bool]) -> list[str]:
-        """Before modules are loaded: leave out what Klipper has and we do not.
-
-        Returns the modules that sections left out would have loaded.
-        """
+    def check_absent_sections(self, has_module: Callable[[str], bool]) -> None:
+        """Before modules are loaded: leave out what Klipper has and we do not."""
         left_out = configabsent.find_left_out(self._data.sections, has_module)
         self._left_out = frozenset(left_out)
         if left_out:
@@ -378,7 +375,6 @@ class PrinterConfig:
             self.runtime_warning(text)
             respond = self.printer.lookup_object("gcode").respond_info
             self.printer.register_event_handler("klippy:ready", lambda: respond(text, log=False))
-        return [module for name, module in configabsent.BROUGHT_ALONG.items() if name in left_out]
 
     def sections_left_out(self) -> frozenset[str]:
         """Names of the sections that no module reads."""
@@ -394,6 +390,12 @@ class PrinterConfig:
         problems: list[str] = []
         for name, section in self._data.sections.items():
             if name in self._left_out or name in failed or (failed and configabsent.is_read_last(name)):
+                continue
+            reader = configabsent.READ_BY.get(configabsent.kind_of(name))
+            if reader in failed:
+                continue
+            if reader is not None and reader not in self._data.sections:
+                problems.append(f"Section '{name}' needs a section [{reader}] ({section.origin}).")
                 continue
             if name.lower() not in known_sections:
                 hint = _suggestion(name, known_sections | section_modules())

@@ -16,5 +16,6 @@
 #include "thermal/control/bridge.h"
 #include "thermal/plan/path_pieces.h"
 #include "thermal/sensing/pipeline.h"
+#include "vibration/mount_band.h"
 
 #endif
