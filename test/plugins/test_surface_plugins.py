@@ -123,7 +123,7 @@ class Session:
         columns = [0.0, *(p[0] for _time, p in self.marks)]
         turns = sorted(set(round(x, 3) for x, _y in self.probe.ends if x not in columns))
         self.probe.printer.lookup_object("gcode").respond_info(
-            "%d points, at most %.2f s apart, turns at %s" % (len(times), max(gaps, default=0), turns))
+            "%d points, %.2f s apart at most, turns at %s" % (len(times), max(gaps, default=0), turns))
         return [[p[0], p[1], 2.0 + p[0] / 1000] for _time, p in self.marks[: self.probe.keep]]
 
     def end_probe_session(self):
@@ -187,7 +187,7 @@ def test_a_bed_is_scanned_without_a_stop(tmp_path: Path) -> None:
     script = f"G28\nEDDY_KEEP COUNT=12\n{scan}rapid_scan\nBED_MESH_MAP\n{scan}scan\n"
     status, log = run_host(tmp_path, ROOT / "klippy", config, script)
     assert status == 0, log[-3000:]
-    assert "12 points, at most 0.67 s apart, turns at [2.0, 158.0]" in log
+    assert "12 points, 0.67 s apart at most, turns at [2.0, 158.0]" in log
     assert log.count("Mesh Bed Leveling Complete") == 2
     assert "0.010000, 0.056667, 0.103333, 0.150000" in log
     status, log = run_host(tmp_path, ROOT / "klippy", config, script.replace("COUNT=12", "COUNT=11"))

@@ -48,7 +48,7 @@ def test_the_best_shaper_is_that_of_the_command(normalized: bool) -> None:
         [row["max_accel_mm_s2"] for row in report["shapers"]]
     )
     assert best.vals.shape == data.freq_bins.shape and len(lines) == len(found)
-    # what is left where the frame swings is little, far from it most
+    # little is left where the frame swings, much far from it
     assert (
         best.vals[np.argmin(abs(data.freq_bins - best.freq))]
         < 0.2
