@@ -155,7 +155,7 @@ check-c:
 	    $$(git ls-files -co --exclude-standard 'src/*.c' 'klippy/*.c')
 
 # The host's helper, which klippy/chelper/__init__.py compiles.
-HOST_C   := $(shell find klippy/chelper klippy/thermal -name '*.c' 2>/dev/null)
+HOST_C   := $(shell find klippy/chelper klippy/thermal klippy/vibration -name '*.c' 2>/dev/null)
 STRICT_C := -std=gnu11 -O2 -Wall -Wextra -Werror -fsyntax-only
 
 check-layers:

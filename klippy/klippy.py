@@ -31,7 +31,9 @@ except ModuleNotFoundError as e:
     )
     sys.exit(_BAD_USE)
 
-__all__ = ["Printer", "main"]
+__all__ = ["APP_NAME", "Printer", "main"]
+
+APP_NAME = "Ferrite"  # plugins know the host by it
 
 _RESTART_DELAY_S = 0.5  # lets clients see the socket vanish
 _EXIT_ERROR = 255

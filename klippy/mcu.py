@@ -488,6 +488,13 @@ class MCU:
         except msgproto.error as e:
             self._fail(self._missing_command_text(msgformat, e))
 
+    def let_wait(self, msgformat: str) -> None:
+        """Messages of this format wake nobody: they come with the next of another. One format only."""
+        try:
+            self._serial.let_wait(msgformat)
+        except msgproto.error as e:
+            self._fail(self._missing_command_text(msgformat, e))
+
     def alloc_command_queue(self) -> Any:
         """Commands keep their order within a queue only."""
         return self._serial.alloc_command_queue()
@@ -570,7 +577,7 @@ class MCU:
         text = f"{self._name}: {load} {self._serial.stats(eventtime)} {self._clocksync.stats(eventtime)}"
         return False, text
 
-    def get_status(self, eventtime: float) -> dict[str, Any]:
+    def get_status(self, eventtime: float = 0.0) -> dict[str, Any]:
         parser = self._serial.get_msgparser()
         version, build_versions = parser.get_version_info()
         clock = {"freq": round(self._clocksync.line.freq)}

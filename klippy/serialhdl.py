@@ -208,6 +208,11 @@ class SerialReader:
         self._on_batch = callback
         self._lib.serialqueue_set_batch(self._sq, message_id, len(message_id), seconds, batch_max)
 
+    def let_wait(self, msgformat: str) -> None:
+        """Messages of this format wake nobody: they come with the next of another. One format only."""
+        message_id = self.msgparser.lookup_command(msgformat).id_bytes
+        self._lib.serialqueue_set_patient(self._sq, message_id, len(message_id))
+
     def _drain(self) -> None:
         """Take what the queue has received. Called by the port in the reactor thread."""
         pulled = self._pulled

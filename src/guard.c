@@ -4,7 +4,9 @@
 void
 guard_init(struct guard *g, uint16_t adc_max, uint32_t max_duration, uint32_t silence)
 {
-    *g = (struct guard){.adc_max = adc_max, .max_duration = max_duration, .silence = silence};
+    *g = (struct guard){
+        .adc_max = adc_max, .max_duration = max_duration, .silence = silence, .flat_code = UINT16_MAX
+    };
 }
 
 uint8_t
@@ -18,16 +20,33 @@ guard_add_row(struct guard *g, struct guard_row row)
     return 1;
 }
 
-static enum guard_trip
-judge(const struct guard *g, const struct guard_row *row, const struct guard_input *b)
+/* Has the phase moved while all samples stayed on one code? */
+static uint8_t
+stands_still(struct guard *g, const struct guard_input *b)
 {
+    if (b->min != b->max || b->min != g->flat_code) {
+        g->flat_code = b->min == b->max ? b->min : UINT16_MAX;
+        g->flat_phase = b->phase;
+        g->is_stuck = 0;
+        return 0;
+    }
+    int32_t moved = (int32_t)b->phase - g->flat_phase;
+    if (moved >= GUARD_STUCK_STEP || moved <= -GUARD_STUCK_STEP)
+        g->is_stuck = 1;
+    return g->is_stuck;
+}
+
+static enum guard_trip
+judge(struct guard *g, const struct guard_row *row, const struct guard_input *b)
+{
+    uint8_t is_stuck = stands_still(g, b);
     if (b->sum < (uint32_t)row->low * b->count)
         return GUARD_TRIP_LOW;
     if (b->sum > (uint32_t)row->high * b->count)
         return GUARD_TRIP_HIGH;
     if (b->min == 0 || b->max >= g->adc_max)
         return GUARD_TRIP_CLIPPED;
-    if (b->min == b->max)
+    if (is_stuck)
         return GUARD_TRIP_STUCK;
     return GUARD_TRIP_NONE;
 }

@@ -6,7 +6,8 @@
  *     low     its mean is below the row's low             sum < low * count
  *     high    its mean is above the row's high            sum > high * count
  *     clipped its mean is within, but a sample is at an end of the ADC (0, or adc_max and above)
- *     stuck   all its samples are equal (oversampling needs half an LSB of noise, so a live signal never does that)
+ *     stuck   all its samples are equal, and have been on this code while the phase moved by GUARD_STUCK_STEP: then a
+ *             live signal moves by 2 LSB and more. A front end without noise stays on one code for long at one phase
  * in this order of precedence.  trip_blocks bad blocks in a row trip, whatever is wrong with each; a good block, or
  * one that is not judged, starts the count again.  low = 0 and high = 65535 leave only the last two.
  *
@@ -23,7 +24,7 @@
 
 #include <stdint.h>
 
-enum { GUARD_ROWS_MAX = 12 };
+enum { GUARD_ROWS_MAX = 12, GUARD_STUCK_STEP = 8192 /* ticks */ };
 
 enum guard_trip {
     GUARD_TRIP_NONE = 0,
@@ -57,6 +58,8 @@ struct guard {
     uint8_t row_count;
     uint8_t powered;       /* phase > 0 in force */
     uint8_t lapsed;        /* was in force, but no command came in time */
+    uint8_t is_stuck;      /* still on flat_code after a step of the phase */
+    uint16_t flat_code, flat_phase; /* the one code of the newest blocks, UINT16_MAX: none; phase of their first */
     struct guard_row rows[GUARD_ROWS_MAX];
 };
 

@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import chelper
@@ -86,6 +87,30 @@ class ResonanceTester:
         self._max_smoothing = max_smoothing
         self._sensors: dict[str, Any] = {}
         _ffi, self._lib = chelper.get_ffi()
+
+    # --- what plugins read ---
+
+    @property
+    def probe_points(self) -> list[tuple[float, ...]]:
+        return [tuple(point) for point in self._points]
+
+    @property
+    def accel_chip_names(self) -> list[tuple[str, str]]:
+        """(axis or axes, section of the chip)."""
+        names = list(self._chip_names.items())
+        return [("xy", names[0][1])] if len(set(self._chip_names.values())) == 1 else names
+
+    @property
+    def generator(self) -> Any:
+        e = self._excitation
+        pulses = SimpleNamespace(
+            min_freq=e.min_hz, max_freq=e.max_hz, accel_per_hz=e.accel_per_hz, hz_per_sec=e.hz_per_s
+        )
+        return SimpleNamespace(
+            vibration_generator=pulses, sweeping_accel=e.sweeping_accel, sweeping_period=e.sweeping_period_s
+        )
+
+    # --- set-up ---
 
     def register(self) -> None:
         gcode = self.printer.lookup_object("gcode")

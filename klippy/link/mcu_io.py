@@ -13,7 +13,8 @@ from typing import Any
 
 import pins
 
-from .mcu_homing import MCU_endstop, MCU_trsync, TriggerDispatch
+from .mcu_homing import MCU_endstop, TriggerDispatch
+from .plugin_trsync import MCU_trsync
 from .roles import Mcu
 
 __all__ = ["MCU_adc", "MCU_digital_out", "MCU_endstop", "MCU_pwm", "MCU_trsync", "TriggerDispatch"]

@@ -120,8 +120,8 @@ SHUTDOWN_HELP = (
     ),
     (
         ("Induction coil signal stands still",),
-        "The signal of the induction coil did not change by one step of the ADC for many blocks; a live signal always"
-        " carries some noise. Check the sensing coil's lead, the amplifier's supply, and that sense_pin is the pin it"
+        "The signal of the induction coil did not change by one step of the ADC although the drive did; a live signal"
+        " follows the drive. Check the sensing coil's lead, the amplifier's supply, and that sense_pin is the pin it"
         " is connected to.",
     ),
     (

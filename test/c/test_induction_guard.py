@@ -50,11 +50,28 @@ def test_limits_hold_to_the_last_count_of_the_sum(count, extra, mean, expected):
 
 @pytest.mark.parametrize(
     ("low", "high", "expected"),
-    [(0, 310, CLIPPED), (1, 310, NONE), (290, 4095, CLIPPED), (290, 4094, NONE), (300, 300, STUCK)],
+    [(0, 310, CLIPPED), (1, 310, NONE), (290, 4095, CLIPPED), (290, 4094, NONE), (300, 300, NONE)],
 )
 def test_dead_signal_trips_inside_the_limits(low, high, expected):
     g = guard((0, 0, 65535, 1))
     assert judge(g, 300, low=low, high=high) == expected
+
+
+@pytest.mark.parametrize(("near", "far"), [(13191, 13192), (1, 0)])
+def test_one_code_is_a_dead_signal_once_the_phase_has_moved_far(near, far):
+    first = 5000 if far > near else 8192
+    g = guard((0, 0, 65535, 3))
+    for phase in (first, first, near, first):
+        assert judge(g, 300, phase, low=300, high=300) == NONE
+    assert judge(g, 300, far, low=300, high=300) == NONE
+    assert judge(g, 300, far, low=300, high=300) == NONE
+    assert judge(g, 300, first, low=300, high=300) == STUCK, "it stays so until another code is seen"
+
+
+def test_a_quiet_signal_that_moves_with_the_phase_is_no_dead_signal():
+    g = guard((0, 0, 65535, 1))
+    for phase, code in [(2012, 500), (2012, 500), (45000, 330), (45000, 330), (2012, 500), (20000, 501)]:
+        assert judge(g, code, phase, low=code, high=code) == NONE
 
 
 def test_rows_hold_from_their_phase_to_the_next():
@@ -182,6 +199,7 @@ def test_a_bridge_that_is_off_for_good_waits_for_nobody():
 def test_verdicts_equal_a_plain_reading_of_the_rules(rows, blocks):
     rows = sorted((phase, min(a, b), max(a, b), trip) for phase, a, b, trip in rows)
     g, bad, tripped = guard(*rows), 0, NONE
+    flat = (None, 0, False)  # code, phase of its first block, stuck
     for phase, count, low, spread in blocks:
         high = min(low + spread, 4095)
         mean = (low + high) / 2
@@ -189,13 +207,17 @@ def test_verdicts_equal_a_plain_reading_of_the_rules(rows, blocks):
         row = next((row for row in reversed(rows) if row[0] <= phase), None)
         verdict = NONE
         if row and row[3]:
+            code, first, stuck = flat
+            stays = low == high == code
+            flat = (code, first, stuck or abs(phase - first) >= 8192) if stays else (low, phase, False)
+            flat = flat if low == high else (None, 0, False)
             if total / count < row[1]:
                 verdict = LOW
             elif total / count > row[2]:
                 verdict = HIGH
             elif low == 0 or high == 4095:
                 verdict = CLIPPED
-            elif low == high:
+            elif flat[2]:
                 verdict = STUCK
         bad = bad + 1 if verdict else 0
         expected = verdict if verdict and bad >= row[3] and not tripped else NONE

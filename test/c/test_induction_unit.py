@@ -405,7 +405,6 @@ def test_after_clear_shutdown_it_works_again():
             "Induction coil signal at the end of the ADC's range",
             3,
         ),
-        (lambda clock: 700, "Induction coil signal stands still", 4),
     ],
 )
 def test_guard_trips_after_its_blocks_with_the_bridge_off(codes, reason, trip):
@@ -424,6 +423,20 @@ def test_guard_trips_after_its_blocks_with_the_bridge_off(codes, reason, trip):
     assert state["trip"] == trip
     mean = sum(codes(i * PERIOD) for i in range(6)) / 6
     assert state["value"] == pytest.approx(mean * 32, abs=16)
+
+
+def test_one_code_trips_once_the_phase_has_moved():
+    unit = Unit((2000, 300, 1500, 3))
+    unit.mcu.sample_code = lambda clock: 700
+    unit.hold(5000, 0.3)
+    assert unit.mcu.shutdown_reason() is None, "a front end without noise shows one code at one phase"
+    moved = unit.phase(20000)
+    unit.mcu.run(0.1)
+    assert unit.mcu.shutdown_reason() == "Induction coil signal stands still"
+    off = unit.mcu.bridge_sets[-1]
+    assert off[1] == 0
+    assert off[0] - moved < (4 * 1024 + 64) * PERIOD
+    assert unit.state()["trip"] == 4
 
 
 def test_a_tripped_guard_refuses_power_after_clear_shutdown():

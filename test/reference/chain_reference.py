@@ -174,7 +174,7 @@ class Chain:
             longer = math.sqrt(math.log(features.SPAN_SAMPLES) / math.log(block.count))
             self.spans.append((block.max_raw - block.min_raw) * longer)
         found = self._filter(block, own, heat_w, end_s)
-        return own, found, self._sample(block, own, found, heat_w, end_s)
+        return own, found, self._sample(block, own, heat_w, end_s)
 
     def span_lsb(self) -> float:
         """Mean of all so far; of more than its memory holds, exponentially forgotten."""
@@ -288,10 +288,8 @@ class Chain:
         ]
         self.time_s = centre_s
 
-    def _sample(
-        self, block: SampleBlock, own: TempEstimate, found: TempEstimate | None, heat_w: float, end_s: float
-    ) -> Sample:
-        if found is None:
+    def _sample(self, block: SampleBlock, own: TempEstimate, heat_w: float, end_s: float) -> Sample:
+        if not own.valid:
             return Sample(block.centre_s, end_s, NAN, 0.0, heat_w, False)
         away = (block.phase_ticks / self.front.phase_max_ticks) ** 2 - self.usual
         if abs(away) > 0.1:

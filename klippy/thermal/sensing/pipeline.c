@@ -114,7 +114,7 @@ static struct model_sample
 sample_of(const struct chain_params *p, struct chain_state *s, const struct coil_block *b)
 {
     struct model_sample sample = {b->centre_s, b->end_s, NAN, 0.0, b->heat_w, 0};
-    if (!b->is_tracked)
+    if (b->fault != BLOCK_GOOD)
         return sample;
     double ratio = b->phase_ticks / p->phase_max_ticks, away = ratio * ratio - s->usual_share;
     int jump = fabs(away) > p->step_share;

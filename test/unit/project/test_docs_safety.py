@@ -225,7 +225,7 @@ def off_after_s(warm_s: float) -> float:
 def dead_host_claims() -> Iterator[str]:
     """Rounded up to 0.05 s."""
     heating_s = max(off_after_s(warm_s) for warm_s in (0.1, 0.3, 0.5, 0.52, 0.8, 1.0))
-    held_s = max(off_after_s(warm_s) for warm_s in (1.4, 1.5, 2.5, 2.6, 3.0))
+    held_s = max(off_after_s(warm_s) for warm_s in (1.5, 1.6, 2.5, 2.6, 3.0))
     yield f"the plan reaches {1e3 * nozzle_model.AHEAD_S:g} ms ahead | max {math.ceil(20.0 * heating_s) / 20.0:g} s"
     yield f"at the latest | max {math.ceil(20.0 * held_s) / 20.0:g} s"
 
