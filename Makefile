@@ -11,13 +11,18 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
+<<<<<<< HEAD
 .PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan bench-control bench-machines bench-studies soak soak-motion soak-api soak-kill fuzz mutants clean distclean
+=======
+.PHONY: help setup setup-test sim chelper demo printer deb test test-browser test-flash check format bench bench-plan bench-control bench-machines bench-clog bench-studies soak soak-motion soak-api fuzz mutants clean distclean
+>>>>>>> main
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
-	@echo "make printer a simulated printer in real time with Moonraker, for any web front end"
+	@echo "make printer a simulated printer in real time with Moonraker and a dashboard (FRONT_END=folder: another front end)"
+	@echo "make deb     a Debian package of the host: $(OUT)/ferrite_VERSION_all.deb"
 	@echo "make test    all checks and tests, except for:"
-	@echo "make test-browser the tests of the report in a browser (installs Chromium)"
+	@echo "make test-browser the tests of report and dashboard in a browser (installs Chromium)"
 	@echo "make test-flash   the tests of make flash with the boards' tools (installs avrdude, openocd)"
 	@echo "make check   the checks only: lint, types, layers, message formats, cross compilation"
 	@echo "make bench   print the 5 MB benchy in closed loop and report speed and memory (QUICK=1: the short file)"
@@ -32,6 +37,7 @@ help:
 	@echo "make bench-recovery     where an interrupted print would be resumed, at 1,000 instants"
 	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it (studies)"
 	@echo "make bench-machines     1,000 drifting machines, calibrated and printing for 20 minutes (a study; RUNS=20: 40; QUICK=1)"
+	@echo "make bench-clog         clogs, runouts, grinding and clean prints on random machines (studies; RUNS=4: fewer; QUICK=1)"
 	@echo "make bench-studies      the studies of config/studies: random machines, calibrated machines, the sample"
 	@echo "make soak               a long print in closed loop: does it leak? (HOURS=10, hours of wall time, too)"
 	@echo "make soak-api           clients that misbehave beside a print, one thing a simulated second (HOURS=24)"
@@ -73,7 +79,10 @@ demo: setup sim chelper
 
 printer: setup sim chelper
 	@scripts/setup.sh moonraker
-	@$(PYTHON) scripts/run_printer.py
+	@$(PYTHON) scripts/run_printer.py --front-end $(or $(FRONT_END),klippy/webhooks/dashboard)
+
+deb:
+	@scripts/build/build_deb.py --out $(OUT)
 
 # QUICK=1: what each bench leaves out then stands in its --help.
 BENCH = $(PYTHON) scripts/bench/bench_$*.py --json $(OUT)/bench/$*.json
@@ -91,13 +100,14 @@ bench-motion: ARGS = $(if $(PEER),--peer "$(PEER)")
 STUDIES_bench-control := control control_machines
 STUDIES_bench-plan    := plan_prints plan_steps
 STUDIES_bench-machines := bench_machines
+STUDIES_bench-clog    := clog lost_flow clean_prints
 STUDIES_bench-studies := machines calibrated sample_print real
 BESIDE_bench-control  = $(PYTHON) scripts/bench/bench_control.py --json $(OUT)/bench/control.json $(if $(QUICK),--quick)
 BESIDE_bench-plan     = $(PYTHON) scripts/bench/bench_plan.py --json $(OUT)/bench/plan.json && \
     $(PYTHON) scripts/bench/bench_plan_cost.py --memory benchy.gcode && \
     $(PYTHON) scripts/bench/bench_plan_cost.py --real-time 30
 
-bench-control bench-plan bench-machines bench-studies: setup sim chelper
+bench-control bench-plan bench-machines bench-clog bench-studies: setup sim chelper
 	@scripts/setup.sh study
 	@status=0; for study in $(STUDIES_$@); do \
 	    $(PYTHON) scripts/study.py config/studies/$$study.toml --out $(OUT)/studies/$$study $(if $(QUICK),--small) $(if $(RUNS),--runs $(RUNS)) || status=1; \
@@ -124,6 +134,7 @@ test: setup-test sim chelper
 	exit $$status
 
 # What only these need is installed by these only.
+test-browser: sim chelper
 test-browser test-flash: test-%:
 	@scripts/setup.sh $*
 	@$(PYTHON) -m pytest -m $* $(TEST_ARGS)

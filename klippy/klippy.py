@@ -159,10 +159,14 @@ def main(argv: list[str] | None = None) -> int:
         listener = start_log(options)
         start_args = build_start_args(options)
     except OSError as e:
-        print(f"klippy.py: unable to start: {e.strerror}: {e.filename}", file=sys.stderr)
+        reason = f"{e.strerror}: {e.filename}" if e.filename else str(e)
+        print(f"klippy.py: unable to start: {reason}", file=sys.stderr)
         return _EXIT_ERROR
     start_args["log_listener"] = listener
     logging.info("Starting Ferrite\n%s", _versions(start_args))
+    if not options.debuginput:
+        for note in util.take_priority():
+            logging.info(note)
     try:
         result = serve(start_args, listener)
     except KeyboardInterrupt:

@@ -18,6 +18,7 @@ from types import SimpleNamespace
 from typing import Any
 
 import chelper
+import util
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
 from motionlimits import SPEED, Range
@@ -283,6 +284,7 @@ class ResonanceTester:
         with open_result(gcmd, out) as stream:
             path = stream.name
         command = [sys.executable, "-m", "vibration.fit_shaper", *map(str, raw), "--out", path, *options]
+        command = util.at_ordinary_priority(command)
         run = partial(subprocess.run, command, cwd=HOST_FOLDER, capture_output=True, text=True, check=False)
         done = self.printer.get_reactor().run_beside(run).wait()
         if isinstance(done, Exception) or done.returncode:
