@@ -11,11 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-<<<<<<< HEAD
-.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan bench-control bench-machines bench-studies soak soak-motion soak-api soak-kill fuzz mutants clean distclean
-=======
-.PHONY: help setup setup-test sim chelper demo printer deb test test-browser test-flash check format bench bench-plan bench-control bench-machines bench-clog bench-studies soak soak-motion soak-api fuzz mutants clean distclean
->>>>>>> main
+.PHONY: help setup setup-test sim chelper demo printer deb test test-browser test-flash check format bench bench-plan bench-control bench-machines bench-clog bench-studies soak soak-motion soak-api soak-kill fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
