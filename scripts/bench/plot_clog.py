@@ -3,7 +3,7 @@
 
     scripts/bench/plot_clog.py docs/images/clog_roc.png
 
-Left: a hole narrowed by a tenth, by vibration. Right: 30 % of the flow lost, by vibration, by heat (2 W of melt), by both.
+Left: a hole narrowed by a tenth, by vibration. Right: 30 % of the flow lost, by vibration, heat (2 W of melt), both.
 Each curve is the share found within some seconds over the false alarms an hour, as the threshold falls. The power of a
 step is gamma distributed, the heat Gaussian; no doubt of the laws is taken off.
 """
