@@ -315,6 +315,7 @@ class MCU_endstop:
         if sample_count < 1:
             raise pins.error("an endstop needs at least one sample")
         mcu = self._mcu
+        mcu.require_connected()
         clock = mcu.print_time_to_clock(print_time)
         self._rest_ticks = mcu.print_time_to_clock(print_time + rest_time) - clock
         completion = self._dispatch.start(print_time)
