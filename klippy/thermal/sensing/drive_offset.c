@@ -16,6 +16,9 @@
 #define GAP_S 0.006         // longer after the block before, too little is known of what happened between
 #define RISE_DOUBT 0.15     // of the temperature's own change between the two blocks
 #define SHAPE_DOUBT 0.15    // of the correction, between drives
+#define RIPPLE_S 0.02       // memory of how readings at one drive differ from block to block
+#define RIPPLE_MIN 0.25     // ... from this h on
+#define RIPPLE_MIN_C 4.0    // differences below this are noise
 #define GATE_SIGMA 5.0      // a reading farther off is a disturbance, or k has jumped: the next step decides
 
 void
@@ -34,11 +37,27 @@ rise_between(const struct drive_offset *s, const struct filter_params *p, double
     return heat_j / (p->capacity_j_k + p->capacity_slope_j_k2 * s->temp_c) + rate_k_s * dt_s;
 }
 
+// 1 sigma of what a ripple of the supply adds to one reading at full drive.
+static double
+ripple_c(const struct drive_offset *s)
+{
+    return sqrt(fmax(0.0, s->ripple_c2 - RIPPLE_MIN_C * RIPPLE_MIN_C));
+}
+
+// Two blocks of one strong drive show the ripple.
+static void
+follow_ripple(struct drive_offset *s, const struct coil_block *b, double h, double rise_c, double dt_s)
+{
+    double off_c = (b->temp_c - s->reading_c - rise_c) / h;
+    s->ripple_c2 += (off_c * off_c - s->ripple_c2) * dt_s / (RIPPLE_S + dt_s);
+}
+
 static void
 learn(struct drive_offset *s, const struct coil_block *b, double step, double rise_c)
 {
     double off_c = b->temp_c - s->reading_c - rise_c - s->full_c * step;
     double noise = b->noise_c * b->noise_c + s->noise_c * s->noise_c + pow(RISE_DOUBT * rise_c, 2.0);
+    noise += pow(ripple_c(s) * step, 2.0);
     double spread = step * step * s->variance + noise;
     if (off_c * off_c > GATE_SIGMA * GATE_SIGMA * spread) {
         s->variance = fmin(START_C * START_C, s->variance + pow(off_c / step, 2.0));
@@ -66,8 +85,10 @@ drive_offset_block(struct drive_offset *s, const struct filter_params *p, double
         s->variance = fmin(START_C * START_C, s->variance + walk);
         if (dt_s < GAP_S && fabs(h - s->lever) > STEP_MIN)
             learn(s, b, h - s->lever, rise_c);
+        else if (dt_s < GAP_S && h > RIPPLE_MIN)
+            follow_ripple(s, b, h, rise_c, dt_s);
     }
-    double doubt_c = h * hypot(sqrt(s->variance), SHAPE_DOUBT * s->full_c * (1.0 - h));
+    double doubt_c = h * hypot(hypot(sqrt(s->variance), ripple_c(s)), SHAPE_DOUBT * s->full_c * (1.0 - h));
     s->noise_c = b->noise_c;
     b->temp_c -= s->full_c * h;
     b->sigma_c = hypot(b->sigma_c, doubt_c);
