@@ -312,7 +312,8 @@ bridge_step(const struct bridge_params *p, struct bridge_state *s, const struct 
             struct model_output *found, struct phase_command *out)
 {
     const struct model_sample *newest = in->sample_count ? &in->samples[in->sample_count - 1] : NULL;
-    double since_s = newest ? newest->end_s : s->line.edge_s;
+    // From the newest block's centre on: its end and the command there differ by the rounding of clocks.
+    double since_s = newest ? newest->time_s : s->line.edge_s;
     double apply_s = bridge_slot(p, &s->line, in->now_s, in->apart_s);
     struct model_planned pending[TIMELINE_MAX];
     struct model_inputs inputs = {
