@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from system.conftest import CONFIG, ROOT, Simulate
+from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 
 OFF = """
 [simulator nozzle nozzle]
@@ -127,7 +128,7 @@ def test_a_run_on_a_broken_machine_ends_by_itself_and_keeps_the_trace(
     )
     text = log.read_text()
     assert "Calibration ended" in text or run.status == 3, text[-2000:]
-    assert run.column("phase_ticks")[-1] == 0
+    assert max(run.column("phase_ticks")[-50:]) <= SENSING_PHASE_TICKS  # short pulses at rest measure
     assert list(tmp_path.glob("induction-nozzle-*.csv"))
 
 

@@ -26,8 +26,8 @@ from ..heater import laws as heater_laws
 from .mcu import UnitSettings
 
 LOOK_SAMPLES, LONG_LOOK_SAMPLES = 16, 64
-HOLD_LOOK_S = 1.0  # a look at full drive out of a hold: 24 mJ on the reference nozzle ...
-HOLD_LOOK_K = 0.18  # ... and on a strong one at the drive that warms it by so much
+HOLD_LOOK_S = 1.0  # a strong look out of a hold: 21 mJ ...
+HOLD_LOOK_K = 0.05  # ... which warm the reference nozzle by so much
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
 GUARD_LOW_C = -150.0  # a tank detuned by 0.2 % of C1 reads -90 at full drive; an open coil reads far below
 ADC_MAX_12_BIT = 4095
