@@ -4,7 +4,7 @@
 void
 guard_init(struct guard *g, uint16_t adc_max, uint32_t max_duration)
 {
-    *g = (struct guard){.adc_max = adc_max, .max_duration = max_duration};
+    *g = (struct guard){.adc_max = adc_max, .max_duration = max_duration, .ceiling_share = UINT16_MAX};
 }
 
 uint8_t
@@ -18,12 +18,27 @@ guard_add_row(struct guard *g, struct guard_row row)
     return 1;
 }
 
+void
+guard_set_ceiling(struct guard *g, uint16_t phase, uint16_t share)
+{
+    g->ceiling_phase = phase;
+    g->ceiling_share = share;
+}
+
+static uint16_t
+high_limit(const struct guard *g, const struct guard_row *row, uint16_t phase)
+{
+    if (phase < g->ceiling_phase || g->ceiling_share == UINT16_MAX)
+        return row->high;
+    return (uint16_t)(row->low + ((uint32_t)(row->high - row->low) * g->ceiling_share >> 16));
+}
+
 static enum guard_trip
 judge(const struct guard *g, const struct guard_row *row, const struct guard_input *b)
 {
     if (b->sum < (uint32_t)row->low * b->count)
         return GUARD_TRIP_LOW;
-    if (b->sum > (uint32_t)row->high * b->count)
+    if (b->sum > (uint32_t)high_limit(g, row, b->phase) * b->count)
         return GUARD_TRIP_HIGH;
     if (b->min == 0 || b->max >= g->adc_max)
         return GUARD_TRIP_CLIPPED;
@@ -41,8 +56,8 @@ row_for(const struct guard *g, uint16_t phase)
     return row && row->trip_blocks ? row : 0;
 }
 
-static enum guard_trip
-latch(struct guard *g, enum guard_trip trip, uint32_t value, uint16_t count)
+enum guard_trip
+guard_latch(struct guard *g, enum guard_trip trip, uint32_t value, uint16_t count)
 {
     if (g->trip)
         return GUARD_TRIP_NONE;
@@ -64,7 +79,7 @@ guard_block(struct guard *g, const struct guard_input *block)
     g->bad_blocks++; /* cannot run over before the trip: 255 in a row trip under every row */
     if (g->bad_blocks < row->trip_blocks)
         return GUARD_TRIP_NONE;
-    return latch(g, bad, block->sum, block->count);
+    return guard_latch(g, bad, block->sum, block->count);
 }
 
 void
@@ -85,5 +100,5 @@ guard_check_deadline(struct guard *g, uint32_t clock)
 {
     if (!g->powered || (int32_t)(clock - guard_deadline(g)) < 0)
         return GUARD_TRIP_NONE;
-    return latch(g, GUARD_TRIP_TIMEOUT, clock, 0);
+    return guard_latch(g, GUARD_TRIP_TIMEOUT, clock, 0);
 }

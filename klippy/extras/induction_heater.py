@@ -536,7 +536,8 @@ def load_config_prefix(config: ConfigWrapper) -> InductionSection:
     unit_settings = settings.read_unit(config)
     parameters = settings.read_parameters(config, unit_settings)
     rows = settings.guard_rows(config, parameters)
-    unit = InductionUnit(sense["chip"], sense["pin"], unit_settings, rows)
+    tests = settings.read_tests(config, parameters.front)
+    unit = InductionUnit(sense["chip"], sense["pin"], unit_settings, rows, tests)
     heater = InductionHeater(
         printer,
         name,

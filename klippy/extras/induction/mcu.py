@@ -13,13 +13,15 @@ import logging
 import math
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass, fields
 from typing import Any
 
 from thermal.records import PHASE_MAX_TICKS, PhaseCommand
 from thermal.sensing import convert
 from thermal.sensing.blocks import Blocks
+from thermal.sensing.features import FeatureParameters
 from thermal.sensing.guard_limits import LimitRow
+from thermal.sensing.signal_limits import SignalLimits, signal_limits
 
 PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
 # Steps that may wait on the MCU at one time: a plan, and what stays of the one before.
@@ -30,8 +32,19 @@ BATCH_S = 0.020
 BATCH_SLACK_S = 0.005  # should a message be lost
 BLOCK_FORMAT = "induction_block oid=%c sequence=%hu clock=%u data=%*s"
 PLAN_STEP = struct.Struct("<HH")
+TEST_FIELDS = tuple(field.name for field in fields(SignalLimits))
+TEST_FORMAT = "config_induction_test oid=%c " + " ".join(f"{name}=%hu" for name in TEST_FIELDS)
 
 OnBlocks = Callable[[Blocks], None]
+
+
+@dataclass(frozen=True, slots=True)
+class TestSettings:
+    """The board's tests of the signal; plain values."""
+
+    interval_s: float  # from test to test; 0: none
+    gain_units_deg: float
+    front: FeatureParameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,11 +65,19 @@ class UnitSettings:
 class InductionUnit:
     """One bridge with its synchronous ADC on one MCU."""
 
-    def __init__(self, mcu: Any, sense_pin: str, settings: UnitSettings, limits: Sequence[LimitRow]) -> None:
+    def __init__(
+        self,
+        mcu: Any,
+        sense_pin: str,
+        settings: UnitSettings,
+        limits: Sequence[LimitRow],
+        tests: TestSettings | None = None,
+    ) -> None:
         self.mcu = mcu
         self.settings = settings
         self._sense_pin = sense_pin
         self._limits = list(limits)
+        self._tests = tests
         self._oid = mcu.create_oid()
         self._on_blocks: OnBlocks = lambda blocks: None
         self._queue_plan: Any = None
@@ -96,12 +117,32 @@ class InductionUnit:
                 f"config_induction_limit oid={oid} phase={row.phase_ticks} low={row.low_raw}"
                 f" high={row.high_raw} trip_blocks={settings.trip_blocks}"
             )
+        self._configure_tests(clock_hz)
         mcu.add_config_cmd(f"induction_report oid={oid} enable=1", is_init=True)
         queue = mcu.alloc_command_queue()
         self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
         self._period_s = period_ticks / clock_hz
         self._second_ticks = round(clock_hz)
         mcu.register_batch(self._take_batch, BLOCK_FORMAT)
+
+    def _configure_tests(self, clock_hz: float) -> None:
+        tests, mcu = self._tests, self.mcu
+        if tests is None or not tests.interval_s:
+            return
+        name = mcu.get_name()
+        if mcu.try_lookup_command(TEST_FORMAT) is None:
+            logging.warning("induction unit on mcu '%s': its firmware has no tests of the signal", name)
+            return
+        moved_s = float(mcu.get_constants().get("INDUCTION_MOVE_TICKS", 0)) / clock_hz
+        if not moved_s:
+            logging.warning(
+                "induction unit on mcu '%s': cannot move its sampling instant, no test of gain", name
+            )
+        limits = signal_limits(
+            tests.front, self.settings.frequency_hz, tests.interval_s, tests.gain_units_deg, moved_s
+        )
+        values = " ".join(f"{k}={v}" for k, v in zip(TEST_FIELDS, astuple(limits), strict=True))
+        mcu.add_config_cmd(f"config_induction_test oid={self._oid} {values}")
 
     # Samples up
 

@@ -161,7 +161,7 @@ void effects_drive(const struct plant *p, struct tank_drive *d)
     d->l1_factor = 1 + v->coil_expansion_per_k * coil_k + (e->moves ? 1e-6 * v->move_ppm_um * place_um(p) : 0);
     d->l1_add_uh = 1e-3 * v->cable_l1_nh * e->head;
     d->r_add_ohm = v->coil_ohm * v->coil_rise_per_k * coil_k;
-    d->late_ns = v->skew_ns + v->delay_ns_k * (v->board_c - values_hold_c);
+    d->late_ns = p->moved_ns + v->skew_ns + v->delay_ns_k * (v->board_c - values_hold_c);
     d->signal_error = 0;
     for (int k = 0; k < LAW_ERROR_TERMS && v->signal_error > 0; k++)
         d->signal_error += e->law_error[k] * cos((k + 1) * pi * d->phase_ticks / phase_full_ticks);

@@ -156,6 +156,7 @@ uint8_t machine_pin_read(struct machine *m, int mcu, uint32_t pin, double now_s)
 uint16_t machine_adc_read(struct machine *m, int mcu, uint32_t pin, double now_s);
 void machine_bridge_set(struct machine *m, int mcu, uint16_t phase, double now_s);
 void machine_sample(struct machine *m, int mcu, uint16_t *out, uint32_t count, double first_s, double period_s);
+void machine_move_sampling(struct machine *m, int mcu, double late_s);
 void machine_reset_outputs(struct machine *m, int mcu, double now_s); /* the MCU restarts: everything it drives is off */
 
 /* `now_s` - the last tick = tick_s. */

@@ -1,0 +1,61 @@
+"""Limits of the MCU's tests of the signal (src/signal_test.h), in its units, from the front end and the coil's phase.
+
+The signal is the phase of the coil current, `gain` units a degree. Sampled later by t it reads gain * 360 * f * t units
+more, at any temperature and drive: 85 units for 7 ticks of 72 MHz at 120 kHz. A law's own gain is no better known than
+to some percent, hence the tolerance. A gain 15 % off reads 30 degC wrong at 250 degC.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from .block_temperature import SENSING_PHASE_TICKS
+from .features import FeatureParameters
+
+GAIN_UNITS_DEG = 20.136  # Oskolkov 2021, Table 1
+TOLERANCE = 0.15
+SLACK_LSB = 1.0  # three sigma of 16 samples with 1 LSB of noise, and a beat of 5 LSB
+OFF_UNITS, OFF_LSB = 10.0, 6.0  # no current: this far from the zero, whichever is more
+JUMP_UNITS, JUMP_LSB = 15.0, 4.0  # from block to block, likewise
+UNITS_PER_C = 0.85  # the laws' slope at the smallest drive, the steepest
+RISE_C_S = 2000.0  # 300 W into 0.33 g of steel
+FALL_C_S = 20.0
+RATE_SAMPLES = 64  # of src/signal_test.h
+
+
+@dataclass(frozen=True, slots=True)
+class SignalLimits:
+    """As config_induction_test takes them."""
+
+    moved_low: int  # 1/16 LSB
+    moved_high: int
+    off_low: int  # LSB
+    off_high: int
+    interval: int  # samples from test to test
+    phase: int  # below it nothing is tested
+    jump: int  # 1/16 LSB
+    rise: int  # 1/16 LSB in 64 samples
+    fall: int
+
+
+def signal_limits(
+    front: FeatureParameters, frequency_hz: float, interval_s: float, gain_units_deg: float, moved_s: float
+) -> SignalLimits:
+    """`moved_s`: by how much the board moves its sampling instant; 0: it cannot."""
+    lsb_per_unit = 1.0 / front.units_per_lsb
+    moved_lsb = gain_units_deg * 360.0 * frequency_hz * moved_s * lsb_per_unit
+    spread_lsb = TOLERANCE * moved_lsb + SLACK_LSB
+    off_lsb = max(OFF_UNITS * lsb_per_unit, OFF_LSB)
+    rate_lsb = UNITS_PER_C * lsb_per_unit * RATE_SAMPLES / frequency_hz
+    return SignalLimits(
+        max(0, math.floor(16.0 * (moved_lsb - spread_lsb))) if moved_s else 0,
+        min(0xFFFF, math.ceil(16.0 * (moved_lsb + spread_lsb))) if moved_s else 0,
+        max(0, math.floor(front.adc_zero_raw - off_lsb)),
+        math.ceil(front.adc_zero_raw + off_lsb),
+        round(interval_s * frequency_hz),
+        SENSING_PHASE_TICKS,
+        math.ceil(16.0 * max(JUMP_UNITS * lsb_per_unit, JUMP_LSB)),
+        math.ceil(16.0 * RISE_C_S * rate_lsb),
+        math.ceil(16.0 * FALL_C_S * rate_lsb),
+    )
