@@ -16,7 +16,7 @@ C_WARNINGS := -std=gnu11 -Wall -Wextra -Werror
 
 # sched and basecmd first: their DECL_INIT functions run first.
 FIRMWARE_CORE := src/sched.c src/basecmd.c src/command.c src/wire.c src/debugcmds.c
-FIRMWARE_GLUE := src/timed_output.c src/gpiocmds.c src/pwmcmds.c src/adccmds.c src/onoffcmds.c \
+FIRMWARE_GLUE := src/timed_output.c src/gpiocmds.c src/pwmcmds.c src/adccmds.c src/onoffcmds.c src/supplycmds.c \
 	src/trsync.c src/stepper.c src/endstop.c
 # The induction heater; needs board/bridge_pwm.h and board/sync_adc.h.
 FIRMWARE_INDUCTION := src/oversample.c src/phase.c src/guard.c src/signal_test.c src/filters.c \

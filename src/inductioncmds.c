@@ -35,6 +35,8 @@
 enum {
     DATA_SIZE_MAX = 48,  /* what fits one message: 7 plain records, 3 of the longest */
     TEST_AHEAD = 4,      /* samples between planning a test and its first; a timer needs 10 us */
+    SAMPLES_MISSING_MAX = 256, /* 2 ms; a half buffer that is only late counts as a gap */
+    CHECK_US = 4000,     /* so often it is looked whether samples come */
     LATE_MARGIN_US = 20, /* a late phase command is applied so much after its arrival */
 };
 
@@ -123,7 +125,13 @@ trip(struct induction *u, enum guard_trip reason)
     shutdown(reasons[reason]);
 }
 
-/* When phase_timer must run next; 0 if it need not. */
+static uint32_t
+earlier(uint32_t a, uint32_t b)
+{
+    return timer_is_before(b, a) ? b : a;
+}
+
+/* When the timer of phases must run next; 0 if it need not. */
 static uint8_t
 next_event(const struct induction *u, uint32_t *clock)
 {
@@ -131,9 +139,19 @@ next_event(const struct induction *u, uint32_t *clock)
     if (!pending && !u->guard.powered)
         return 0;
     *clock = pending ? pending->due : guard_deadline(&u->guard);
-    if (pending && u->guard.powered && timer_is_before(guard_deadline(&u->guard), *clock))
-        *clock = guard_deadline(&u->guard);
+    if (u->guard.powered)
+        *clock = earlier(earlier(*clock, guard_deadline(&u->guard)), timer_read_time() + timer_from_us(CHECK_US));
     return 1;
+}
+
+/* Without samples nothing judges them. */
+static void
+check_samples(struct induction *u)
+{
+    if (!u->guard.powered || sync_adc_position(u->adc) - u->next_index <= SAMPLES_MISSING_MAX)
+        return;
+    switch_off(u);
+    shutdown(SHUTDOWN_SAMPLES_STOPPED);
 }
 
 uint8_t
@@ -148,6 +166,7 @@ induction_phase_timer(struct timer *t)
     enum guard_trip tripped = guard_check_deadline(&u->guard, now);
     if (tripped != GUARD_TRIP_NONE)
         trip(u, tripped);
+    check_samples(u);
     return next_event(u, &t->waketime) ? SF_RESCHEDULE : SF_DONE;
 }
 
@@ -311,6 +330,7 @@ void
 induction_samples(const uint16_t *samples, uint16_t count)
 {
     struct induction *u = unit;
+    sched_report(SCHED_SAMPLES);
     if (!u)
         return;
     uint32_t position = sync_adc_position(u->adc);
@@ -415,6 +435,7 @@ start_sampling(struct induction *u)
     u->start_clock = sync_adc_start(u->adc);
     u->next_index = 0;
     irq_restore(flag);
+    sched_watch(SCHED_SAMPLES, 1);
 }
 
 /* One step of the bridge at a clock, after all that are queued. */
@@ -518,6 +539,7 @@ induction_shutdown(void)
     if (!u)
         return;
     switch_off(u);
+    sched_watch(SCHED_SAMPLES, 0); /* what has stopped shall be reported, not reset */
     phase_forget(&u->schedule);
     u->reporting = 0;
     u->block_tail = u->block_head;

@@ -51,6 +51,7 @@
     X(SHUTDOWN_TMCUART_SIZE, "tmcuart data too large") \
     X(SHUTDOWN_ONOFF_TIMEOUT, "Missed renewal of on-off set point") \
     X(SHUTDOWN_ONOFF_SILENT, "On-off heater without readings") \
+    X(SHUTDOWN_SUPPLY_SWITCH, "Invalid supply switch interval") \
     /* induction heater */ \
     X(SHUTDOWN_INDUCTION_CONFIG, "Invalid induction configuration") \
     X(SHUTDOWN_INDUCTION_PHASE, "Induction phase out of range") \

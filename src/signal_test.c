@@ -69,8 +69,10 @@ enum signal_test_kind
 signal_test_cancel(struct signal_test *t, uint32_t index)
 {
     uint8_t undo = t->begun && !t->ended ? t->kind : SIGNAL_TEST_NONE;
-    if (undo)
+    if (undo) {
         signal_test_end(t, index);
+        t->due = index;
+    }
     t->kind = SIGNAL_TEST_NONE;
     return (enum signal_test_kind)undo;
 }

@@ -17,7 +17,7 @@ from dataclasses import astuple, dataclass, fields
 from typing import Any
 
 from thermal.records import PHASE_MAX_TICKS, PhaseCommand
-from thermal.sensing import convert
+from thermal.sensing import convert, guard_limits
 from thermal.sensing.blocks import Blocks
 from thermal.sensing.features import FeatureParameters
 from thermal.sensing.guard_limits import LimitRow
@@ -32,6 +32,7 @@ BATCH_S = 0.020
 BATCH_SLACK_S = 0.005  # should a message be lost
 BLOCK_FORMAT = "induction_block oid=%c sequence=%hu clock=%u data=%*s"
 PLAN_STEP = struct.Struct("<HH")
+CEILING_FORMAT = "induction_ceiling oid=%c phase=%hu share=%hu"
 TEST_FIELDS = tuple(field.name for field in fields(SignalLimits))
 TEST_FORMAT = "config_induction_test oid=%c " + " ".join(f"{name}=%hu" for name in TEST_FIELDS)
 
@@ -72,15 +73,19 @@ class InductionUnit:
         settings: UnitSettings,
         limits: Sequence[LimitRow],
         tests: TestSettings | None = None,
+        ceiling: guard_limits.Ceiling | None = None,
     ) -> None:
         self.mcu = mcu
         self.settings = settings
         self._sense_pin = sense_pin
         self._limits = list(limits)
         self._tests = tests
+        self._ceiling = ceiling
         self._oid = mcu.create_oid()
         self._on_blocks: OnBlocks = lambda blocks: None
         self._queue_plan: Any = None
+        self._set_ceiling: Any = None
+        self._share = 0xFFFF  # of the rows, as the firmware begins
         self._period_s, self._second_ticks = math.inf, 1
         self._batched = False
         self._stream: convert.Stream | None = None
@@ -121,6 +126,7 @@ class InductionUnit:
         mcu.add_config_cmd(f"induction_report oid={oid} enable=1", is_init=True)
         queue = mcu.alloc_command_queue()
         self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
+        self._set_ceiling = mcu.try_lookup_command(CEILING_FORMAT) if self._ceiling else None
         self._period_s = period_ticks / clock_hz
         self._second_ticks = round(clock_hz)
         mcu.register_batch(self._take_batch, BLOCK_FORMAT)
@@ -170,6 +176,15 @@ class InductionUnit:
         self.mcu.register_batch(self._take_batch, BLOCK_FORMAT, count * message_s + BATCH_SLACK_S, count)
 
     # Phases down
+
+    def set_ceiling(self, target_c: float) -> None:
+        """The board trips when the nozzle is driven hard and reads far above this target."""
+        if self._set_ceiling is None or self._ceiling is None:
+            return
+        share = self._ceiling.share(target_c)
+        if share != self._share:
+            self._share = share
+            self._set_ceiling.send([self._oid, self._ceiling.phase_ticks, share])
 
     def queue_plan(self, commands: Sequence[PhaseCommand]) -> None:
         """Send phases in order of time, in place of all that is pending from the first of them on."""

@@ -27,6 +27,8 @@ from .mcu import TestSettings, UnitSettings
 
 LOOK_SAMPLES, LONG_LOOK_SAMPLES = 16, 64
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
+# 20 % of the square of the phase, half of full power: no nozzle is held with that.
+CEILING_PHASE_TICKS = 20125
 TEST_INTERVAL_MIN_S = 0.005
 GUARD_LOW_C = -60.0  # below any workshop by more than the law's error
 ADC_MAX_12_BIT = 4095
@@ -309,3 +311,14 @@ def guard_rows(config: ConfigWrapper, parameters: loop.LoopParameters) -> list[g
         )
     except ValueError as e:
         raise config.error(f"Section '{config.get_name()}': {e}") from None
+
+
+def ceiling(
+    config: ConfigWrapper, parameters: loop.LoopParameters, rows: list[guard_limits.LimitRow]
+) -> guard_limits.Ceiling | None:
+    """The limit that follows the target; None without a calibration."""
+    margin_c = config.getfloat("guard_margin", 40.0, minval=5.0, maxval=200.0)
+    if not parameters.supervise.calibrated:
+        return None
+    law, front = parameters.estimator.law, parameters.front
+    return guard_limits.Ceiling(CEILING_PHASE_TICKS, law, front, tuple(rows), margin_c)

@@ -448,7 +448,11 @@ def test_two_extruders_cannot_share_one_nozzle() -> None:
 
 def test_the_unit_is_configured_before_it_may_heat() -> None:
     printer, _ = nozzle()
-    first, sense, block, *limits = printer.mcu.config
+    first, sense, block, *limits, test = printer.mcu.config
+    assert test == (
+        "config_induction_test oid=3 moved_low=1134 moved_high=1573 off_low=246 off_high=266 interval=1200"
+        " phase=2012 jump=240 rise=15 fall=1"
+    )
     assert first == (
         "config_induction oid=3 bridge=0 adc_pin=PA0 period_ticks=600 phase_max=45000 max_duration=7200000"
     )
@@ -457,6 +461,16 @@ def test_the_unit_is_configured_before_it_may_heat() -> None:
     assert limits
     assert all(line.startswith("config_induction_limit oid=3 phase=") for line in limits)
     assert printer.mcu.init == ["induction_report oid=3 enable=1"]
+
+
+def test_the_board_learns_how_hot_a_nozzle_may_be_that_is_driven_hard() -> None:
+    printer, heater = nozzle()
+    deliver(printer, 0, 200.0, 2012)
+    heater.set_temp(250.0)
+    heater.set_temp(150.0)
+    ceilings = printer.mcu.others["induction_ceiling"].sent
+    shares = [share for oid, phase, share in ceilings if (oid, phase) == (3, 20125)]
+    assert len(shares) == len(ceilings) == 3 and shares[0] < shares[2] < shares[1] < 0xFFFF
 
 
 def test_blocks_become_temperature_and_phase_commands_ahead_of_time() -> None:

@@ -1,0 +1,273 @@
+"""src/signal_test.c: which samples a test takes, what it finds, and that a sound signal never trips."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable
+
+import pytest
+
+from pure_harness import load_induction
+
+ffi, lib = load_induction()
+NONE, UNMOVED, CONDUCTS, JUMP = 0, 6, 7, 8
+NO_KIND, MOVE, OFF = range(3)
+LEN, OFF_LEN, SETTLE = 16, 48, 20
+LIMITS = {"moved_low": 16 * 70, "moved_high": 16 * 100, "off_low": 250, "off_high": 262, "interval": 1200}
+LIMITS |= {"phase": 2012, "jump": 16 * 15, "rise": 16, "fall": 1}
+
+
+def fresh(**changes: int):
+    t = ffi.new("struct signal_test *")
+    lib.signal_test_init(t)
+    limits = ffi.new("struct signal_test_limits *", LIMITS | changes)
+    assert lib.signal_test_configure(t, limits[0]) == 1
+    return t
+
+
+def feed(t, codes: list[int], index: int) -> int:
+    samples = ffi.new("uint16_t[]", codes)
+    found, run = NONE, ffi.new("uint16_t *")
+    done = 0
+    while done < len(codes) and found == NONE:
+        lib.signal_test_run(t, (index + done) & 0xFFFFFFFF, len(codes) - done, run)
+        found = lib.signal_test_feed(t, samples + done, (index + done) & 0xFFFFFFFF, run[0])
+        done += run[0]
+    return found
+
+
+def one_test(t, at: int, code: Callable[[int, int], int], late: int = 0, chunk: int = 32) -> tuple[int, int]:
+    """A whole test planned for `at`: (kind, trip). code(place in the test, kind) gives each sample."""
+    kind = lib.signal_test_plan(t, at & 0xFFFFFFFF)
+    begin = at + late
+    end = begin + lib.signal_test_length(t)
+    begun, index, found = False, at - LEN, NONE
+    stop = end + (SETTLE if kind == OFF else 0) + LEN
+    while index < stop and found == NONE:
+        if not begun and index >= begin - chunk:
+            lib.signal_test_begin(t, begin & 0xFFFFFFFF)
+            begun = True
+        if begun and index >= end:
+            lib.signal_test_end(t, (end + (SETTLE if kind == OFF else 0)) & 0xFFFFFFFF)
+        if index < end < index + chunk:
+            upto = end
+        else:
+            upto = min(index + chunk, stop)
+        places = range(index - begin, upto - begin)
+        found = feed(t, [code(place, kind) for place in places], index & 0xFFFFFFFF)
+        index = upto
+    return kind, found
+
+
+def sound(place: int, kind: int) -> int:
+    length = LEN if kind == MOVE else OFF_LEN
+    if not 0 <= place < length:
+        return 450
+    return 535 if kind == MOVE else 256
+
+
+def test_kinds_alternate_and_a_sound_signal_passes_them() -> None:
+    t = fresh()
+    found = [one_test(t, 10_000 * n, sound) for n in range(1, 7)]
+    assert found == [(MOVE, NONE), (OFF, NONE)] * 3
+
+
+@pytest.mark.parametrize("late", [0, 1, 3])
+@pytest.mark.parametrize("at", [5000, 2**32 - 10, 2**32])
+def test_a_test_that_begins_late_or_where_indices_wrap_finds_the_same(late: int, at: int) -> None:
+    t = fresh()
+    assert one_test(t, at, sound, late) == (MOVE, NONE)
+    assert one_test(t, at + 5000, sound, late) == (OFF, NONE)
+    assert (t.bad_moves, t.bad_offs) == (0, 0)
+
+
+def test_a_frozen_signal_trips_at_the_second_move_in_a_row_and_noise_does_not_hide_it() -> None:
+    noise = random.Random(1)
+    t = fresh()
+
+    def frozen(place: int, kind: int) -> int:
+        return 450 + round(noise.gauss(0, 1))
+
+    assert one_test(t, 1000, frozen) == (MOVE, NONE)
+    assert lib.signal_test_is_due(t, 1200), "the next comes at once"
+    assert one_test(t, 1200, frozen) == (MOVE, UNMOVED)
+
+
+@pytest.mark.parametrize(
+    ("moved", "trip"), [(69.9, UNMOVED), (70, NONE), (100, NONE), (100.1, UNMOVED), (-85, UNMOVED)]
+)
+def test_the_limits_of_a_move_hold_to_the_last_count(moved: float, trip: int) -> None:
+    """A count of 16 samples: 69.9 is 70 less one and 100.1 100 more one, of 16."""
+    t = fresh()
+    whole, extra = int(moved // 1), 0 if moved == int(moved) else (15 if moved < 70 else 1)
+
+    def code(place: int, kind: int) -> int:
+        return 450 + (whole + (1 if place < extra else 0) if 0 <= place < LEN else 0)
+
+    assert [one_test(t, n, code)[1] for n in (1000, 1200)] == [NONE, trip]
+
+
+def test_a_slope_does_not_count_as_a_move() -> None:
+    t = fresh(moved_low=16 * 85 - 9, moved_high=16 * 85 + 9)
+    for at in (1000, 3000, 5000):
+        lib.signal_test_init(t)
+        limits = ffi.new(
+            "struct signal_test_limits *", LIMITS | {"moved_low": 16 * 85 - 9, "moved_high": 16 * 85 + 9}
+        )
+        lib.signal_test_configure(t, limits[0])
+        one_test(t, at, lambda place, kind: 400 + place + (85 if 0 <= place < LEN else 0))
+        assert t.bad_moves == 0
+
+
+def test_a_bridge_that_conducts_trips_at_the_second_look_and_a_move_between_is_good() -> None:
+    t = fresh()
+
+    def conducts(place: int, kind: int) -> int:
+        return sound(place, MOVE) if kind == MOVE else 450
+
+    found = [one_test(t, 1000 + 300 * n, conducts) for n in range(4)]
+    assert found == [(MOVE, NONE), (OFF, NONE), (MOVE, NONE), (OFF, CONDUCTS)]
+
+
+@pytest.mark.parametrize(("code", "bad"), [(249, 1), (250, 0), (262, 0), (263, 1)])
+def test_the_limits_of_no_current_hold(code: int, bad: int) -> None:
+    t = fresh(moved_high=0, moved_low=0)
+    assert one_test(t, 1000, lambda place, kind: code if place >= OFF_LEN - LEN else 900) == (OFF, NONE)
+    assert t.bad_offs == bad
+
+
+def test_one_bad_test_between_good_ones_does_not_trip() -> None:
+    t = fresh(off_low=0, off_high=0)
+    for n in range(6):
+        _, found = one_test(t, 2000 * (n + 1), sound if n % 2 else lambda place, kind: 450)
+        assert found == NONE
+        assert t.bad_moves == 1 - n % 2
+
+
+def test_the_next_test_waits_for_its_interval() -> None:
+    t = fresh()
+    assert lib.signal_test_is_due(t, 0)
+    one_test(t, 1000, sound)
+    end = 1000 + LEN + LEN
+    assert not lib.signal_test_is_due(t, end + 1199)
+    assert lib.signal_test_is_due(t, end + 1200)
+
+
+def test_nothing_is_due_while_a_test_is_planned_or_none_is_configured() -> None:
+    t = fresh()
+    lib.signal_test_plan(t, 500)
+    assert not lib.signal_test_is_due(t, 600)
+    bare = ffi.new("struct signal_test *")
+    lib.signal_test_init(bare)
+    assert not lib.signal_test_is_due(bare, 0)
+
+
+def test_only_samples_between_beginning_and_end_are_skipped() -> None:
+    t = fresh()
+    run = ffi.new("uint16_t *")
+
+    def asked(index: int, count: int) -> tuple[int, int]:
+        skip = lib.signal_test_run(t, index, count, run)
+        return skip, run[0]
+
+    lib.signal_test_plan(t, 1000)
+    assert asked(990, 32) == (0, 32)
+    lib.signal_test_begin(t, 1001)
+    assert asked(990, 32) == (0, 11)
+    assert asked(990, 5) == (0, 5)
+    assert asked(1001, 32) == (1, 32)
+    lib.signal_test_end(t, 1017)
+    assert asked(1001, 32) == (1, 16)
+    assert asked(1001, 8) == (1, 8)
+    assert asked(1017, 32) == (0, 32)
+
+
+def test_a_cancelled_test_has_no_verdict_and_says_what_to_undo() -> None:
+    t = fresh()
+    assert lib.signal_test_cancel(t, 900) == NO_KIND
+    lib.signal_test_plan(t, 1000)
+    assert lib.signal_test_cancel(t, 990) == NO_KIND
+    lib.signal_test_plan(t, 1000)
+    lib.signal_test_begin(t, 1000)
+    assert lib.signal_test_cancel(t, 1008) == MOVE
+    assert feed(t, [450] * 64, 990) == NONE
+    run = ffi.new("uint16_t *")
+    assert lib.signal_test_run(t, 1000, 32, run) == 1 and run[0] == 8
+    assert not lib.signal_test_is_due(t, 1007) and lib.signal_test_is_due(t, 1008)
+    lib.signal_test_plan(t, 2000)
+    lib.signal_test_begin(t, 2000)
+    lib.signal_test_end(t, 2016)
+    assert lib.signal_test_cancel(t, 2020) == NO_KIND
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"moved_low": 2000}, {"off_low": 300}, {"interval": 191}],
+    ids=["move", "off", "no room"],
+)
+def test_limits_that_make_no_sense_are_refused(changes: dict[str, int]) -> None:
+    t = fresh()
+    assert not lib.signal_test_configure(t, ffi.new("struct signal_test_limits *", LIMITS | changes)[0])
+    assert t.limits.interval == 1200
+
+
+def test_without_tests_the_interval_may_be_anything() -> None:
+    fresh(moved_low=0, moved_high=0, off_low=0, off_high=0, interval=0)
+    fresh(moved_low=0, moved_high=0, interval=192)
+    fresh(off_low=0, off_high=0, interval=192)
+
+
+def block(t, mean: float, first: int, phase: int = 5000, count: int = 192) -> int:
+    seen = {"sum": round(mean * count), "count": count, "phase": phase, "min": 1, "max": 900}
+    return lib.signal_test_block(t, ffi.new("struct guard_input *", seen), first & 0xFFFFFFFF)
+
+
+@pytest.mark.parametrize("start", [0, 2**32 - 100])
+@pytest.mark.parametrize("step", [-36, 40])
+def test_a_jump_trips_at_its_third_block(start: int, step: int) -> None:
+    t = fresh()
+    assert block(t, 450, start) == NONE
+    assert [block(t, 450 + step, start + 192 * n) for n in (1, 2, 3)] == [NONE, NONE, JUMP]
+
+
+def test_two_blocks_that_stand_out_are_forgotten() -> None:
+    t = fresh()
+    for n, mean in enumerate([450, 500, 500, 450, 500, 500, 450]):
+        assert block(t, mean, 192 * n) == NONE
+
+
+@pytest.mark.parametrize(
+    ("mean", "bad"), [(450 + 18, 0), (450 + 18 + 1 / 16, 1), (450 - 15 - 3 / 16, 0), (450 - 15 - 4 / 16, 1)]
+)
+def test_a_nozzle_may_rise_and_fall_between_two_blocks(mean: float, bad: int) -> None:
+    """192 samples apart: 15 LSB, and 3 LSB up or 3/16 LSB down."""
+    t = fresh()
+    block(t, 450, 0)
+    assert block(t, mean, 192) == NONE
+    assert t.bad_jumps == bad
+
+
+@pytest.mark.parametrize(("phase", "judged"), [(5156, 1), (5162, 0), (4849, 1), (4840, 0), (5000, 1)])
+def test_blocks_of_different_drives_are_not_compared(phase: int, judged: int) -> None:
+    t = fresh()
+    block(t, 450, 0, 5000)
+    block(t, 500, 192, phase)
+    assert t.bad_jumps == judged
+
+
+def test_below_the_smallest_phase_and_after_a_long_time_nothing_is_compared() -> None:
+    t = fresh()
+    block(t, 450, 0, 2011)
+    block(t, 900, 192, 2011)
+    assert t.bad_jumps == 0
+    block(t, 450, 384)
+    block(t, 900, 384 + 2**15)
+    assert t.bad_jumps == 0
+    block(t, 450, 384 + 2**15 + 192)
+    assert t.bad_jumps == 1
+
+
+def test_without_a_limit_jumps_are_not_judged() -> None:
+    t = fresh(jump=0)
+    block(t, 450, 0)
+    assert block(t, 900, 192) == NONE and t.bad_jumps == 0
