@@ -35,7 +35,7 @@
 enum {
     DATA_SIZE_MAX = 48,  /* what fits one message: 7 plain records, 3 of the longest */
     TEST_AHEAD = 4,      /* samples between planning a test and its first; a timer needs 10 us */
-    SAMPLES_MISSING_MAX = 256, /* 2 ms; a half buffer that is only late counts as a gap */
+    SAMPLES_MISSING_MAX = 2 * HALF_LEN + 64, /* a half buffer that is only late counts as a gap */
     CHECK_US = 4000,     /* so often it is looked whether samples come */
     LATE_MARGIN_US = 20, /* a late phase command is applied so much after its arrival */
 };
