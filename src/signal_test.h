@@ -19,7 +19,7 @@
  * a bridge that conducts.  Bad jumps trip after SIGNAL_JUMP_BLOCKS in a row.  A rule whose upper limit is 0 is off.
  *
  * The owner plans a test (signal_test_plan), begins it with the bridge or the ADC at the planned sample, ends it
- * SIGNAL_TEST_LEN or SIGNAL_TEST_OFF_LEN samples later, and tells with which sample each took effect.  Samples in
+ * SIGNAL_TEST_LEN or SIGNAL_TEST_OFF_LEN samples later, and says with which sample each took effect.  Samples in
  * between are no temperature: signal_test_run() says which to skip.  A step of the drive cancels a test.
  *
  * Formats: moved, jump, rise, fall in 1/16 LSB; a sum of 16 samples is a mean in 1/16 LSB.  Indices run modulo 2^32.

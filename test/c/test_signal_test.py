@@ -136,6 +136,24 @@ def test_the_limits_of_no_current_hold(code: int, bad: int) -> None:
     assert t.bad_offs == bad
 
 
+@pytest.mark.parametrize("kinds", [{"off_low": 0, "off_high": 0}, {"moved_low": 0, "moved_high": 0}])
+def test_samples_in_small_pieces_and_long_before_a_test_give_the_same_verdict(kinds: dict[str, int]) -> None:
+    t = fresh(**kinds)
+    kind = lib.signal_test_plan(t, 1000)
+    length = lib.signal_test_length(t)
+    good_from = 1000 + length + (SETTLE if kind == OFF else 0)
+    for index in range(900, good_from + LEN - 1):
+        if index == 1000:
+            lib.signal_test_begin(t, 1000)
+        if index == 1000 + length:
+            lib.signal_test_end(t, good_from)
+        if t.kind != NO_KIND:
+            assert feed(t, [sound(index - 1000, kind)], index) == NONE
+    assert t.kind == (MOVE if kind == MOVE else NO_KIND)
+    assert feed(t, [sound(length, kind)], good_from + LEN - 1) == NONE
+    assert (t.kind, t.bad_moves, t.bad_offs) == (NO_KIND, 0, 0)
+
+
 def test_one_bad_test_between_good_ones_does_not_trip() -> None:
     t = fresh(off_low=0, off_high=0)
     for n in range(6):
@@ -202,8 +220,13 @@ def test_a_cancelled_test_has_no_verdict_and_says_what_to_undo() -> None:
 
 @pytest.mark.parametrize(
     "changes",
-    [{"moved_low": 2000}, {"off_low": 300}, {"interval": 191}],
-    ids=["move", "off", "no room"],
+    [
+        {"moved_low": 2000},
+        {"off_low": 300},
+        {"interval": 191},
+        {"interval": 191, "moved_low": 0, "moved_high": 0},
+    ],
+    ids=["move", "off", "no room", "no room for off alone"],
 )
 def test_limits_that_make_no_sense_are_refused(changes: dict[str, int]) -> None:
     t = fresh()
@@ -213,7 +236,7 @@ def test_limits_that_make_no_sense_are_refused(changes: dict[str, int]) -> None:
 
 def test_without_tests_the_interval_may_be_anything() -> None:
     fresh(moved_low=0, moved_high=0, off_low=0, off_high=0, interval=0)
-    fresh(moved_low=0, moved_high=0, interval=192)
+    assert lib.signal_test_is_due(fresh(moved_low=0, moved_high=0, interval=192), 0)
     fresh(off_low=0, off_high=0, interval=192)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
@@ -10,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from doc_rig import Figures
+from doc_rig import ROOT, Figures
 from extras import heaters, induction_heater
 from extras.induction import calibrate as induction_calibrate
 from extras.induction import settings
@@ -19,7 +20,7 @@ from induction_rig import PERIOD_S, Plant, Rig, default_parameters, true_law
 from thermal.control import nozzle_model
 from thermal.control.loop import LoopParameters
 from thermal.records import PHASE_MAX_TICKS
-from thermal.sensing import guard_limits, heat_balance_monitor, laws
+from thermal.sensing import guard_limits, heat_balance_monitor, laws, signal_limits
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 
 SECTION = "induction_heater nozzle"
@@ -54,6 +55,7 @@ def option(name: str) -> Any:
     fake, config = printer()
     parameters()
     settings.guard_rows(config, parameters())
+    settings.read_tests(config, parameters().front)
     return fake._access[SECTION, name]
 
 
@@ -176,6 +178,31 @@ def guard_claims() -> Iterator[str]:
     assert settings.guard_rows(printer()[1], p) == expected
 
 
+def signal_claims() -> Iterator[str]:
+    """The tests of src/signal_test.h with the limits of thermal/sensing/signal_limits.py."""
+    header = (ROOT / "src" / "signal_test.h").read_text(encoding="utf-8")
+    board = (ROOT / "src" / "board" / "sync_adc.h").read_text(encoding="utf-8")
+
+    def constant(name: str) -> int:
+        return int(re.findall(rf"\b{name} = (\d+)", header + board)[0])
+
+    interval_s, length = option("signal_test_interval"), constant("SIGNAL_TEST_LEN")
+    off, ticks = constant("SIGNAL_TEST_OFF_LEN"), constant("SYNC_ADC_MOVE_TICKS")
+    gain = option("signal_gain")
+    assert gain == signal_limits.GAIN_UNITS_DEG and signal_limits.SLACK_LSB == 1.0
+    moved = gain * 360.0 * ticks / 72e6 / PERIOD_S
+    heating = f"Each {2e3 * interval_s:g} ms of heating the"
+    yield f"{heating} sampling instant is moved by {ticks} ticks for {length} samples."
+    yield f"must move by {moved:.0f} units, within {100 * signal_limits.TOLERANCE:g} % and one LSB"
+    yield f"{heating} bridge is off for {off} samples ({1e3 * off * PERIOD_S:.1g} ms)."
+    yield f"The last {length} must be within {signal_limits.OFF_UNITS:g} units of `adc_zero`"
+    assert (constant("SIGNAL_TEST_BAD"), constant("SIGNAL_JUMP_BLOCKS")) == (2, 3)
+    yield f"at the same drive by more than {signal_limits.JUMP_UNITS:g} units, three blocks in a row"
+    samples = 2.0 * interval_s / PERIOD_S
+    lost = (length + off + option("settle_samples")) / samples
+    yield f"The tests cost {100 * lost:.1f} % of the samples and the bridge {100 * off / samples:.0f} % of its time."
+
+
 def drift_claims() -> Iterator[str]:
     p = parameters().heat_balance
     yield f"After {p.ready_s:g} s without extrusion and fan"
@@ -226,7 +253,15 @@ def dead_host_claims() -> Iterator[str]:
     yield f"at the latest | max {math.ceil(20.0 * held_s) / 20.0:g} s"
 
 
-GROUPS = (nozzle_claims, loop_claims, supervision_claims, guard_claims, drift_claims, dead_host_claims)
+GROUPS = (
+    nozzle_claims,
+    loop_claims,
+    supervision_claims,
+    guard_claims,
+    signal_claims,
+    drift_claims,
+    dead_host_claims,
+)
 
 
 @cache
