@@ -13,7 +13,7 @@ import logging
 import math
 import struct
 from collections.abc import Callable, Sequence
-from dataclasses import astuple, dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from thermal.records import PHASE_MAX_TICKS, PhaseCommand
@@ -21,7 +21,7 @@ from thermal.sensing import convert, guard_limits
 from thermal.sensing.blocks import Blocks
 from thermal.sensing.features import FeatureParameters
 from thermal.sensing.guard_limits import LimitRow
-from thermal.sensing.signal_limits import SignalLimits, signal_limits
+from thermal.sensing.signal_limits import signal_limits
 
 PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
 # Steps that may wait on the MCU at one time: a plan, and what stays of the one before.
@@ -33,8 +33,10 @@ BATCH_SLACK_S = 0.005  # should a message be lost
 BLOCK_FORMAT = "induction_block oid=%c sequence=%hu clock=%u data=%*s"
 PLAN_STEP = struct.Struct("<HH")
 CEILING_FORMAT = "induction_ceiling oid=%c phase=%hu share=%hu"
-TEST_FIELDS = tuple(field.name for field in fields(SignalLimits))
-TEST_FORMAT = "config_induction_test oid=%c " + " ".join(f"{name}=%hu" for name in TEST_FIELDS)
+TEST_FORMAT = (
+    "config_induction_test oid=%c moved_low=%hu moved_high=%hu off_low=%hu off_high=%hu interval=%hu phase=%hu"
+    " jump=%hu rise=%hu fall=%hu"
+)
 
 OnBlocks = Callable[[Blocks], None]
 
@@ -147,8 +149,11 @@ class InductionUnit:
         limits = signal_limits(
             tests.front, self.settings.frequency_hz, tests.interval_s, tests.gain_units_deg, moved_s
         )
-        values = " ".join(f"{k}={v}" for k, v in zip(TEST_FIELDS, astuple(limits), strict=True))
-        mcu.add_config_cmd(f"config_induction_test oid={self._oid} {values}")
+        mcu.add_config_cmd(
+            f"config_induction_test oid={self._oid} moved_low={limits.moved_low} moved_high={limits.moved_high}"
+            f" off_low={limits.off_low} off_high={limits.off_high} interval={limits.interval}"
+            f" phase={limits.phase} jump={limits.jump} rise={limits.rise} fall={limits.fall}"
+        )
 
     # Samples up
 
