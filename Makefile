@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan bench-studies soak soak-motion fuzz mutants clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan bench-studies soak soak-motion soak-api fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -28,9 +28,11 @@ help:
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
 	@echo "make bench-firmware     cost of samples, steps, commands on the images of both chips (QUICK=1)"
 	@echo "make bench-identify     hidden plants found again from their recorded prints (QUICK=1)"
+	@echo "make bench-faults       every fault on every machine in every state: caught by what, how hot (QUICK=1)"
 	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it"
 	@echo "make bench-studies      the studies of config/studies: random machines, calibrated machines, the sample"
 	@echo "make soak               a long print in closed loop: does it leak? (HOURS=10, hours of wall time, too)"
+	@echo "make soak-api           clients that misbehave beside a print, one thing a simulated second (HOURS=24)"
 	@echo "make soak-motion        random moves on every machine against the analytic path (SECONDS=600)"
 	@echo "make mutants FILE=guard  do its tests notice each small change of a safety file? (without FILE: all, hours)"
 	@echo "make fuzz    fuzz the firmware's message parser (FUZZ_SECONDS=600)"
@@ -72,7 +74,8 @@ printer: setup sim chelper
 
 # QUICK=1: what each bench leaves out then stands in its --help.
 BENCH = $(PYTHON) scripts/bench/bench_$*.py --json $(OUT)/bench/$*.json
-BENCHES := bench-print bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-identify
+BENCHES := bench-print bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-identify \
+           bench-faults
 .PHONY: $(BENCHES)
 bench: bench-print
 $(BENCHES): bench-%: setup sim chelper
@@ -96,6 +99,9 @@ soak: setup sim chelper
 
 soak-motion: setup-test chelper
 	@$(PYTHON) scripts/bench/soak_motion.py --seconds $(or $(SECONDS),600)
+
+soak-api: setup sim chelper
+	@$(PYTHON) scripts/bench/soak_api.py --hours $(or $(HOURS),24)
 
 # --- test ----------------------------------------------------------------------------------------
 # Both are run to their end whatever the other finds; the tests' closing line comes last.

@@ -1,15 +1,16 @@
 """Sections of Klipper's configuration reference that this program has no module for.
 
-A printer prints without some of them: these are left out, and one notice lists what does not work. The others do
-something the printer relies on (pins, levelling, a motor's current): a config that has them is refused.
+They are left out, the printer starts, and one notice lists what does not work. Pins of such a section can be named
+elsewhere in the config (absentpins.py): outputs do nothing, and homing with such an endstop fails with a clear message.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
-from configtext import ConfigError, SectionText
+from configtext import SectionText
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,19 +27,34 @@ DISPENSABLE = (
         "the display stays dark, its knob and buttons do nothing",
     ),
     Dispensable(
-        frozenset({"adxl345", "bmi160", "icm20948", "lis2dw", "lis3dh", "mpu9250", "resonance_tester"}),
-        "resonances can not be measured; [input_shaper] works with the values written there",
+        frozenset({"load_cell_probe", "probe_eddy_current", "smart_effector"}),
+        "there is no probe: homing by it fails, levelling works by hand with METHOD=manual",
     ),
+    Dispensable(
+        frozenset({"hall_filament_width_sensor", "tsl1401cl_filament_width_sensor"}),
+        "the filament's width is not measured, the flow is not corrected by it",
+    ),
+    Dispensable(frozenset({"angle", "load_cell"}), "the sensor is not read"),
+    Dispensable(frozenset({"palette2"}), "the Palette is not driven: print with one filament only"),
+    Dispensable(frozenset({"replicape", "sx1509"}), "outputs on its pins do nothing"),
 )
 
 # What a section brings that macros use, although the section itself does nothing here: kind -> module
 BROUGHT_ALONG = {"display": "display_status"}
 
-REFUSED = frozenset({
-    "angle", "axis_twist_compensation", "bed_tilt", "delta_calibrate", "hall_filament_width_sensor", "load_cell",
-    "load_cell_probe", "palette2", "probe_eddy_current", "replicape", "smart_effector", "sx1509",
-    "temperature_probe", "tsl1401cl_filament_width_sensor", "z_thermal_adjust",
-})  # fmt: skip
+# Chips whose pins other sections may name: kind of section -> name of the chip; None: as the section, with "_"
+PIN_CHIPS: dict[str, str | None] = {
+    "load_cell_probe": "probe",
+    "probe_eddy_current": "probe",
+    "smart_effector": "probe",
+    "replicape": "replicape",
+    "sx1509": None,
+}
+
+
+_READ_LAST = re.compile(
+    r"mcu|printer|stepper(_\w+)?|extruder\d*|carriage|extra_carriage|dual_carriage", re.IGNORECASE
+)
 
 
 def kind_of(section: str) -> str:
@@ -46,21 +62,31 @@ def kind_of(section: str) -> str:
     return section.split(maxsplit=1)[0]
 
 
+def is_read_last(section: str) -> bool:
+    """Whether boards or the toolhead read a section, rather than a module of its name."""
+    return _READ_LAST.fullmatch(kind_of(section)) is not None
+
+
 def find_left_out(
     sections: Mapping[str, SectionText], has_module: Callable[[str], bool]
 ) -> dict[str, SectionText]:
-    """Sections the printer does without. Raises ConfigError if there are others of Klipper's without a module.
+    """Sections the printer does without.
 
     `has_module` says whether there is a module for a kind of section: a plugin may bring what is missing here.
     """
-    missing = {name: section for name, section in sections.items() if not has_module(kind_of(name))}
-    refused = [section for name, section in missing.items() if kind_of(name) in REFUSED]
-    if refused:
-        lines = [f"Klipper has [{s.name}], Ferrite does not yet ({s.origin})." for s in refused]
-        what, it = ("this section", "it") if len(refused) == 1 else ("these sections", "them")
-        raise ConfigError("\n".join([*lines, f"Take {what} out of the config, and what refers to {it}."]))
-    dispensable = frozenset().union(*(group.kinds for group in DISPENSABLE))
-    return {name: section for name, section in missing.items() if kind_of(name) in dispensable}
+    kinds = frozenset().union(*(group.kinds for group in DISPENSABLE))
+    return {
+        name: section
+        for name, section in sections.items()
+        if kind_of(name) in kinds and not has_module(kind_of(name))
+    }
+
+
+def pin_chips(left_out: Iterable[str]) -> Iterator[tuple[str, str]]:
+    """(chip, section) for sections left out that others may name pins of."""
+    for name in left_out:
+        if kind_of(name) in PIN_CHIPS:
+            yield PIN_CHIPS[kind_of(name)] or "_".join(name.split()), name
 
 
 def notice(left_out: Iterable[SectionText]) -> str:

@@ -350,8 +350,14 @@ class PrinterConfig:
         self._data = data
         return ConfigWrapper(self.printer, data, self._access, "printer")
 
+    def read_config(self, filename: str) -> ConfigWrapper:
+        """Another config file, for plugins that bring their data in one."""
+        data = ConfigData()
+        configtext.ConfigParser(data).parse_file(filename)
+        return ConfigWrapper(self.printer, data, {}, "printer")
+
     def check_absent_sections(self, has_module: Callable[[str], bool]) -> list[str]:
-        """Before modules are loaded: refuse or leave out what Klipper has and we do not.
+        """Before modules are loaded: leave out what Klipper has and we do not.
 
         Returns the modules that sections left out would have loaded.
         """
@@ -364,13 +370,20 @@ class PrinterConfig:
             self.printer.register_event_handler("klippy:ready", lambda: respond(text, log=False))
         return [module for name, module in configabsent.BROUGHT_ALONG.items() if name in left_out]
 
-    def check_unused_options(self, config: ConfigWrapper) -> None:
-        """Raise for all sections and options that no module asked for; then note all settings."""
+    def sections_left_out(self) -> frozenset[str]:
+        """Names of the sections that no module reads."""
+        return self._left_out
+
+    def unused_options(self, failed: set[str]) -> list[str]:
+        """What is wrong with sections and options that no module asked for.
+
+        `failed`: parts of the printer that did not load; their sections may have been read in part only.
+        """
         known_sections = {section for section, _ in self._access}
         known_sections.update(name.lower() for name, _ in self.printer.lookup_objects())
         problems: list[str] = []
         for name, section in self._data.sections.items():
-            if name in self._left_out:
+            if name in self._left_out or name in failed or (failed and configabsent.is_read_last(name)):
                 continue
             if name.lower() not in known_sections:
                 hint = _suggestion(name, known_sections | section_modules())
@@ -383,8 +396,10 @@ class PrinterConfig:
                     problems.append(
                         f"Option '{key}' is not valid in section '{name}' ({option.origin}).{hint}"
                     )
-        if problems:
-            raise ConfigError("\n".join(problems))
+        return problems
+
+    def note_settings(self) -> None:
+        """The config is in force: its values for status."""
         for (name, key), value in self._access.items():
             self._settings.setdefault(name, {})[key] = value
 

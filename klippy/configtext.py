@@ -17,6 +17,8 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import util
+
 AUTOSAVE_PREFIX = "#*#"
 AUTOSAVE_HEADER = (
     "#*# <---------------------- SAVE_CONFIG ---------------------->\n"
@@ -106,8 +108,7 @@ def split_autosave(text: str) -> tuple[str, str]:
 def read_text(path: str) -> str:
     """The text of a config file, line ends normalised."""
     try:
-        with open(path, encoding="utf-8", newline=None) as file:
-            return file.read()
+        return util.read_plain(path)
     except UnicodeDecodeError as e:
         raise ConfigError(f"Config file {path} is not valid UTF-8 text (byte {e.start}).") from None
     except OSError as e:

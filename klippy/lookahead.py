@@ -25,6 +25,7 @@ The calculation is chelper/motion/lookahead.c; here are the moves as Python sees
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Protocol
 
@@ -103,6 +104,8 @@ class Move:
     ) -> None:
         if not speed >= MIN_SPEED:
             raise too_slow(speed)
+        if not math.isfinite(sum(end_pos)):
+            raise toolhead.printer.command_error(f"Move to a place that is no number: {tuple(end_pos)}")
         ffi, lib = chelper.get_ffi()
         self.toolhead = toolhead
         self.timing_callbacks: list[Callable[[float], None]] | None = None

@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NoReturn
 
 import msgproto
 import pins
 import serialhdl
 from clocksync import ClockSync, SecondarySync
-from link import serialport, usb_power
+from link import mcu_options, usb_power
+from link.mcu_homing import MULTI_TIMEOUT_S
 from link.mcu_io import MCU_adc, MCU_digital_out, MCU_endstop, MCU_pwm, MCU_trsync, TriggerDispatch
 from link.mcu_session import ConfigScript, TaskLoad, shutdown_help
 from serialhdl import CommandQueryWrapper, CommandWrapper
@@ -39,43 +39,16 @@ __all__ = [
 BATCH_MOVE_COUNT = 500  # places in the move queue assumed when no MCU is there to ask
 MIN_SCHEDULE_TIME_S = 0.100  # commands are sent at least this long before they are due
 MAX_NOMINAL_DURATION_S = 3.0  # the longest time ahead anything is scheduled
+TRSYNC_TIMEOUT = MULTI_TIMEOUT_S  # the name plugins know
 RESET_SETTLE_S = 0.050  # for the reset command to leave the host before the port is closed
 RESTART_WAIT_S = 2.0
 WATCH_PERIOD_S = 1.0
-RESTART_METHODS = ("arduino", "cheetah", "command", "rpi_usb")
 PIN_TYPES: dict[str, Callable[..., Any]] = {
     "endstop": MCU_endstop,
     "digital_out": MCU_digital_out,
     "pwm": MCU_pwm,
     "adc": MCU_adc,
 }
-
-
-@dataclass(frozen=True, slots=True)
-class McuOptions:
-    """The options of one [mcu] section."""
-
-    serial: str
-    baud: int
-    restart_method: str | None  # None: by command if the firmware can, else by the port
-    max_stepper_error_s: float
-
-
-def read_options(config: Any) -> McuOptions:
-    """Options from the config; raises its error for what this host can not do."""
-    section = config.get_name()
-    if config.get("canbus_uuid", None) is not None:
-        raise config.error(
-            f"Option 'canbus_uuid' in section '{section}': boards on a CAN bus are not supported by this version."
-            " Connect the board by USB or UART and use the option 'serial'."
-        )
-    restart_method = config.getchoice("restart_method", RESTART_METHODS, default=None)
-    return McuOptions(
-        config.get("serial"),
-        config.getint("baud", 250000, minval=2400),
-        restart_method,
-        config.getfloat("max_stepper_error", 0.000025, minval=0.0),
-    )
 
 
 class StepWriter:
@@ -112,14 +85,16 @@ class MCU:
         self._clocksync = clocksync
         section = config.get_name()
         self._name = "mcu" if section == "mcu" else section.removeprefix("mcu ").strip()
-        self._options = read_options(config)
+        self._options = mcu_options.read_options(config)
         start_args = printer.get_start_args()
         self._start_args = start_args
         self._is_fileoutput = start_args.get("debugoutput") is not None
-        open_port = start_args.get("open_port") or serialport.open_port
-        if self._options.restart_method == "cheetah" and open_port is serialport.open_port:
-            open_port = serialport.open_cheetah_port
-        self._serial = serialhdl.SerialReader(self._reactor, f"mcu '{self._name}': ", open_port)
+        self._serial = serialhdl.SerialReader(
+            self._reactor,
+            f"mcu '{self._name}': ",
+            mcu_options.port_opener(self._options, start_args.get("open_port")),
+            mcu_options.advice(self._options),
+        )
         self._script = ConfigScript()
         self._load = TaskLoad()
         self._mcu_freq = 0.0
@@ -132,6 +107,8 @@ class MCU:
         self._step_writer: StepWriter | None = None
         self._watch_timer = self._reactor.register_timer(self._watch_link)
         self._register(printer)
+        if self._options.can is not None:
+            printer.load_object(config, f"canbus_stats {self._name}")
 
     def _register(self, printer: Any) -> None:
         printer.lookup_object("pins").register_chip(self._name, self)

@@ -20,6 +20,7 @@ SPEED: Range = {"minval": MIN_SPEED, "maxval": 1e6}  # mm/s, or rad/s
 ACCEL: Range = {"minval": 1e-3, "maxval": 1e8}  # mm/s^2
 CORNER_SPEED: Range = {"minval": 0.0, "maxval": 1e6}  # mm/s
 POSITION: Range = {"minval": -1e5, "maxval": 1e5}  # mm: 100 m to both sides
+TRAVEL: Range = {"minval": -1e9, "maxval": 1e9}  # mm, of an axis: an endless belt has no end
 LENGTH: Range = {"minval": 0.0, "maxval": 1e5}  # mm
 DIAMETER: Range = {"minval": 1e-2, "maxval": 1e3}  # mm, of nozzle and filament (or paste)
 PERCENT: Range = {"minval": 0.1, "maxval": 1e5}  # of M220, M221

@@ -7,9 +7,11 @@ import importlib
 import logging
 import os
 from collections.abc import Callable
+from functools import partial
 from types import ModuleType
 from typing import Any
 
+import absentpins
 import chelper
 import configfile
 import extras
@@ -43,6 +45,8 @@ MESSAGE_INTERNAL = "This is an internal error of the host: the log has the detai
 _CONFIG_PROBLEMS = (configfile.ConfigError, pins.PinError, gcode.CommandError)
 _LINK_PROBLEMS = (msgproto.error, serialhdl.error, serialport.PortError, chelper.HelperError, stepper.error)
 
+# A section that does not load makes others fail that refer to it: these texts only repeat the first problem.
+_CONSEQUENCES = ("Unknown config object", "Unknown pin chip name")
 _MISSING: Any = object()
 PLUGINS = "plugins"
 OWN_EXTRAS = os.path.join(os.path.dirname(os.path.abspath(__file__)), "extras")
@@ -67,6 +71,7 @@ class Printer:
         self.log_listener = start_args.get("log_listener")
         self.objects: collections.OrderedDict[str, Any] = collections.OrderedDict()
         self._events: dict[str, list[EventHandler]] = {}
+        self._failed: dict[str, Exception] = {}  # sections that did not load, and why
         self._state = "startup"
         self._message = MESSAGE_STARTUP
         self._result: str | None = None
@@ -134,6 +139,8 @@ class Printer:
         """The object of a config section, made by `extras/NAME.py` (or package, or plugin) on first use."""
         if section in self.objects:
             return self.objects[section]
+        if section in self._failed:
+            raise self._failed[section]
         words = section.split()
         module = self._import_extra(words[0]) if words else None
         loader = None
@@ -143,8 +150,23 @@ class Printer:
             if default is not _MISSING:
                 return default
             raise self.config_error(f"Unable to load module '{section}'")
-        self.objects[section] = loader(config.getsection(section))
+        try:
+            self.objects[section] = loader(config.getsection(section))
+        except _CONFIG_PROBLEMS as e:
+            self._failed[section] = e
+            raise
         return self.objects[section]
+
+    def _try(self, section: str, load: Callable[[], Any]) -> None:
+        """Load a part of the printer; a problem of the config is kept, so that others are found, too."""
+        try:
+            load()
+        except _CONFIG_PROBLEMS as e:
+            self._failed[section] = e
+        except Exception:
+            if not self._failed:
+                raise
+            logging.exception("Section %s, after another did not load", section)
 
     def _import_extra(self, name: str) -> ModuleType | None:
         """Module `extras.NAME` if there is one. Raises config_error for a plugin that is broken."""
@@ -189,15 +211,26 @@ class Printer:
         brought_along = loader.check_absent_sections(lambda name: _locate_extra(name) is not None)
         for name in self.CORE_FIRST:
             importlib.import_module(name).add_printer_objects(config)
+        absentpins.register(self, loader.sections_left_out())
         for name in brought_along:
             self.load_object(config, name)
-        for section in config.get_prefix_sections(""):
-            self.load_object(config, section.get_name(), None)
+        names = [section.get_name() for section in config.get_prefix_sections("")]
+        for name in names:
+            self._try(name, partial(self.load_object, config, name, None))
         for name in self.CORE_LAST:
-            importlib.import_module(name).add_printer_objects(config)
-        for section_name in self.ALWAYS:
-            self.load_object(config, section_name)
-        loader.check_unused_options(config)
+            self._try(name, partial(importlib.import_module(name).add_printer_objects, config))
+        for name in self.ALWAYS:
+            self._try(name, partial(self.load_object, config, name))
+        self._report_problems(loader.unused_options(set(self._failed)))
+        loader.note_settings()
+
+    def _report_problems(self, unused: list[str]) -> None:
+        """Raise config_error with all problems of the config, if there are any."""
+        failures = list(dict.fromkeys(str(e) for e in self._failed.values()))
+        own = [text for text in failures if not text.startswith(_CONSEQUENCES)]
+        problems = [*(own or failures), *unused]
+        if problems:
+            raise self.config_error("\n".join(problems))
 
     def _connect(self, eventtime: float) -> None:
         try:

@@ -39,6 +39,7 @@ _NEVER = 9999999999999999.0
 # A timer that asks for a moment nearer than this gets it so much later: less than the clock resolves is the same one,
 # and virtual time, which waits for timers, would stand.
 _STEP_MIN_S = 1e-6
+_NEW_WORKER = object()  # asked of the greenlet in run()
 _COMPACT_MARGIN = 256  # stale heap entries tolerated before the heap is rebuilt
 
 
@@ -250,6 +251,7 @@ class Reactor:
         self._heap: list[tuple[float, int, ReactorTimer]] = []
         self._live = 0
         self._tickets = 0
+        self.late_s = 0.0  # most that a timer came late by since somebody put 0 here
         self._pass_time = 0.0  # no timer is filed under an earlier time: keeps "now" fair
         self._running = False
         self._fds = FdPoll()
@@ -400,8 +402,9 @@ class Reactor:
         if not isinstance(current, _Worker):
             return self._pause_outside(waketime)
         self.update_timer(current.wake, waketime)
-        spare = self._spare.pop() if self._spare else self._new_worker()
-        result: float = spare.switch()
+        # a greenlet begins at the stack depth of whoever starts it: many that sleep would reach the limit
+        assert self._main is not None
+        result: float = self._spare.pop().switch() if self._spare else self._main.switch(_NEW_WORKER)
         return result
 
     def _pause_outside(self, waketime: float) -> float:
@@ -432,8 +435,11 @@ class Reactor:
         while self._running:
             while heap and heap[0][2].ticket != heap[0][1]:
                 heapq.heappop(heap)  # moved or stopped since: nothing to wake up for
-            wait(heap[0][0] if heap else _NEVER, poll)
+            due = heap[0][0] if heap else _NEVER
+            wait(due, poll)
             self._pass_time = now = monotonic()
+            if now > due + self.late_s:
+                self.late_s = now - due
             if self._async_calls:
                 self._run_async_calls()
             if poll._ready:
@@ -466,7 +472,8 @@ class Reactor:
         try:
             worker = self._spare.pop() if self._spare else self._new_worker()
             worker.parent = self._main
-            worker.switch()
+            while worker.switch() is _NEW_WORKER:
+                worker = self._new_worker()
         finally:
             self._running = False
 

@@ -28,6 +28,8 @@ BatchHandler = Callable[[Any, int], None]
 PULL_MAX = 64
 BATCH_MAX = 32
 IDENTIFY_CHUNK = 40  # bytes of dictionary asked for at once: the answer fits a block
+IDENTIFY_CHUNK_MIN = 8  # on a line that damages bytes a short answer arrives more often than a long one
+IDENTIFY_PROGRESS_S = 5.0  # a device that has answered lately is waited for
 CONNECT_TIMEOUT_S = 15.0  # an MCU behind a boot loader starts within a few seconds
 REOPEN_PAUSE_S = 0.5
 ACK_TIMEOUT_S = 5.0  # the longest retransmission time-out
@@ -75,12 +77,17 @@ class SerialReader:
     """The link to one MCU. All methods: reactor thread; those that wait may only be called from a greenlet."""
 
     def __init__(
-        self, reactor: Reactor, warn_prefix: str = "", open_port: serialport.OpenPort = serialport.open_port
+        self,
+        reactor: Reactor,
+        warn_prefix: str = "",
+        open_port: serialport.OpenPort = serialport.open_port,
+        advice: str = serialport.ADVICE,
     ) -> None:
         self.reactor = reactor
         self.warn_prefix = warn_prefix
         self.msgparser = msgproto.MessageParser(warn_prefix=warn_prefix)
         self._open_port = open_port
+        self._advice = advice  # if the board does not answer
         self._ffi, self._lib = chelper.get_ffi()
         self._port: serialport.Port | None = None
         self._pulled = self._ffi.new("struct pull_message[]", PULL_MAX)
@@ -117,15 +124,8 @@ class SerialReader:
                 reason = str(e)
             now = self.reactor.monotonic()
             if now + REOPEN_PAUSE_S >= deadline:
-                raise error(self._connect_help(reason))
+                raise error(f"{self.warn_prefix}Unable to connect. {reason} {self._advice}")
             self.reactor.pause(now + REOPEN_PAUSE_S)
-
-    def _connect_help(self, reason: str) -> str:
-        return (
-            f"{self.warn_prefix}Unable to connect. {reason} Check that the board is powered and its cable is plugged"
-            " in, that the option 'serial' names the right device (ls /dev/serial/by-id/), that the option 'baud' is"
-            " the firmware's, that the board runs the printer's firmware, and that no other program uses the port."
-        )
 
     def _connect_once(self, path: str, baud: int, deadline: float) -> None:
         self._start_over(False)
@@ -142,21 +142,28 @@ class SerialReader:
 
     def _fetch_dictionary(self, path: str, deadline: float) -> bytes:
         data = bytearray()
+        chunk, failures = IDENTIFY_CHUNK, 0
         identify = self.msgparser.lookup_command(msgproto.IDENTIFY_COMMAND)
         while True:
             now = self.reactor.monotonic()
             if now >= deadline:
                 raise error(f"The device at '{path}' is open but does not answer.")
-            message = identify.encode((len(data), IDENTIFY_CHUNK))
+            message = identify.encode((len(data), chunk))
+            waits = ANSWER_WAITS_S[failures : failures + 1] or ANSWER_WAITS_S[-1:]
             try:
-                params = self.query(message, "identify_response", ack_timeout_s=min(1.0, deadline - now))
+                params = self.query(
+                    message, "identify_response", ack_timeout_s=min(1.0, deadline - now), waits_s=waits
+                )
             except error:
+                chunk, failures = max(IDENTIFY_CHUNK_MIN, chunk // 2), failures + 1
                 continue
             if params["offset"] != len(data):
                 continue
             if not params["data"]:
                 return bytes(data)
             data += params["data"]
+            chunk, failures = min(IDENTIFY_CHUNK, chunk + 4), 0
+            deadline = max(deadline, self.reactor.monotonic() + IDENTIFY_PROGRESS_S)
 
     def connect_file(self, dictionary: bytes, output_path: str) -> None:
         """Batch mode: the dictionary comes from a file, blocks go to a file. Raises `error`."""
@@ -302,6 +309,7 @@ class SerialReader:
         reqclock: int = 0,
         retry: bool = True,
         ack_timeout_s: float = ACK_TIMEOUT_S,
+        waits_s: Sequence[float] = ANSWER_WAITS_S,
     ) -> Params:
         """Send and wait for the answer `response` (of `oid`). Raises `error` if none comes, after retries.
 
@@ -312,7 +320,7 @@ class SerialReader:
             known = self.msgparser.lookup_response(response)
             return known.zeros() if known is not None else {"#name": response}
         waiters = self._tables.waiters.setdefault((response, oid), [])
-        for wait_s in ANSWER_WAITS_S if retry else (sum(ANSWER_WAITS_S),):
+        for wait_s in waits_s if retry else (sum(waits_s),):
             waiter = _Waiter(self.reactor.completion(), self.reactor.completion())
             waiters.append(waiter)
             try:

@@ -14,7 +14,7 @@ from typing import Any
 import chelper
 import motionlimits
 import stepstream
-from motionlimits import LENGTH, POSITION, SPEED
+from motionlimits import LENGTH, POSITION, SPEED, TRAVEL
 
 QUEUE_STEP = "queue_step oid=%c interval=%u count=%hu add=%hi"
 SET_NEXT_STEP_DIR = "set_next_step_dir oid=%c dir=%c"
@@ -140,7 +140,12 @@ class MCU_stepper:
             self._step_pulse_duration = DEFAULT_STEP_PULSE_S
         invert_step = int(self._invert_step)
         pulse_ticks = self._mcu.seconds_to_clock(self._step_pulse_duration)
-        can_step_both_edges = int(self._mcu.get_constants().get("STEPPER_STEP_BOTH_EDGE", 0))
+        constants = self._mcu.get_constants()
+        can_step_both_edges = int(constants.get("STEPPER_STEP_BOTH_EDGE", 0))
+        if (
+            "STEPPER_OPTIMIZED_UNSTEP" in constants
+        ):  # a firmware that makes whole pulses faster than edges (AVR)
+            can_step_both_edges = 0
         if self._want_both_edge and can_step_both_edges and self._step_pulse_duration <= BOTH_EDGE_PULSE_S:
             self._step_both_edge = True
             invert_step, pulse_ticks = -1, 0
@@ -414,8 +419,8 @@ class GenericPrinterRail:
         mcu_endstop = self._main_endstop(config)
         self.position_endstop = self._find_position_endstop(config, mcu_endstop, default_position_endstop)
         if need_position_minmax:
-            self.position_min = config.getfloat("position_min", 0.0, **POSITION)
-            self.position_max = config.getfloat("position_max", above=self.position_min, **POSITION)
+            self.position_min = config.getfloat("position_min", 0.0, **TRAVEL)
+            self.position_max = config.getfloat("position_max", above=self.position_min, **TRAVEL)
         else:
             self.position_min, self.position_max = 0.0, self.position_endstop
         if not self.position_min <= self.position_endstop <= self.position_max:

@@ -189,8 +189,7 @@ class ToolHead:
         self.print_time = self._motion_end = time
         for callback, end in due:
             callback(end)
-        for listener in self._listeners:
-            listener(moves)
+        self._report(self._listeners, moves)
         self._make_steps()
 
     def _commit_others(self, print_time: float, move: Move) -> None:
@@ -212,9 +211,23 @@ class ToolHead:
         if not count:
             return
         self._go_on()
-        for listener in self._record_listeners:
-            listener(self.lookahead.row, count, self.print_time)
+        self._report(self._record_listeners, self.lookahead.row, count, self.print_time)
         self._commit(count)
+
+    def _report(self, listeners: list[Any], *news: Any) -> None:
+        """Call listeners. One that fails is called no more: the moves are planned and go on without it."""
+        for listener in tuple(listeners):
+            try:
+                listener(*news)
+            except self.printer.command_error:
+                raise
+            except Exception as e:
+                logging.exception("A listener to moves failed")
+                listeners.remove(listener)
+                name = getattr(listener, "__module__", None) or "a plugin"
+                self.printer.lookup_object("gcode").respond_error(
+                    f"Internal error of {name}, left out from now on: {e}"
+                )
 
     def _settle(self) -> None:
         """Everything known becomes steps and goes out; afterwards the head is at rest."""
@@ -279,6 +292,8 @@ class ToolHead:
 
     def set_position(self, newpos: Sequence[float], homing_axes: Sequence[int] | str = ()) -> None:
         """The head is at newpos from now on, without moving; homing_axes count as homed."""
+        if not math.isfinite(sum(newpos)):
+            raise self.printer.command_error(f"Position that is no number: {tuple(newpos)}")
         self.flush_step_generation()
         self._trapq_set_position(self.trapq, self.print_time, newpos[0], newpos[1], newpos[2])
         self.commanded_pos[:4] = newpos[:4]
@@ -515,6 +530,11 @@ class ToolHead:
             max_accel=self.max_accel,
             minimum_cruise_ratio=self.min_cruise_ratio,
             square_corner_velocity=self.square_corner_velocity,
+            extra_axes={
+                axis.get_name(): number
+                for number, axis in enumerate(self.get_extra_axes())
+                if hasattr(axis, "get_name")
+            },
         )
         return status
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import logging
 import os
@@ -10,6 +11,7 @@ import pty
 import stat
 import subprocess
 import termios
+from typing import BinaryIO
 
 
 def set_nonblock(fd: int) -> None:
@@ -30,6 +32,26 @@ def create_pty(link_path: str) -> int:
     return our_end
 
 
+def open_plain(path: str) -> BinaryIO:
+    """Open a plain file for reading. A pipe without a writer would wait for ever, a device may have no end: OSError."""
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    kind = os.fstat(descriptor).st_mode
+    if not stat.S_ISREG(kind):
+        os.close(descriptor)
+        number, text = (errno.EISDIR, None) if stat.S_ISDIR(kind) else (errno.EINVAL, "it is no plain file")
+        raise OSError(number, text or os.strerror(number), path)
+    return open(descriptor, "rb")  # the caller closes it
+
+
+def read_plain(path: str, size_max: int = 16_000_000) -> str:
+    """The text of a plain file in UTF-8, line ends normalised. Raises OSError, UnicodeDecodeError."""
+    with open_plain(path) as file:
+        data = file.read(size_max + 1)
+    if len(data) > size_max:
+        raise OSError(errno.EFBIG, f"it is longer than {size_max} bytes", path)
+    return data.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
+
+
 def replace_file(path: str, text: str, backup: str | None = None) -> None:
     """Write a file in one step: at every moment, whatever is killed, `path` holds all of the old text or of the new.
 
@@ -37,22 +59,22 @@ def replace_file(path: str, text: str, backup: str | None = None) -> None:
     of the old file first. Raises OSError; then the old file is untouched.
     """
     target = os.path.realpath(path)
+    folder, name = os.path.split(target)
+    # in the same folder: only a rename within one file system is atomic; hidden from `[include *.cfg]`
+    temporary = os.path.join(folder, f".{name}.new")
     try:
-        with open(target, "rb") as file:
+        with open_plain(target) as file:
             before, old = os.fstat(file.fileno()), file.read()
     except FileNotFoundError:
         before = None
     else:
         if backup is not None:
-            _install(backup, old, before)
-    _install(target, text.encode("utf-8"), before)
+            _install(backup, temporary, old, before)
+    _install(target, temporary, text.encode("utf-8"), before)
 
 
-def _install(path: str, content: bytes, like: os.stat_result | None) -> None:
+def _install(path: str, temporary: str, content: bytes, like: os.stat_result | None) -> None:
     """Put a file into place, on disk when this returns, with the permissions of `like` (None: the usual ones)."""
-    folder, name = os.path.split(os.path.abspath(path))
-    # in the same folder: only a rename within one file system is atomic; hidden from `[include *.cfg]`
-    temporary = os.path.join(folder, f".{name}.new")
     with contextlib.suppress(FileNotFoundError):
         os.unlink(temporary)  # of a write that was killed
     try:
@@ -71,7 +93,7 @@ def _install(path: str, content: bytes, like: os.stat_result | None) -> None:
             os.unlink(temporary)
         raise
     with contextlib.suppress(OSError):  # some network file systems cannot; the file is in place already
-        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+        descriptor = os.open(os.path.dirname(temporary), os.O_RDONLY | os.O_DIRECTORY)
         try:
             os.fsync(descriptor)
         finally:

@@ -17,13 +17,12 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from sample_gcode import SampleMissing, sample_path
-
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "klippy"))
 
 from simulation.report import ReportError, write_report  # noqa: E402  (the path above comes first)
 from simulation.report.figures import Figure  # noqa: E402
+from simulation.sample_gcode import SampleMissing, sample_path  # noqa: E402
 
 INTERRUPT_WAIT_S = 5.0
 

@@ -20,7 +20,21 @@ from pathlib import Path
 _STATS = re.compile(r"Stats (\d+\.\d+): (.*)")
 _ENTRY = re.compile(r"(?:(?P<group>[\w.-]+):(?=\s)|(?P<name>\w+)=(?P<value>\S+))")
 # What the host says of itself, in a line without a group of its own: it comes behind whatever group was last
-_HOST = {"gcodein", "sd_pos", "print_time", "buffer_time", "print_stall", "sysload", "cputime", "memavail"}
+_HOST = {
+    "gcodein",
+    "sd_pos",
+    "print_time",
+    "buffer_time",
+    "print_stall",
+    "sysload",
+    "cputime",
+    "memavail",
+    "clock",
+    "undervoltage",
+    "throttled",
+    "swap",
+    "late",
+}
 _CONFIG_BEGIN, _CONFIG_END = "===== Config file =====", "======================="
 
 # Lines of the log that belong to the story, with what they mean

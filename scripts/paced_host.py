@@ -34,6 +34,7 @@ from link.serialport import PortError  # noqa: E402
 from printer import Printer  # noqa: E402
 from reactor import FdPoll, Reactor  # noqa: E402
 from simulation import world as world_module  # noqa: E402
+from simulation.faults import FaultError, Injector, Target, all_orders  # noqa: E402
 from simulation.machine import Machine, assemble  # noqa: E402
 from simulation.simport import SimPort  # noqa: E402
 from simulation.simtime import SimTime  # noqa: E402
@@ -104,6 +105,8 @@ class PacedHost:
         self._start_args = start_args
         start_args["open_port"] = self._open_port
         start_args["simulator_parameters"] = world_module.parameter_tables()
+        start_args["inject_fault"] = self._inject
+        self._injector: Injector | None = None
         self._world = World(seed)
         self._inner = SimTime(self._world)
         self._time = PacedTime(self._inner, speed)
@@ -129,6 +132,12 @@ class PacedHost:
             logging.info("Restarting printer")
             self._start_args["start_reason"] = result
 
+    def _inject(self, text: str) -> str:
+        if self._injector is None:
+            return "there is no machine yet"
+        self._injector.target.printer = self._printer  # of this start
+        return self._injector.now(text)
+
     def _on_signal(self, number: int, frame: object) -> None:
         signal.signal(number, signal.SIG_DFL)  # a second one ends the process at once
         printer = self._printer
@@ -152,7 +161,9 @@ class PacedHost:
         try:
             machine = assemble(self._world, sections, config)
             self._world.open_trace(None, machine.trace_rate_hz)
-        except WorldError as e:
+            self._injector = Injector(Target(machine, self._inner, self._printer))
+            self._injector.order(all_orders(machine, ()))
+        except (FaultError, WorldError) as e:
             raise self._printer.config_error(str(e)) from None
         return machine
 

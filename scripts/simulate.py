@@ -28,6 +28,7 @@ sys.path.insert(0, str(ROOT / "klippy"))
 
 import configtext  # noqa: E402  (the path above comes first)
 import queuelogger  # noqa: E402
+from simulation import faults  # noqa: E402
 from simulation.runner import BAD_INPUT, Outcome, Progress, RunOptions, Simulation  # noqa: E402
 from simulation.world import WorldError  # noqa: E402
 
@@ -67,8 +68,17 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         dest="builds",
         help="what an MCU runs: simulator, or the image for a chip on its emulator: stm32f334, atmega2560",
     )
+    parser.add_argument(
+        "--fault",
+        action="append",
+        default=[],
+        metavar="NAME[:ARG]@T",
+        dest="faults",
+        help="break something after T simulated seconds (docs/reference/Simulation.md); may be repeated",
+    )
     parser.add_argument("--until", type=float, metavar="SECONDS", help="stop after so much simulated time")
     parser.add_argument("--log", type=Path, metavar="FILE", help="the host's log")
+    parser.add_argument("--api", type=Path, metavar="SOCKET", help="serve the API on this unix socket")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     return parser.parse_args(argv)
 
@@ -110,7 +120,7 @@ def check_files(options: argparse.Namespace) -> None:
     for what, path in (("config", options.config), ("G-code file", options.gcode)):
         if not path.is_file():
             raise BadInput(f"There is no {what} {path}.")
-    for path in (options.trace, options.summary, options.report, options.log):
+    for path in (options.trace, options.summary, options.report, options.log, options.api):
         if path is not None and not path.resolve().parent.is_dir():
             raise BadInput(f"Cannot write {path}: the folder {path.parent} does not exist.")
     if options.report is not None and options.trace is None:
@@ -194,6 +204,8 @@ def main(argv: Sequence[str]) -> int:
         check_files(options)
         overrides = tuple(parse_override(text) for text in options.overrides)
         check_overrides(options.config, overrides)
+        for text in options.faults:
+            faults.parse(text)
         set_up_log(options.log)
         bar = None if options.quiet or not sys.stderr.isatty() else Bar(options.gcode.name)
         with bar or nullcontext():
@@ -208,10 +220,12 @@ def main(argv: Sequence[str]) -> int:
                     bar.show if bar else None,
                     parse_builds(options.builds),
                     options.log,
+                    tuple(options.faults),
+                    api=options.api,
                 )
             ).run()
         write_results(options, outcome)
-    except (BadInput, WorldError, OSError) as e:
+    except (BadInput, faults.FaultError, WorldError, OSError) as e:
         print(f"simulate: {e}", file=sys.stderr)
         return BAD_INPUT
     print_outcome(outcome)

@@ -23,11 +23,10 @@ from typing import Any
 from rich import progress as rich_progress
 from rich.console import Console
 
-from sample_gcode import sample_path
-
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "klippy"))
 
+from simulation.sample_gcode import sample_path  # noqa: E402
 from simulation.study.studyfile import Study, StudyError, near, read_study  # noqa: E402  (the path comes first)
 
 BAD_STUDY = 2

@@ -46,6 +46,7 @@ include src/$(PORT)/port.mk
 
 # Options of the firmware proper, the same for every port.
 PORT_CFLAGS += $(if $(filter y,$(CONFIG_SINGLE_ANALOG_REPORTS)),-DCONFIG_SINGLE_ANALOG_REPORTS)
+PORT_FIRMWARE += $(if $(filter y,$(CONFIG_NO_ACCELEROMETERS)),,$(FIRMWARE_ACCELEROMETERS))
 
 PORT_OUT := $(OUT)/$(PORT)
 PORT_PREFIX_MAP ?= -ffile-prefix-map

@@ -48,6 +48,8 @@
     X(SHUTDOWN_NEOPIXEL_UPDATE, "Invalid neopixel update command") \
     X(SHUTDOWN_THERMOCOUPLE_TYPE, "Invalid thermocouple chip type") \
     X(SHUTDOWN_THERMOCOUPLE_FAULT, "Thermocouple reader fault") \
+    X(SHUTDOWN_BUS_TYPE, "bus_type invalid") \
+    X(SHUTDOWN_MODEL_TYPE, "model type invalid") \
     X(SHUTDOWN_TMCUART_SIZE, "tmcuart data too large") \
     X(SHUTDOWN_ONOFF_TIMEOUT, "Missed renewal of on-off set point") \
     X(SHUTDOWN_ONOFF_SILENT, "On-off heater without readings") \

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from sample_gcode import SampleMissing, sample_path
+from simulation.sample_gcode import SampleMissing, sample_path
 
 ROOT = Path(__file__).resolve().parent.parent
 # Tests that press Ctrl-C: a shell ignores it for what it runs in the background, and programs inherit that.

@@ -96,9 +96,12 @@ class BedScrews:
         self._next()
 
     def cmd_ADJUSTED(self, gcmd: GCodeCommand) -> None:
-        """It was turned: all have to be looked at again."""
+        """It was turned: all have to be looked at again, also those of the coarse round."""
         self._accepted = 0
-        self._next()
+        if self._state == "fine":
+            self._go_to("adjust", 0)
+        else:
+            self._next()
 
     def cmd_ABORT(self, gcmd: GCodeCommand) -> None:
         """Give up."""

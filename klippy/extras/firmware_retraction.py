@@ -7,6 +7,7 @@ from typing import Any
 
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
+from motionlimits import LENGTH, SPEED
 from roles import Printer
 
 
@@ -21,8 +22,15 @@ class Retraction:
 
 
 MIN_SPEED_MM_S = 1.0
-LOWEST = {"retract_length": 0.0, "unretract_extra_length": 0.0}
 STATE = "_firmware_retraction"
+
+
+def _bounds(name: str) -> dict[str, Any]:
+    is_length = name.endswith("_length")
+    return {
+        "minval": 0.0 if is_length else MIN_SPEED_MM_S,
+        "maxval": (LENGTH if is_length else SPEED)["maxval"],
+    }
 
 
 class FirmwareRetraction:
@@ -50,7 +58,7 @@ class FirmwareRetraction:
         self.values = replace(
             self.values,
             **{
-                name: gcmd.get_float(name.upper(), value, minval=LOWEST.get(name, MIN_SPEED_MM_S))
+                name: gcmd.get_float(name.upper(), value, **_bounds(name))
                 for name, value in self.get_status(0.0).items()
             },
         )
@@ -85,10 +93,7 @@ class FirmwareRetraction:
 
 def load_config(config: ConfigWrapper) -> FirmwareRetraction:
     values = Retraction(
-        **{
-            f.name: config.getfloat(f.name, f.default, minval=LOWEST.get(f.name, MIN_SPEED_MM_S))
-            for f in fields(Retraction)
-        }
+        **{f.name: config.getfloat(f.name, f.default, **_bounds(f.name)) for f in fields(Retraction)}
     )
     retraction = FirmwareRetraction(config.get_printer(), values)
     retraction.register_commands()

@@ -29,6 +29,11 @@ def trapezoid(distance: float, speed: float, accel: float) -> tuple[float, float
     return accel_t, (distance - accel_t * top) / top, top
 
 
+def calc_move_time(dist: float, speed: float, accel: float) -> tuple[float, float, float, float]:
+    """(direction, time to accelerate, time to cruise, top speed), as plugins ask for it."""
+    return (math.copysign(1.0, dist), *trapezoid(abs(dist), speed, accel))
+
+
 class ForceMove:
     """Printer object 'force_move'."""
 

@@ -29,8 +29,8 @@ class Plane:
     helix: int
 
 
-# G18 looks along +y: seen so, x follows z (right-handed).
-PLANES = {"G17": Plane(0, 1, 2), "G18": Plane(2, 0, 1), "G19": Plane(1, 2, 0)}
+# As Klipper turns: with G18 from x to z, which is the other way round than RS274 has it.
+PLANES = {"G17": Plane(0, 1, 2), "G18": Plane(0, 2, 1), "G19": Plane(1, 2, 0)}
 
 
 def arc_points(

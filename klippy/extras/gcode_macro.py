@@ -1,8 +1,8 @@
 """[gcode_macro NAME]: commands made of G-code templates (Jinja2), and templates for other modules.
 
 Templates are rendered completely before their first line runs. They run in Jinja's sandbox: they read printer status
-and compute, nothing else. They may change their own dicts and lists, also by `d.__setitem__(key, value)`: Jinja has no
-statement for that.
+and compute, nothing else, within the limits of macros/limits.py. They may change their own dicts and lists, also by
+`d.__setitem__(key, value)`: Jinja has no statement for that.
 """
 
 from __future__ import annotations
@@ -14,17 +14,18 @@ from collections.abc import Iterator
 from typing import Any
 
 import jinja2
-import jinja2.sandbox
 
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
 from gcode_command import is_traditional
 from roles import Printer
 
+from .macros.limits import BUDGET, Budget, LimitedSandbox
+
 CONTAINER_METHODS = frozenset({"__contains__", "__delitem__", "__getitem__", "__len__", "__setitem__"})
 
 
-class MacroSandbox(jinja2.sandbox.SandboxedEnvironment):
+class MacroSandbox(LimitedSandbox):
     """Jinja's sandbox forbids names that begin with two underscores. Here a container's items are an exception."""
 
     def is_safe_attribute(self, obj: Any, attr: str, value: Any) -> bool:
@@ -51,7 +52,9 @@ class StatusView:
                 raise KeyError(name)
             if self._eventtime is None:
                 self._eventtime = self._printer.get_reactor().monotonic()
-            self._seen[key] = dict(report(self._eventtime))
+            # a macro may change what its dicts and lists hold, also one macro those of another
+            is_macro = isinstance(found, GCodeMacro)
+            self._seen[key] = dict(found.variables if is_macro else report(self._eventtime))
         return self._seen[key]
 
     def __contains__(self, name: object) -> bool:
@@ -84,7 +87,8 @@ class TemplateWrapper:
     def render(self, context: dict[str, Any] | None = None) -> str:
         """The text; problems of the template come out as command errors."""
         try:
-            return self._template.render(self.create_template_context() if context is None else context)
+            values = self.create_template_context() if context is None else context
+            return self._template.render({**values, BUDGET: Budget(self.printer.get_reactor())})
         except self._gcode.error:
             raise
         except Exception as e:
@@ -156,10 +160,10 @@ class PrinterGCodeMacro:
 
 
 def parse_literal(text: str) -> Any:
-    """A Python literal that JSON can express; ValueError otherwise."""
+    """A Python literal that JSON can express, of finite numbers; ValueError otherwise."""
     try:
         value = ast.literal_eval(text)
-        json.dumps(value)
+        json.dumps(value, allow_nan=False)
     except (SyntaxError, TypeError, ValueError, RecursionError, MemoryError) as e:
         raise ValueError(str(e)) from None
     return value
@@ -210,11 +214,17 @@ class GCodeMacro:
 
     def _take_over(self, new_name: str, description: str) -> None:
         previous = self.gcode.register_command(self.alias, None)
-        if previous is None:
+        if previous is not None:
+            self.gcode.register_command(new_name, previous, desc=f"Renamed builtin of '{self.alias}'")
+        elif left_out := self.printer.lookup_object("configfile").sections_left_out():
+            self.printer.lookup_object("configfile").runtime_warning(
+                f"Macro '{self.alias}': there is no command to rename to {new_name}; it may be one of the"
+                f" sections that Ferrite does not have yet: {', '.join(sorted(left_out))}"
+            )
+        else:
             raise self.printer.config_error(
                 f"Existing command '{self.alias}' not found in gcode_macro rename"
             )
-        self.gcode.register_command(new_name, previous, desc=f"Renamed builtin of '{self.alias}'")
         self.gcode.register_command(self.alias, self.cmd, desc=description)
 
     def get_status(self, eventtime: float) -> dict[str, Any]:

@@ -170,6 +170,7 @@ class GCodeMove:
             "homing_origin": Coord(*modes.homing_position),
             "position": Coord(*self.last_position[:4]),
             "gcode_position": self.get_gcode_position(),
+            "axis_map": {"X": 0, "Y": 1, "Z": 2, "E": 3, **self._extra_letters},
         }
 
     # -- moves --

@@ -115,10 +115,9 @@ class PrinterHeaters:
 
     def _load_builtin(self, config: ConfigWrapper) -> None:
         """Built-in types, then the sections that define custom ones, in any order of the config."""
-        if self._builtin_loaded:
-            return
-        self._builtin_loaded = True
-        sensor_types.register_builtin(self)
+        if not self._builtin_loaded:
+            self._builtin_loaded = True
+            sensor_types.register_builtin(self)
         for module in sensor_types.CUSTOM_SECTIONS:
             for section in config.get_prefix_sections(f"{module} "):
                 self.printer.load_object(config, section.get_name())

@@ -114,7 +114,7 @@ class InductionHeater:
     def register(self) -> None:
         printer = self.printer
         printer.register_event_handler("klippy:ready", self._on_ready)
-        printer.register_event_handler("klippy:shutdown", self._stop)
+        printer.register_event_handler("klippy:shutdown", self._on_shutdown)
         printer.register_event_handler("klippy:disconnect", self._stop)
         printer.register_event_handler("mcu:explain_shutdown", self._explain)
 
@@ -151,6 +151,13 @@ class InductionHeater:
         self.loop.start(self._now_s())
         self._running = True
         self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
+
+    def _on_shutdown(self) -> None:
+        """Of whichever MCU or by whatever fault: its last moments go to the log."""
+        if self._timer is not None:
+            for line in self.loop.story.lines(self.loop.state, self.loop.chain.state.witness):
+                logging.info("Induction heater '%s': %s", self.section_name, line)
+        self._stop()
 
     def _stop(self) -> None:
         """The MCU turns the bridge off in its own shutdown; here nothing more is sent."""

@@ -1,15 +1,11 @@
 """Input shaping: each axis is moved as a sum of copies of itself, so that the ringing each copy starts cancels out.
 
-A shaper is a row of pulses (weight, time). With the resonance's frequency f and damping ratio z, the damped period is
-T = 1/(f*sqrt(1-z^2)) and half of it damps the ringing by K = exp(-z*pi/sqrt(1-z^2)). The pulses are those of Singer,
-Seering and Singhose (ZV, ZVD, EI, two- and three-hump EI), and of the project's documentation (MZV). They are shifted
-so that their mean time is 0: the head is neither early nor late against the extruder.
+The copies are the impulses of vibration/shapers.py, shifted so that their mean time is 0: the head is neither early
+nor late against the extruder.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,54 +14,13 @@ from configfile import ConfigWrapper
 from gcode import GCodeCommand
 from motionlimits import DAMPING_RATIO, SHAPER_HZ, or_zero
 from roles import Printer
+from vibration import shapers
 
 AXES = "xyz"
 DEFAULT_TYPE = "mzv"
 DEFAULT_DAMPING_RATIO = 0.1
-# Vibration left over that the EI shapers are designed to (share of the unshaped).
-EI_TOLERANCE = 0.05
 
-Pulses = tuple[list[float], list[float]]  # weights (sum 1), times in damped periods
-
-
-def _zv(k: float) -> Pulses:
-    return [1.0, k], [0.0, 0.5]
-
-
-def _mzv(k: float) -> Pulses:
-    part = k**0.75  # damping over three eighths of a period
-    outer = 1.0 - math.sqrt(0.5)
-    return [outer, (math.sqrt(2.0) - 1.0) * part, outer * part * part], [0.0, 0.375, 0.75]
-
-
-def _zvd(k: float) -> Pulses:
-    return [1.0, 2.0 * k, k * k], [0.0, 0.5, 1.0]
-
-
-def _ei(k: float) -> Pulses:
-    outer = 0.25 * (1.0 + EI_TOLERANCE)
-    return [outer, 0.5 * (1.0 - EI_TOLERANCE) * k, outer * k * k], [0.0, 0.5, 1.0]
-
-
-def _two_hump_ei(k: float) -> Pulses:
-    v2 = EI_TOLERANCE**2
-    x = (v2 * (math.sqrt(1.0 - v2) + 1.0)) ** (1.0 / 3.0)
-    outer = (3.0 * x * x + 2.0 * x + 3.0 * v2) / (16.0 * x)
-    inner = 0.5 - outer
-    return [outer, inner * k, inner * k**2, outer * k**3], [0.0, 0.5, 1.0, 1.5]
-
-
-def _three_hump_ei(k: float) -> Pulses:
-    v = EI_TOLERANCE
-    outer = (1.0 + 3.0 * v + 2.0 * math.sqrt(2.0 * (v + v * v))) / 16.0
-    inner = 0.25 * (1.0 - v)
-    centre = 0.5 * (1.0 + v) - 2.0 * outer
-    return [outer, inner * k, centre * k**2, inner * k**3, outer * k**4], [0.0, 0.5, 1.0, 1.5, 2.0]
-
-
-SHAPERS: dict[str, Callable[[float], Pulses]] = {
-    "zv": _zv, "mzv": _mzv, "zvd": _zvd, "ei": _ei, "2hump_ei": _two_hump_ei, "3hump_ei": _three_hump_ei,
-}  # fmt: skip
+Pulses = tuple[list[float], list[float]]  # weights (sum 1), times in s
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,21 +28,22 @@ class AxisShaper:
     """Parameters of one axis; frequency_hz 0: not shaped."""
 
     axis: str
-    kind: str
+    shaper: shapers.Shaper
     frequency_hz: float
     damping_ratio: float
+
+    @property
+    def kind(self) -> str:
+        """The type as the user wrote it."""
+        return self.shaper.text
 
     def pulses(self) -> Pulses:
         """(weights, delays in s with mean 0); empty if not shaped."""
         if not self.frequency_hz:
             return [], []
-        undamped = math.sqrt(1.0 - self.damping_ratio**2)
-        weights, times = SHAPERS[self.kind](math.exp(-self.damping_ratio * math.pi / undamped))
-        total = sum(weights)
-        weights = [w / total for w in weights]
-        period_s = 1.0 / (self.frequency_hz * undamped)
+        weights, times = self.shaper.pulses(self.frequency_hz, self.damping_ratio)
         mean = sum(w * t for w, t in zip(weights, times, strict=True))
-        return weights, [(t - mean) * period_s for t in times]
+        return weights, [t - mean for t in times]
 
     def describe(self) -> str:
         return (
@@ -153,12 +109,13 @@ class InputShaper:
         changed = []
         for axis in self.axes:
             letter = axis.axis.upper()
-            kind = gcmd.get(f"SHAPER_TYPE_{letter}", common or axis.kind).lower()
-            if kind not in SHAPERS:
-                raise gcmd.error(f"Unsupported shaper type '{kind}' (known: {', '.join(SHAPERS)})")
+            kind = gcmd.get(f"SHAPER_TYPE_{letter}", common or axis.kind)
             frequency = or_zero(gcmd.get_float, f"SHAPER_FREQ_{letter}", axis.frequency_hz, SHAPER_HZ)
             damping = gcmd.get_float(f"DAMPING_RATIO_{letter}", axis.damping_ratio, **DAMPING_RATIO)
-            changed.append(AxisShaper(axis.axis, kind, frequency, damping))
+            try:
+                changed.append(make_axis(axis.axis, kind, frequency, damping))
+            except ValueError as e:
+                raise gcmd.error(f"SET_INPUT_SHAPER: {e}.") from None
         if changed != self.axes:
             self._apply(changed)
             self.axes = changed
@@ -167,15 +124,27 @@ class InputShaper:
                 gcmd.respond_info(axis.describe())
 
 
+def make_axis(axis: str, kind: str, frequency_hz: float, damping_ratio: float) -> AxisShaper:
+    """Raises ValueError if the type is unknown, or does not hold for the damping ratio of a shaped axis."""
+    shaper = shapers.parse(kind)
+    if frequency_hz:
+        shapers.check_damping(shaper, damping_ratio)
+    return AxisShaper(axis, shaper, frequency_hz, damping_ratio)
+
+
 def _read_axis(config: ConfigWrapper, axis: str) -> AxisShaper:
-    kinds = {name: name for name in SHAPERS}
-    common = config.getchoice("shaper_type", kinds, DEFAULT_TYPE)
-    return AxisShaper(
-        axis,
-        config.getchoice(f"shaper_type_{axis}", kinds, common),
-        or_zero(config.getfloat, f"shaper_freq_{axis}", 0.0, SHAPER_HZ),
-        config.getfloat(f"damping_ratio_{axis}", DEFAULT_DAMPING_RATIO, **DAMPING_RATIO),
-    )
+    common = config.get("shaper_type", DEFAULT_TYPE)
+    own = f"shaper_type_{axis}"
+    kind = config.get(own, common)
+    frequency_hz = or_zero(config.getfloat, f"shaper_freq_{axis}", 0.0, SHAPER_HZ)
+    damping_ratio = config.getfloat(f"damping_ratio_{axis}", DEFAULT_DAMPING_RATIO, **DAMPING_RATIO)
+    try:
+        return make_axis(axis, kind, frequency_hz, damping_ratio)
+    except ValueError as e:
+        option = own if config.get(own, None) is not None else "shaper_type"
+        raise config.error(
+            f"Option '{option}' in section '{config.get_name()}' ({config.where(option)}): {e}."
+        ) from None
 
 
 def load_config(config: ConfigWrapper) -> InputShaper:

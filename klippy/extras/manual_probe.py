@@ -8,8 +8,9 @@ own (a heater's calibration) keeps it, and only one of them runs at a time.
 from __future__ import annotations
 
 import bisect
+import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
@@ -20,6 +21,8 @@ DEFAULT_SPEED_MM_S = 5.0
 PLAY_MM = 0.5
 # Two heights nearer than this are the same.
 SAME_MM = 1e-5
+# How far TESTZ Z=++ and Z=-- go on a side where no height has been tried; Z=+ and Z=- go half as far.
+FIRST_STEP_MM = 0.2
 COMMANDS = {
     "ACCEPT": "Accept the current Z position",
     "ABORT": "Abort manual Z probing tool",
@@ -49,6 +52,17 @@ def report_save_config(gcmd: GCodeCommand, what: str) -> None:
         f"{what}\nThe SAVE_CONFIG command will update the printer config file\n"
         "with the above and restart the printer."
     )
+
+
+class ProbeResult(NamedTuple):
+    """A probed place of the bed, and the nozzle's place at the trigger; mm. Also what plugins give and take."""
+
+    bed_x: float
+    bed_y: float
+    bed_z: float
+    test_x: float
+    test_y: float
+    test_z: float
 
 
 class ManualProbeHelper:
@@ -98,9 +112,8 @@ class ManualProbeHelper:
             return self._z_mm + gcmd.get_float("Z")
         lower, upper = self._neighbours()
         bound = upper if text[0] == "+" else lower
-        if bound is None:
-            side = "above" if text[0] == "+" else "below"
-            raise gcmd.error(f"TESTZ Z={text}: no height {side} this one has been tried yet; give a distance")
+        if bound is None:  # nothing tried on that side yet
+            bound = self._z_mm + math.copysign(FIRST_STEP_MM, 1.0 if text[0] == "+" else -1.0)
         return bound if len(text) == 2 else 0.5 * (bound + self._z_mm)
 
     def cmd_TESTZ(self, gcmd: GCodeCommand) -> None:

@@ -14,16 +14,19 @@ from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from configfile import ConfigWrapper
-from gcode import GCodeCommand
+from gcode import Coord, GCodeCommand
 
 from . import manual_probe
 from .probing.points import ProbePointsHelper
+from .probing.series import Series
 from .probing.switch import ProbeEvents, ProbeSwitch
 
 # PROBE_CALIBRATE brings the nozzle to where the probe was, this far above the trigger, at this speed.
 CALIBRATE_LIFT_MM = 5.0
 CALIBRATE_TRAVEL_MM_S = 50.0
 ACCURACY_SAMPLES = 10
+# For messages of plugins
+HINT_TIMEOUT = "The probe did not trigger: check its wiring, and that it is above the bed."
 RESULTS: dict[str, Callable[[list[float]], float]] = {
     "average": statistics.fmean,
     "median": statistics.median,
@@ -93,7 +96,12 @@ class PrinterProbe:
         )
         self._series = False
         self._results: list[list[float]] = []
-        self._status = {"name": self.name, "last_query": False, "last_z_result": 0.0}
+        self._status = {
+            "name": self.name,
+            "last_query": False,
+            "last_z_result": 0.0,
+            "last_probe_position": Coord(0.0, 0.0, 0.0, 0.0),
+        }
         ProbeEvents(self.printer, mcu_probe)
         self.printer.register_event_handler("gcode:command_error", self._end_series)
         self.printer.lookup_object("pins").register_chip("probe", self)
@@ -186,11 +194,20 @@ class PrinterProbe:
             raise self.printer.command_error("Must home before probe")
         target = toolhead.get_position()
         target[2] = status["axis_minimum"][2]
-        place = self.mcu_probe.probing_move(target, speed)
+        place = list(self.mcu_probe.probing_move(target, speed))
+        place[2] = self._corrected(place)
         self.printer.lookup_object("gcode").respond_info(
             f"probe at {place[0]:.3f},{place[1]:.3f} is z={place[2]:.6f}"
         )
         return place[:3]
+
+    def _corrected(self, place: Sequence[float]) -> float:
+        """The height after [axis_twist_compensation] and plugins have seen it."""
+        x, y, z = place[:3]
+        offsets = self.offsets
+        results = [manual_probe.ProbeResult(x + offsets.x, y + offsets.y, z - offsets.z, x, y, z)]
+        self.printer.send_event("probe:update_results", results)
+        return float(results[0].bed_z + offsets.z)
 
     def _sample(self, gcmd: GCodeCommand, sampling: Sampling) -> list[list[float]]:
         """As many samples as asked for, all within the tolerance."""
@@ -225,7 +242,9 @@ class PrinterProbe:
             self.multi_probe_end()
         combine = RESULTS[sampling.result]
         result = [combine([place[axis] for place in places]) for axis in range(3)]
-        self._status = {**self._status, "last_z_result": result[2]}
+        offsets = self.offsets
+        place = Coord(result[0] + offsets.x, result[1] + offsets.y, result[2] - offsets.z, 0.0)
+        self._status = {**self._status, "last_z_result": result[2], "last_probe_position": place}
         self._results.append(result)
         return result
 
@@ -298,7 +317,10 @@ class PrinterProbe:
 
 def run_single_probe(probe: Any, gcmd: GCodeCommand) -> list[float]:
     """Probe here (plugins call it so)."""
-    return probe.run_probe(gcmd)
+    series = Series(probe, gcmd)
+    place = series.run()
+    series.end()
+    return place
 
 
 ProbeEndstopWrapper = ProbeSwitch  # the name plugins know

@@ -53,8 +53,7 @@ class SaveVariables:
     def _read(self) -> dict[str, Any]:
         data: dict[str, Any] = {}
         try:
-            with open(self.filename, encoding="utf-8") as file:
-                lines = list(file)
+            lines = util.read_plain(self.filename).split("\n")
         except (OSError, UnicodeDecodeError) as e:
             raise self.printer.command_error(
                 f"Unable to read the variable file {self.filename}: {e}"

@@ -9,6 +9,8 @@
     [simulator axis NAME]       what a stepper moves, and the switch at its end
     [simulator fan NAME]        a fan
     [simulator probe]           the bed's surface, and the probe that looks for it
+    [simulator frame]           ringing of the axes X and Y
+    [simulator accelerometer NAME]   the accelerometer of section [NAME] ("adxl345", "lis2dw bed"), on that frame
 
 These describe the machine as it *is*; the other sections say what the host assumes. Whatever is left out
 here is taken from the host's section of the same thing (stepper_NAME, NAME, heater_bed, ...). So assumption
@@ -30,6 +32,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 from configfile import ConfigWrapper
+
+from .accelerometer.axes import read_axes_map
 
 TRACE_RATE_HZ = 100.0
 LINE_BAUD = 250000.0
@@ -60,9 +64,10 @@ ParameterTables = Mapping[str, Mapping[str, ParameterRow]]  # "nozzle" and "load
 
 @dataclass(frozen=True, slots=True)
 class SimulatorSettings:
-    """[simulator]: trace rows a simulated second."""
+    """[simulator]: trace rows a simulated second; faults as simulate.py --fault takes them."""
 
     trace_rate_hz: float = TRACE_RATE_HZ
+    faults: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -189,6 +194,52 @@ class ProbeSettings:
     stuck: bool
     z_positions: tuple[tuple[float, float], ...] | None
     bed: Mapping[str, float]
+
+
+@dataclass(frozen=True, slots=True)
+class FrameSettings:
+    """[simulator frame]: natural frequency and damping ratio of X and Y, natural frequency of the motors' rotors."""
+
+    frequency_hz: tuple[float, float]
+    damping_ratio: tuple[float, float]
+    motor_hz: float
+
+
+ACCELEROMETER_FAULTS = ("none", "unplugged", "frozen", "saturated")
+
+
+@dataclass(frozen=True, slots=True)
+class AccelerometerSettings:
+    """[simulator accelerometer SECTION]; orientation None: as the host's axes_map assumes; noise None: typical."""
+
+    name: str
+    orientation: tuple[int, int, int] | None
+    noise_ug: float | None
+    rate_error: float
+    fault: str
+
+
+def _read_frame(config: ConfigWrapper, name: str) -> FrameSettings:
+    def of_axes(option: str, default: float, high: float) -> tuple[float, float]:
+        x, y = (config.getfloat(f"{option}_{a}", default, minval=0.0, maxval=high) for a in "xy")
+        return x, y
+
+    return FrameSettings(
+        frequency_hz=of_axes("frequency", 50.0, 200.0),
+        damping_ratio=of_axes("damping", 0.05, 0.9),
+        motor_hz=config.getfloat("motor_frequency", 300.0, minval=50.0, maxval=2000.0),
+    )
+
+
+def _read_accelerometer(config: ConfigWrapper, name: str) -> AccelerometerSettings:
+    turned = config.get("orientation", None)
+    return AccelerometerSettings(
+        name=name,
+        orientation=None if turned is None else read_axes_map(config, "orientation"),
+        noise_ug=config.getfloat("noise", None, minval=0.0, maxval=1e5),
+        rate_error=config.getfloat("rate_error", 0.01, minval=-0.2, maxval=0.2),
+        fault=config.getchoice("fault", {name: name for name in ACCELEROMETER_FAULTS}, "none"),
+    )
 
 
 def _read_probe(config: ConfigWrapper, name: str) -> ProbeSettings:
@@ -367,6 +418,8 @@ _READERS: dict[str, Callable[[Any, str], Any]] = {
     "axis": _read_axis,
     "fan": _read_fan,
     "probe": _read_probe,
+    "frame": _read_frame,
+    "accelerometer": _read_accelerometer,
 }
 
 
@@ -377,11 +430,44 @@ class SimulatorSection:
         self.settings = settings
 
 
+class LiveFaults:
+    """SIMULATOR_FAULT FAULT=NAME [ARG=...], where machine and host are one process."""
+
+    def __init__(self, printer: Any) -> None:
+        self.printer = printer
+
+    def register(self) -> None:
+        gcode = self.printer.lookup_object("gcode")
+        gcode.register_command(
+            "SIMULATOR_FAULT", self.cmd_SIMULATOR_FAULT, desc="A fault of the simulated machine"
+        )
+
+    def cmd_SIMULATOR_FAULT(self, gcmd: Any) -> None:
+        inject = self.printer.get_start_args().get("inject_fault")
+        if inject is None:
+            raise gcmd.error(
+                "SIMULATOR_FAULT: the machine is not in this process; start both with scripts/run_printer.py without"
+                " --separate."
+            )
+        name, argument = gcmd.get("FAULT"), gcmd.get("ARG", "")
+        problem = inject(f"{name}:{argument}" if argument else name)
+        if problem:
+            raise gcmd.error(f"SIMULATOR_FAULT: {problem}")
+        gcmd.respond_info(f"Fault injected: {name} {argument}".rstrip())
+
+
+def read_settings(config: ConfigWrapper) -> SimulatorSettings:
+    """Options of [simulator]."""
+    return SimulatorSettings(
+        config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0),
+        tuple(config.get("fault", "").split()),
+    )
+
+
 def load_config(config: ConfigWrapper) -> SimulatorSection:
     """[simulator]"""
-    return SimulatorSection(
-        SimulatorSettings(config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0))
-    )
+    LiveFaults(config.get_printer()).register()
+    return SimulatorSection(read_settings(config))
 
 
 def load_config_prefix(config: ConfigWrapper) -> SimulatorSection:
@@ -393,6 +479,6 @@ def load_config_prefix(config: ConfigWrapper) -> SimulatorSection:
             f"Section '{config.get_name()}': '{kind}' is nothing a simulated machine has; it has "
             f"{', '.join(_READERS)}."
         )
-    if not name.strip() and kind not in ("mcu", "probe"):
+    if not name.strip() and kind not in ("mcu", "probe", "frame"):
         raise config.error(f"Section '{config.get_name()}' needs a name: [simulator {kind} NAME].")
     return SimulatorSection(reader(config, name.strip()))

@@ -8,34 +8,70 @@ import time
 from typing import Any
 
 from configfile import ConfigWrapper
+from reactor import void
 from roles import Printer
 
 _PERIOD_S = 1.0
+_PI_THROTTLED = "/sys/devices/platform/soc/soc:firmware/get_throttled"
 
 
 class SystemStats:
-    """Load, processor time and free memory of this computer."""
+    """This computer: load, processor time, memory, swapping, clock, supply; and how late the host's timers come."""
 
-    def __init__(self) -> None:
+    def __init__(self, reactor: Any) -> None:
+        self._reactor = reactor
         self._status: dict[str, Any] = {"sysload": 0.0, "cputime": 0.0, "memavail": 0}
+        self._swapped, self._swap_at_s = 0, 0.0
 
     def stats(self, eventtime: float) -> tuple[bool, str]:
         """For the statistics line."""
-        cputime_s = time.process_time()
-        load = os.getloadavg()[0]
-        self._status = {"sysload": load, "cputime": cputime_s, "memavail": _available_kb()}
-        return False, f"sysload={load:.2f} cputime={cputime_s:.3f} memavail={self._status['memavail']}"
+        facts = read_computer()
+        late_s, self._reactor.late_s = self._reactor.late_s, 0.0
+        swapped, period_s = facts.pop("swapped", 0), eventtime - self._swap_at_s
+        rate = (swapped - self._swapped) / period_s if self._swap_at_s and period_s > 0.0 else 0.0
+        self._swapped, self._swap_at_s = swapped, eventtime
+        self._status = {name: facts[name] for name in ("sysload", "cputime", "memavail")}
+        texts = [
+            f"{name}={value:.3f}" if isinstance(value, float) else f"{name}={value}"
+            for name, value in facts.items()
+        ]
+        return False, f"{' '.join(texts)} swap={max(0.0, rate):.0f} late={late_s:.3f}"
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
         """As of the last statistics line."""
         return self._status
 
 
-def _available_kb() -> int:
+def read_computer() -> dict[str, Any]:
+    """Load; CPU seconds of this program; KB of free memory; pages swapped since the start of the computer.
+
+    Where the computer tells: clock of the first core (MHz), whether it was throttled or had too little voltage.
+    """
+    facts: dict[str, Any] = {"sysload": round(os.getloadavg()[0], 2), "cputime": time.process_time()}
+    facts["memavail"] = _count("/proc/meminfo", b"MemAvailable:")
+    facts["swapped"] = _count("/proc/vmstat", b"pswpin ") + _count("/proc/vmstat", b"pswpout ")
+    if clock_khz := _count("/sys/devices/system/cpu/cpu0/cpufreq/scaling_cur_freq"):
+        facts["clock"] = clock_khz // 1000
+    flags = _read(_PI_THROTTLED)  # as `vcgencmd get_throttled`: bit 0 voltage, 1 capped, 2 throttled
+    if flags:
+        bits = int(flags, 16)
+        facts |= {"undervoltage": bits & 1, "throttled": int(bits & 6 > 0)}
+    return facts
+
+
+def _read(path: str) -> bytes:
     try:
-        with open("/proc/meminfo", "rb", buffering=0) as file:
-            return int(file.read(512).partition(b"MemAvailable:")[2].split(maxsplit=1)[0])
-    except (OSError, ValueError, IndexError):
+        with open(path, "rb", buffering=0) as file:
+            return file.read(8192)
+    except OSError:
+        return b""
+
+
+def _count(path: str, name: bytes = b"") -> int:
+    """The whole number behind `name` in a file of the kernel; 0 if there is none."""
+    try:
+        return int(_read(path).partition(name)[2].split(maxsplit=1)[0] if name else _read(path) or 0)
+    except (ValueError, IndexError):
         return 0
 
 
@@ -51,6 +87,9 @@ class PrinterStats:
     def register(self) -> None:
         """Start once the printer is ready."""
         self.printer.register_event_handler("klippy:ready", self._handle_ready)
+        self.printer.register_event_handler(
+            "klippy:shutdown", lambda: void(self._report(self.reactor.monotonic()))
+        )
 
     def _handle_ready(self) -> None:
         self._sources = [obj.stats for _, obj in self.printer.lookup_objects() if hasattr(obj, "stats")]
@@ -69,7 +108,7 @@ class PrinterStats:
 def load_config(config: ConfigWrapper) -> PrinterStats:
     """Always loaded."""
     printer = config.get_printer()
-    printer.add_object("system_stats", SystemStats())
+    printer.add_object("system_stats", SystemStats(printer.get_reactor()))
     stats = PrinterStats(printer)
     stats.register()
     return stats

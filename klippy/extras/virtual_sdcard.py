@@ -7,18 +7,27 @@ line that was not carried out completely. Moves come in rows (gcode.run_next), o
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
+from collections.abc import Iterator
 from typing import Any, BinaryIO
 
+import util
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
 from roles import Printer
 
 _CHUNK = 8192  # bytes between looks at the rest of the host: about 10 ms of parsing
+_FILES_AT_ONCE = 200  # names in a list between looks at the rest of the host
 _SUFFIXES = ("gcode", "g", "gco")
 _DEFAULT_ON_ERROR = "{% if 'heaters' in printer %}\nTURN_OFF_HEATERS\n{% endif %}"
 _UNSUPPORTED = ("M28", "M29", "M30")
+
+
+def _is_listed(name: str, check_subdirs: bool) -> bool:
+    ending = name.rpartition(".")[2].lower()
+    return not name.startswith(".") and (not check_subdirs or ending in _SUFFIXES)
 
 
 class VirtualSD:
@@ -125,24 +134,40 @@ class VirtualSD:
     # --- files ---
     def get_file_list(self, check_subdirs: bool = False) -> list[tuple[str, int]]:
         """Names relative to the folder, and sizes."""
-        found: list[tuple[str, int]] = []
+        return sorted(self._files(check_subdirs), key=lambda entry: entry[0].lower())
+
+    def _files(self, check_subdirs: bool) -> Iterator[tuple[str, int]]:
         walked: set[str] = set()
-        for folder, subfolders, names in os.walk(self.sdcard_dirname, followlinks=True):
+        folders = [self.sdcard_dirname]
+        while folders:
+            folder = folders.pop()
             place = os.path.realpath(folder)
             if place in walked:  # a link back
-                subfolders.clear()
                 continue
             walked.add(place)
-            subfolders[:] = [name for name in subfolders if check_subdirs and not name.startswith(".")]
-            for name in names:
-                path = os.path.join(folder, name)
-                if name.startswith(".") or (
-                    name.rpartition(".")[2].lower() not in _SUFFIXES and check_subdirs
-                ):
-                    continue
-                if os.path.isfile(path):
-                    found.append((os.path.relpath(path, self.sdcard_dirname), os.path.getsize(path)))
-        return sorted(found, key=lambda entry: entry[0].lower())
+            with contextlib.suppress(OSError), os.scandir(folder) as entries:
+                for entry in entries:
+                    if entry.name.startswith("."):
+                        continue
+                    if entry.is_dir():
+                        folders += [entry.path] if check_subdirs else []
+                    elif _is_listed(entry.name, check_subdirs) and entry.is_file():
+                        yield os.path.relpath(entry.path, self.sdcard_dirname), entry.stat().st_size
+
+    def _find_like(self, name: str, check_subdirs: bool) -> str | None:
+        """The path of the listed file of that name, in whatever letters; looks only into the folders it names."""
+        path, parts = self.sdcard_dirname, name.split("/")
+        for part in parts:
+            try:
+                names = os.listdir(path)
+            except OSError:
+                return None
+            like = part if part in names else next((n for n in names if n.lower() == part.lower()), "")
+            if not like or like.startswith("."):
+                return None
+            path = os.path.join(path, like)
+        is_listed = _is_listed(parts[-1], check_subdirs) and (check_subdirs or len(parts) == 1)
+        return path if is_listed and os.path.isfile(path) else None
 
     def _close(self) -> None:
         if self.current_file is not None:
@@ -164,13 +189,12 @@ class VirtualSD:
         path = os.path.join(self.sdcard_dirname, name)
         inside = os.path.realpath(path).startswith(os.path.realpath(self.sdcard_dirname) + os.sep)
         if not inside or not os.path.isfile(path):  # a link, or in other letters: one of the list
-            known = {entry.lower(): entry for entry, _ in self.get_file_list(check_subdirs)}
-            if name.lower() in known:
-                path = os.path.join(self.sdcard_dirname, known[name.lower()])
-            elif not inside:
+            found = self._find_like(name, check_subdirs)
+            if found is None and not inside:
                 raise gcmd.error(f"Unable to open file '{name}': it is outside of {self.sdcard_dirname}")
+            path = found or path
         try:
-            file = open(path, "rb")  # noqa: SIM115  (stays open while it is printed)
+            file = util.open_plain(path)  # stays open while it is printed
             size = file.seek(0, os.SEEK_END)
             file.seek(0)
         except OSError as e:
@@ -209,8 +233,15 @@ class VirtualSD:
     def cmd_M20(self, gcmd: GCodeCommand) -> None:
         """List files."""
         gcmd.respond_raw("Begin file list")
-        for name, size in self.get_file_list():
+        files = []
+        for number, entry in enumerate(self._files(check_subdirs=False), 1):
+            files.append(entry)
+            if number % _FILES_AT_ONCE == 0:
+                self.reactor.pause(self.reactor.NOW)
+        for number, (name, size) in enumerate(sorted(files, key=lambda entry: entry[0].lower()), 1):
             gcmd.respond_raw(f"{name} {size}")
+            if number % _FILES_AT_ONCE == 0:
+                self.reactor.pause(self.reactor.NOW)
         gcmd.respond_raw("End file list")
 
     def cmd_M21(self, gcmd: GCodeCommand) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import stepper
 from kinematics.axes import HOMING_OVERTRAVEL, ZLimits, axes_of
+from kinematics.delta_calibration import Calibration, linear_delta
 from kinematics.delta_limits import SLOW_RATIO, lower_meeting_point, slow_reach
 from lookahead import Coord, Move
 
@@ -85,6 +86,15 @@ class DeltaKinematics:
         return lower_meeting_point(
             [((t.x, t.y, z), t.arm**2) for t, z in zip(self.towers, carriages, strict=True)]
         )
+
+    def get_calibration(self) -> Calibration:
+        """What DELTA_CALIBRATE may change."""
+        parameters = {"radius": self.radius}
+        for name, tower, rail in zip("abc", self.towers, self.rails, strict=True):
+            parameters[f"angle_{name}"] = math.degrees(math.atan2(tower.y, tower.x)) % 360.0
+            parameters[f"arm_{name}"] = tower.arm
+            parameters[f"endstop_{name}"] = rail.get_homing_info().position_endstop
+        return linear_delta(parameters, [rail.get_steppers()[0].get_step_dist() for rail in self.rails])
 
     def calc_position(self, stepper_positions: dict[str, float]) -> list[float]:
         """x, y, z (mm) from the heights of the carriages by stepper name."""

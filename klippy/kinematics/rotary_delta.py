@@ -9,6 +9,7 @@ from typing import Any
 
 import stepper
 from kinematics.axes import ZLimits, axes_of
+from kinematics.delta_calibration import Calibration, rotary_delta
 from kinematics.delta_limits import lower_meeting_point
 from lookahead import Coord, Move
 
@@ -124,6 +125,15 @@ class RotaryDeltaKinematics:
                 for arm, angle in zip(self.arms, turned, strict=True)
             ]
         )
+
+    def get_calibration(self) -> Calibration:
+        """What DELTA_CALIBRATE may change."""
+        parameters = {"radius": self.shoulder_radius, "height": self.shoulder_height}
+        for name, arm, rail in zip("abc", self.arms, self.rails, strict=True):
+            parameters[f"angle_{name}"] = math.degrees(arm.angle)
+            parameters |= {f"upper_{name}": arm.upper, f"lower_{name}": arm.lower}
+            parameters[f"endstop_{name}"] = rail.get_homing_info().position_endstop
+        return rotary_delta(parameters, [rail.get_steppers()[0].get_step_dist() for rail in self.rails])
 
     def calc_position(self, stepper_positions: dict[str, float]) -> list[float]:
         """x, y, z (mm) from the angles (rad) by stepper name."""

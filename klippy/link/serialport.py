@@ -5,7 +5,7 @@ A port is handed a serialqueue (klippy/chelper/link/serialqueue.h) and moves its
 - `ThreadPort`: a file descriptor (serial device, pty, unix socket) served by a thread of the C helper
 - `FilePort`: batch mode, everything goes to a file
 - the simulated port lives with the simulated world and is handed in as an `OpenPort` of its own
-- a CAN port will be one more `Port` here, with its own opener beside `open_port`
+- canport.py opens the port of a board on a CAN bus
 """
 
 from __future__ import annotations
@@ -49,21 +49,37 @@ class Port(Protocol):
 
 
 OpenPort = Callable[[Reactor, str, int], Port]
+# What to look at if a board does not answer
+ADVICE = (
+    "Check that the board is powered and its cable is plugged in, that the option 'serial' names the right device"
+    " (ls /dev/serial/by-id/), that the option 'baud' is the firmware's, that the board runs the printer's"
+    " firmware, and that no other program uses the port."
+)
 
 _FILE_CHUNK = 1 << 16  # bytes
 
 
 class ThreadPort:
-    """A file descriptor served by a thread of the C helper. Owns `fd`; `release` closes it."""
+    """A file descriptor served by a thread of the C helper. Owns `fd`; `release` closes it.
+
+    can_id: of the frames to send, if it is a CAN socket.
+    """
 
     def __init__(
-        self, reactor: Reactor, name: str, fd: int, release: Callable[[], None], reset: Callable[[], None]
+        self,
+        reactor: Reactor,
+        name: str,
+        fd: int,
+        release: Callable[[], None],
+        reset: Callable[[], None],
+        can_id: int = 0,
     ) -> None:
         self._reactor = reactor
         self._name = name
         self._fd = fd
         self._release = release
         self._reset = reset
+        self._can_id = can_id
         self._lib = chelper.get_ffi()[1]
         self._thread: Any = None
         self._pipe: tuple[int, int] = (-1, -1)
@@ -76,7 +92,7 @@ class ThreadPort:
         os.set_blocking(self._fd, False)
         self._pipe = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC)
         self._handler = self._reactor.register_fd(self._pipe[0], self._woken)
-        self._thread = self._lib.portthread_start(sq_pointer, self._fd, self._pipe[1])
+        self._thread = self._lib.portthread_start(sq_pointer, self._fd, self._pipe[1], self._can_id)
         if not self._thread:
             raise PortError(f"Unable to start a thread for port '{self._name}'.")
 

@@ -15,11 +15,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+from extras.accelerometer.axes import mounted_as, parse_axes_map
+from extras.accelerometer.chips import CHIPS
 from extras.probing.surface_fit import fit_plane
 from extras.simulator import (
+    AccelerometerSettings,
     AxisSettings,
     FanSettings,
     FeedSettings,
+    FrameSettings,
     LoadSettings,
     McuSettings,
     NozzleSettings,
@@ -41,6 +45,8 @@ Settings = (
     | FanSettings
     | ReferenceSettings
     | ProbeSettings
+    | FrameSettings
+    | AccelerometerSettings
 )
 _T = TypeVar("_T")
 
@@ -70,8 +76,12 @@ class Machine:
     fans: dict[str, int] = field(default_factory=dict)
     nozzles: dict[str, int] = field(default_factory=dict)
     loads: dict[str, int] = field(default_factory=dict)
+    beds: list[int] = field(default_factory=list)  # those of them that are beds
     probes: dict[str, int] = field(default_factory=dict)
+    nozzle_mcus: list[int] = field(default_factory=list)  # of each nozzle
+    accelerometers: dict[str, int] = field(default_factory=dict)
     trace_rate_hz: float = SimulatorSettings().trace_rate_hz
+    faults: tuple[str, ...] = ()  # of the config, see faults.py
 
 
 def assemble(
@@ -87,10 +97,15 @@ def assemble(
     machine = Machine(world)
     for recording in _of(things, SimulatorSettings):
         machine.trace_rate_hz = recording.trace_rate_hz
+        machine.faults = recording.faults
     _add_mcus(machine, {mcu.name: mcu for mcu in _of(things, McuSettings)}, config, builds or {})
     for axis in _of(things, AxisSettings):
         machine.axes[axis.name] = _add_axis(machine, axis, config)
     _couple_axes(machine, config)
+    for frame in _of(things, FrameSettings):
+        world.add_frame(frame.frequency_hz, frame.damping_ratio, frame.motor_hz)
+    for accelerometer in _of(things, AccelerometerSettings):
+        machine.accelerometers[accelerometer.name] = _add_accelerometer(machine, accelerometer, config)
     for probe in _of(things, ProbeSettings):
         machine.probes[probe.name] = _add_probe(machine, probe, config)
     for fan in _of(things, FanSettings):
@@ -102,6 +117,8 @@ def assemble(
         _add_reference(machine, reference, config)
     for load in _of(things, LoadSettings):
         machine.loads[load.name] = _add_load(machine, load, config)
+        if load.kind == "bed":
+            machine.beds.append(machine.loads[load.name])
     return machine
 
 
@@ -206,6 +223,35 @@ def _add_axis(machine: Machine, axis: AxisSettings, config: Config) -> int:
         endstop_mm=endstop_mm,
         endstop_at_max=endstop_mm > 0.5 * (low + high),
         both_edges=axis.both_edges,
+    )
+
+
+# --- accelerometers ---
+
+
+def _add_accelerometer(machine: Machine, settings: AccelerometerSettings, config: Config) -> int:
+    where = f"simulator accelerometer {settings.name}"
+    host = config.get(settings.name)
+    kind = settings.name.split(maxsplit=1)[0]
+    if host is None or kind not in CHIPS:
+        raise WorldError(f"Section '{where}' needs a section '{settings.name}' that it belongs to.")
+    software = [option for option in host if "software" in option]
+    if software:
+        raise WorldError(f"Section '{where}': {software[0]}: a simulated chip needs a bus of the hardware.")
+    select, i2c = None, (-1, 0)
+    if "cs_pin" in host:
+        select = _pin(machine, host["cs_pin"], config, settings.name, "cs_pin", where)
+    else:
+        mcu = _index(machine.mcus, host.get("i2c_mcu", "mcu"), "mcu", where)
+        i2c = mcu, int(_number(host, "i2c_address", CHIPS[kind].address, where))
+    return machine.world.add_accelerometer(
+        kind,
+        settings.orientation or mounted_as(parse_axes_map(host.get("axes_map", "x, y, z"))),
+        select,
+        i2c,
+        -1.0 if settings.noise_ug is None else settings.noise_ug,
+        settings.rate_error,
+        settings.fault,
     )
 
 
@@ -344,6 +390,7 @@ def _add_nozzle(machine: Machine, nozzle: NozzleSettings, config: Config) -> int
     fan = _index(machine.fans, nozzle.fan, "fan", where)
     values = parameter_values("nozzle", nozzle.preset, dict(nozzle.parameters))
     index = machine.world.add_nozzle(machine.mcus[nozzle.mcu], values, axis, area_mm2, fan)
+    machine.nozzle_mcus.append(machine.mcus[nozzle.mcu])
     for name, points in nozzle.profiles.items():
         machine.world.add_profile(index, name, points)
     heater = config.get(f"induction_heater {nozzle.name}", {})

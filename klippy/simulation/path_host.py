@@ -12,11 +12,9 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
 
-import configabsent
 import configfile
 import mcu
 import msgproto
@@ -84,31 +82,19 @@ def add_printer_objects(config: Any) -> None:
     for section in config.get_prefix_sections("mcu "):
         sync = SecondarySync(printer.get_reactor(), main_sync)
         printer.add_object(section.get_name(), PathMCU(section, sync))
-    for chip in printer.lookup_object("configfile").chips:
-        printer.lookup_object("pins").register_chip(chip, printer.lookup_object("mcu"))
 
 
 class PathConfig(configfile.PrinterConfig):
     """A printer.cfg with what matters for the path."""
-
-    chips: tuple[str, ...] = ()  # of sections that are left out, whose pins others may use
 
     def read_main_config(self) -> configfile.ConfigWrapper:
         wrapper = super().read_main_config()
         complete(self._data)
         return wrapper
 
-    def check_absent_sections(self, has_module: Callable[[str], bool]) -> list[str]:
-        sections = self._data.sections
-        for name in list(sections):
-            kind, _, own = name.partition(" ")
-            if kind in configabsent.REFUSED and not has_module(kind):
-                del sections[name]
-                self.chips += (own, f"{kind}_{own}") if own else ()
-        return super().check_absent_sections(has_module)
-
-    def check_unused_options(self, config: Any) -> None:
-        """The printer refuses unknown commands; the path does not depend on them."""
+    def unused_options(self, failed: set[str]) -> list[str]:
+        """The printer refuses unknown options; the path does not depend on them."""
+        return []
 
 
 def complete(data: ConfigData) -> None:

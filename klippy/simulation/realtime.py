@@ -51,8 +51,11 @@ def _read_section(data: configtext.ConfigData, name: str) -> Settings:
     printer = SimpleNamespace(get_start_args=lambda: {"simulator_parameters": parameter_tables()})
     access: dict[tuple[str, str], Any] = {}
     wrapper = ConfigWrapper(printer, data, access, name)
-    load = simulator_sections.load_config_prefix if " " in name else simulator_sections.load_config
-    settings: Settings = load(wrapper).settings
+    settings: Settings
+    if " " in name:
+        settings = simulator_sections.load_config_prefix(wrapper).settings
+    else:
+        settings = simulator_sections.read_settings(wrapper)
     for option in data.sections[name].options:
         if (name.lower(), option) not in access:
             raise WorldError(f"Option '{option}' is not valid in section '{name}' ({wrapper.where(option)}).")

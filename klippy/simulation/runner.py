@@ -24,6 +24,7 @@ from printer import Printer
 from . import preview
 from . import world as world_module
 from .builds import OUT
+from .faults import KILLED_S, FaultError, Injector, Target, all_orders
 from .machine import Machine, assemble
 from .simport import SimPort
 from .simtime import SimTime
@@ -38,6 +39,7 @@ AFTERMATH_S = 2.0  # watched on after a shutdown, to see that the heat goes off
 SAMPLE_S = 0.010  # host-side channels are read no more often than the trace has rows
 PROGRESS_WALL_S = 0.1
 UNKNOWN_COMMAND = '// Unknown command:"'  # how the console says it; the print goes on
+WARNING = "// Induction heater '"
 GC_ALLOCATIONS = 100_000  # between looks for cycles: blocks and moves come by the thousand and make none
 
 
@@ -55,7 +57,7 @@ class RunOptions:
     """What to print on what.
 
     `overrides`: (section, option, value) over the config file; `builds`: MCU → the build it runs; `log`: where the
-    caller lets logging write, for what the host puts beside it.
+    caller lets logging write, for what the host puts beside it; `api`: where the host serves its API.
     """
 
     config: Path
@@ -67,6 +69,8 @@ class RunOptions:
     on_progress: Callable[[Progress], None] | None = None
     builds: Mapping[str, str] = field(default_factory=dict)
     log: Path | None = None
+    faults: tuple[str, ...] = ()  # see faults.py
+    api: Path | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +101,7 @@ class Simulation:
         self._next_progress = 0.0
         self._heater: Any = None
         self._bed: Any = None
+        self.injector: Injector | None = None
 
     # --- start ---
     def run(self) -> Outcome:
@@ -107,6 +112,7 @@ class Simulation:
         self.time.before_advance = self._before_advance
         self.reactor = reactor_module.Reactor(self.time)
         self.printer = self._new_printer()
+        self.printer.register_event_handler("klippy:shutdown", self._on_shutdown)
         started = time.monotonic()
         self.reactor.register_callback(self._drive)
         gc.set_threshold(GC_ALLOCATIONS)
@@ -130,13 +136,14 @@ class Simulation:
             "config_overrides": [("virtual_sdcard", "path", folder), *options.overrides],
             "open_port": self._open_port,
             "simulator_parameters": world_module.parameter_tables(),
-            "apiserver": None,
+            "apiserver": str(options.api) if options.api else None,
             "gcode_fd": None,
             "start_reason": "startup",
             "log_file": str(options.log.resolve()) if options.log else None,
             "output_folder": str(OUTPUT_FOLDER),  # without a log
             "software_version": "simulation",
             "is_simulated": True,
+            "inject_fault": lambda text: self.injector.now(text) if self.injector else "no machine yet",
             "cpu_info": "simulated time",
         }
         return Printer(self.reactor, start_args)
@@ -156,7 +163,9 @@ class Simulation:
             settings = [section.settings for section in sections]
             machine = assemble(self.world, settings, config, self.options.builds)
             self.world.open_trace(self.options.trace, machine.trace_rate_hz)
-        except WorldError as e:
+            self.injector = Injector(Target(machine, self.time, self.printer, self._kill_host))
+            self.injector.order(all_orders(machine, self.options.faults))
+        except (FaultError, WorldError) as e:
             raise self.printer.config_error(str(e)) from None
         return machine
 
@@ -187,6 +196,22 @@ class Simulation:
         known = heaters.get_all_heaters()
         self._heater = heaters.lookup_heater("extruder") if "extruder" in known else None
         self._bed = heaters.lookup_heater("heater_bed") if "heater_bed" in known else None
+
+    def _kill_host(self) -> None:
+        """From now on the host does nothing; the machine is watched on."""
+        now = self.time.monotonic()
+        self._end(SHUT_DOWN, f"the host was killed after {now - self.world.start_s:g} s, as asked by --fault")
+        self.time.stall(now + KILLED_S, resumes=False)
+        if self.injector is not None and (watch := self.injector.injected[-1].watch) is not None:
+            off_s = self.world.watched(watch)["off_s"]
+            if off_s >= 0.0:
+                self.injector.detected("the MCU, without a host", now + off_s)
+        self.printer.request_exit("exit")
+
+    def _on_shutdown(self) -> None:
+        if self.injector is not None:
+            message = self.printer.get_state_message()[0]
+            self.injector.detected(message.strip().partition("\n")[0], self.reactor.monotonic())
 
     def _count_moves(self, row: Any, count: int, print_time: float) -> None:
         self.facts.moves += count
@@ -254,6 +279,8 @@ class Simulation:
             self.facts.faults.append(
                 f"{self.reactor.monotonic() - self.world.start_s:.1f} s: {text[2:].strip()}"
             )
+        elif text.startswith(WARNING) and self.injector is not None:
+            self.injector.warned(text[3:], self.reactor.monotonic())
         elif text.startswith(UNKNOWN_COMMAND):
             name = text[len(UNKNOWN_COMMAND) :].strip('"')
             self.facts.unknown_commands[name] = self.facts.unknown_commands.get(name, 0) + 1
@@ -315,6 +342,8 @@ class Simulation:
             self._note_machine(self.machine)
         if facts.exit_status == SHUT_DOWN:
             facts.faults.insert(0, facts.reason)
+        if self.injector is not None and self.injector.injected:
+            facts.injected = self.injector.results()
         return Outcome(facts.exit_status, facts.reason, summary(facts, self.machine))
 
     def _note_machine(self, machine: Machine) -> None:

@@ -5,6 +5,7 @@ Theory of operation: klippy/simulation/README.md, "Who owns virtual time".
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -34,6 +35,8 @@ class SimTime:
         self._now = world.now
         self._receivers: dict[int, Callable[[], None]] = {}
         self.before_advance: Callable[[float], None] = _nothing
+        self.alarm_s = math.inf  # at this world time, or as soon as the host waits after it ...
+        self.on_alarm: Callable[[], None] = lambda: None  # ... this is called; it sets the next one
         self.world_wall_s = 0.0  # real time spent in the world; the rest of a run is the host's
 
     def monotonic(self) -> float:
@@ -48,13 +51,24 @@ class SimTime:
         self.before_advance(now)
         pointer = self._world.pointer
         entered = time.perf_counter()
-        waiting = self._advance(pointer, min(until, now + MAX_STRETCH_S))
+        waiting = self._advance(pointer, min(until, now + MAX_STRETCH_S, max(self.alarm_s, now)))
         self.world_wall_s += time.perf_counter() - entered
         self._now = self._read_now(pointer)
+        while self._now >= self.alarm_s:
+            self.on_alarm()
         if waiting:
             for mcu, receive in list(self._receivers.items()):
                 if waiting >> mcu & 1:
                     receive()
+
+    def stall(self, until: float, resumes: bool = True) -> None:
+        """The host stands still while time goes on: no byte from it, none taken by it."""
+        self._world.lib.world_stall_host(self._world.pointer, until if resumes else math.inf)
+        while self._now < until:
+            self._advance(self._world.pointer, min(until, max(self.alarm_s, self._now)))
+            self._now = self._read_now(self._world.pointer)
+            while self._now >= self.alarm_s:
+                self.on_alarm()
 
     def set_receiver(self, mcu: int, receive: Callable[[], None] | None) -> None:
         """Call `receive` when messages of the MCU wait for the host."""

@@ -36,6 +36,7 @@ class RunFacts:
     file_progress: float = 0.0
     faults: list[str] = field(default_factory=list)
     unknown_commands: dict[str, int] = field(default_factory=dict)  # name: how often
+    injected: list[dict[str, Any]] = field(default_factory=list)  # see faults.py
     stages_s: dict[str, float] = field(default_factory=dict)
     host_links: dict[str, Mapping[str, Any]] = field(default_factory=dict)
 
@@ -68,6 +69,7 @@ def summary(facts: RunFacts, machine: Machine | None) -> dict[str, Any]:
         "file_progress": round(facts.file_progress, 6),
         "faults": list(facts.faults),
         "unknown_commands": facts.unknown_commands,
+        "injected": facts.injected,
     }
     if machine is None:
         return result

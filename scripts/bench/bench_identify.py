@@ -26,8 +26,8 @@ import numpy as np
 
 import configtext
 from harness import ROOT, SAMPLE_CONFIG
-from sample_gcode import sample_path
 from simulation.identify import fit, recording, report
+from simulation.sample_gcode import sample_path
 
 LINES = 330  # of the sample: 25 s of printing
 REFUSED = 3  # the printer shut down: its law cannot be that plant's

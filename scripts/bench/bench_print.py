@@ -15,7 +15,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from sample_gcode import SampleMissing, sample_path
+from simulation.sample_gcode import SampleMissing, sample_path
 
 MIN_RATIO = 20.0  # simulated seconds per wall second, on two cores
 MAX_MEMORY_MB = 300.0

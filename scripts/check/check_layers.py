@@ -26,10 +26,10 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
     (name, frozenset(modules.split()))
     for name, modules in (
         ("helper", "chelper"),
-        ("thermal", "thermal"),
+        ("thermal", "thermal vibration"),
         (
             "base",
-            "util queuelogger reactor roles configabsent configaliases configtext configfile"
+            "util queuelogger reactor roles configabsent absentpins configaliases configtext configfile"
             " gcode_command gcode gcode_io pins msgproto",
         ),
         ("link", "link serialhdl clocksync mcu"),

@@ -64,6 +64,12 @@ read_samples_before(uint64_t clock)
     sim_board.sync_adc_read(sim_board.ctx, to, count, first_clock, bridge.period_ticks);
 }
 
+void
+sim_mcu_stop_adc(void)
+{
+    bridge.half_clock = SIM_NEVER;
+}
+
 static void
 send_phase(uint16_t phase)
 {

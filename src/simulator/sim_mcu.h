@@ -61,6 +61,9 @@ SIM_EXPORT void sim_mcu_receive(const uint8_t *data, uint32_t len);
 /* 1 once if the firmware has asked for a reset: it is then dead until sim_mcu_boot(). */
 SIM_EXPORT int sim_mcu_take_reset(void);
 
+/* The synchronous ADC takes no more samples until the next boot: its trigger is dead. */
+SIM_EXPORT void sim_mcu_stop_adc(void);
+
 #ifdef __cplusplus
 }
 #endif

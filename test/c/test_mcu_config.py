@@ -74,6 +74,21 @@ config_thermocouple oid=%c spi_oid=%c thermocouple_type=%c
 query_thermocouple oid=%c clock=%u rest_ticks=%u min_value=%u max_value=%u max_invalid_count=%c
 config_tmcuart oid=%c rx_pin=%u pull_up=%c tx_pin=%u bit_time=%u
 tmcuart_send oid=%c write=%*s read=%c
+config_adxl345 oid=%c spi_oid=%c
+query_adxl345 oid=%c rest_ticks=%u
+query_adxl345_status oid=%c
+config_lis2dw oid=%c bus_oid=%c bus_oid_type=%c lis_chip_type=%c
+query_lis2dw oid=%c rest_ticks=%u
+query_lis2dw_status oid=%c
+config_mpu9250 oid=%c i2c_oid=%c
+query_mpu9250 oid=%c rest_ticks=%u
+query_mpu9250_status oid=%c
+config_icm20948 oid=%c i2c_oid=%c
+query_icm20948 oid=%c rest_ticks=%u
+query_icm20948_status oid=%c
+config_bmi160 oid=%c bus_oid=%c bus_oid_type=%c
+query_bmi160 oid=%c rest_ticks=%u
+query_bmi160_status oid=%c
 """  # noqa: E501
 STOCK_RESPONSES = """
 analog_in_state oid=%c next_clock=%u values=%*s
@@ -97,6 +112,8 @@ counter_state oid=%c next_clock=%u count=%u count_clock=%u
 spi_transfer_response oid=%c response=%*s
 thermocouple_result oid=%c next_clock=%u value=%u fault=%c
 tmcuart_response oid=%c read=%*s
+sensor_bulk_data oid=%c sequence=%hu data=%*s
+sensor_bulk_status oid=%c clock=%u query_ticks=%u next_sequence=%hu buffered=%u possible_overflows=%hu
 """
 
 

@@ -194,9 +194,9 @@ def test_cooling_to_a_lower_target_keeps_measuring_and_does_not_undershoot() -> 
     ("fault", "words", "within_s"),
     [
         (1.0, ("too slow", "no valid", "above", "below"), 5.0),  # no nozzle
-        (2.0, ("too slow", "no valid", "above", "below"), 5.0),  # broken coil
-        (3.0, ("above max_temp", "no valid"), 8.0),  # bridge stuck on
-        (5.0, ("too slow", "no valid", "above", "below"), 5.0),  # sensing lead open
+        (2.0, ("too slow", "no valid", "above", "below", "does not follow"), 5.0),  # broken coil
+        (3.0, ("above max_temp", "above its target", "no valid"), 8.0),  # bridge stuck on
+        (5.0, ("too slow", "no valid", "above", "below", "does not follow"), 5.0),  # sensing lead open
     ],
     ids=["no nozzle", "broken coil", "bridge stuck on", "signal lost"],
 )

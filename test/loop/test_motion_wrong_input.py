@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
 
-from simulation.runner import PRINTED, RunOptions, Simulation
+from simulation.runner import BAD_INPUT, RunOptions, Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
 CONFIG = ROOT / "config" / "sim-induction.cfg"
@@ -46,8 +48,19 @@ class Careless(Simulation):
         gcode.run_script("G28\nG1 X20 Y20 F6000")
         for line in WRONG:
             self._refused(gcode, line)
+        toolhead = self.printer.lookup_object("toolhead")
+        self.calls: list[int] = []
+        toolhead.register_move_listener(self._broken)
+        for wrong in (math.nan, math.inf):  # as a plugin may compute
+            for call in (lambda place: toolhead.move(place, 50.0), toolhead.set_position):
+                with pytest.raises(self.printer.command_error, match="that is no number"):
+                    call([wrong, 20.0, 0.0, 0.0])
         self.facts.faults.clear()  # what was refused is in the log, not wrong with the print
         super()._print()
+
+    def _broken(self, moves: Sequence[object]) -> None:
+        self.calls.append(len(moves))
+        raise RuntimeError("a bug in a plugin")
 
     def _refused(self, gcode: object, line: str) -> None:
         with pytest.raises(self.printer.command_error) as refused:
@@ -58,10 +71,13 @@ class Careless(Simulation):
 
 def test_each_is_refused_with_its_reason_and_the_next_print_is_right(tmp_path: Path) -> None:
     path = tmp_path / "part.gcode"
-    path.write_text("G1 X60 Y70 F6000\nM400\n")
+    path.write_text("G1 X40 Y40 F6000\nM400\nG1 X60 Y70 F6000\nM400\n")
     sim = Careless(RunOptions(CONFIG, path))
     outcome = sim.run()
-    assert outcome.status == PRINTED, outcome.reason
+    assert (
+        outcome.status == BAD_INPUT and "Internal error of" in outcome.reason
+    )  # reported, and the print went on
+    assert "a bug in a plugin" in outcome.reason and len(sim.calls) == 1
     for line, reason in {**BEFORE_HOMING, **WRONG}.items():
         assert reason in sim.said[line], line
     axes = outcome.summary["axes"]

@@ -1,4 +1,4 @@
-"""What the plant does in the situations of the published tables; used by the tests and by scripts/plot_plant.py."""
+"""What the plant does where tables were published; for the tests and scripts/bench/plot_plant.py."""
 
 from __future__ import annotations
 

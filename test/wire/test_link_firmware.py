@@ -175,9 +175,10 @@ def test_port_that_is_not_there_says_so(session: LinkSession) -> None:
     assert "no such device" in text and "/dev/serial/by-id/no-such-board" in text
 
 
-def test_can_boards_are_refused_clearly(session: LinkSession) -> None:
+def test_a_can_bus_that_is_not_there_is_named(session: LinkSession) -> None:
     state, text = session.host(nothing, config="[mcu]\ncanbus_uuid: 11aa22bb33cc\n")
-    assert state == "error" and "CAN bus" in text
+    assert state == "error" and "Unable to use the CAN interface 'can0'" in text
+    assert "canbus_query.py" in text
 
 
 # --- running ---
@@ -393,3 +394,13 @@ def test_second_board_follows_print_time_although_it_drifts(tmp_path: Path) -> N
     # and an 8-bit chip's own computing adds some tens
     settled = 20e-6 if session.clock_hz > 20e6 else 40e-6
     assert max(abs(e) for e in errors[30:]) < settled
+
+
+@pytest.mark.parametrize("seed", range(1, 11))
+def test_a_host_connects_over_a_line_that_damages_and_loses_a_byte_in_a_hundred(
+    tmp_path: Path, seed: int
+) -> None:
+    """Three answers of 47 bytes in five do not arrive; an answer to a shorter question does."""
+    session = LinkSession(tmp_path, seed=seed, corrupt=0.01, drop=0.01)
+    state, message = session.host(lambda printer: None)
+    assert state == "ready", message

@@ -17,11 +17,23 @@
 enum {
     READ_SIZE = 4096,
     POLL_MAX_MS = 1000, // look around at least once a second
+    CAN_DATA_MAX = 8,
 };
+
+static const double CAN_FULL_WAIT_S = 0.0005; // some frames of 1 Mbit/s
+
+// As the kernel hands out CAN 2.0 frames (linux/can.h, which not every system has)
+struct can_packet {
+    uint32_t id;
+    uint8_t len, reserved[3];
+    uint8_t data[CAN_DATA_MAX];
+};
+_Static_assert(sizeof(struct can_packet) == 16, "size of a SocketCAN frame");
 
 struct portthread {
     struct serialqueue *sq;
     int fd, notify_fd;
+    uint32_t can_id; // of what the host sends; 0: no CAN
     int wake_read, wake_write;
     pthread_t thread;
     atomic_int stopping, error;
@@ -52,19 +64,48 @@ fail(struct portthread *pt, int code)
     poke(pt->notify_fd);
 }
 
+// One packet of a CAN bus into `data`. As read(), with 0 for a packet of somebody else.
+static ssize_t
+read_packet(struct portthread *pt, uint8_t *data)
+{
+    struct can_packet packet;
+    ssize_t n = read(pt->fd, &packet, sizeof(packet));
+    if (n < 0)
+        return n;
+    if (n != sizeof(packet) || packet.id != pt->can_id + 1 || packet.len > CAN_DATA_MAX)
+        return 0;
+    memcpy(data, packet.data, packet.len);
+    return packet.len;
+}
+
 static void
 read_port(struct portthread *pt)
 {
     uint8_t data[READ_SIZE];
-    ssize_t n = read(pt->fd, data, sizeof(data));
+    ssize_t n = pt->can_id ? read_packet(pt, data) : read(pt->fd, data, sizeof(data));
     if (n > 0) {
         serialqueue_receive(pt->sq, data, (int)n, monotonic_now());
         pt->has_news = 1;
     } else if (!n) {
-        fail(pt, -1);
+        if (!pt->can_id)
+            fail(pt, -1);
     } else if (errno != EAGAIN && errno != EINTR) {
         fail(pt, errno);
     }
+}
+
+// Some of the bytes that are to go out. As write().
+static ssize_t
+write_some(struct portthread *pt)
+{
+    const uint8_t *data = pt->out + pt->out_start;
+    int count = pt->out_end - pt->out_start;
+    if (!pt->can_id)
+        return write(pt->fd, data, (size_t)count);
+    struct can_packet packet = {.id = pt->can_id, .len = (uint8_t)(count < CAN_DATA_MAX ? count : CAN_DATA_MAX)};
+    memcpy(packet.data, data, packet.len);
+    ssize_t n = write(pt->fd, &packet, sizeof(packet));
+    return n < 0 ? n : packet.len;
 }
 
 // Send what is due. Returns when to look again.
@@ -79,8 +120,10 @@ write_port(struct portthread *pt)
             if (!pt->out_end)
                 return next_wake;
         }
-        ssize_t n = write(pt->fd, pt->out + pt->out_start, (size_t)(pt->out_end - pt->out_start));
+        ssize_t n = write_some(pt);
         if (n < 0) {
+            if (errno == ENOBUFS) // the interface's queue is full, which poll() does not know
+                return monotonic_now() + CAN_FULL_WAIT_S;
             if (errno != EAGAIN && errno != EINTR)
                 fail(pt, errno);
             return next_wake; // poll() returns when there is room
@@ -150,7 +193,7 @@ release(struct portthread *pt)
 }
 
 struct portthread *
-portthread_start(struct serialqueue *sq, int fd, int notify_fd)
+portthread_start(struct serialqueue *sq, int fd, int notify_fd, uint32_t can_id)
 {
     struct portthread *pt = calloc(1, sizeof(*pt));
     int wake[2];
@@ -161,6 +204,7 @@ portthread_start(struct serialqueue *sq, int fd, int notify_fd)
     pt->sq = sq;
     pt->fd = fd;
     pt->notify_fd = notify_fd;
+    pt->can_id = can_id;
     pt->wake_read = wake[0];
     pt->wake_write = wake[1];
     if (pthread_create(&pt->thread, NULL, port_loop, pt)) {

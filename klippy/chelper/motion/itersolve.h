@@ -37,7 +37,7 @@ struct axis_motion {
     double c[3][3];                         /* mm, mm/s, mm/s^2 (halved) */
 };
 
-enum { SHAPER_PULSES_MAX = 5 };
+enum { SHAPER_PULSES_MAX = 8 };
 
 /* shaped(t) = sum weight[i] * plain(t - delay[i]); no pulses: not shaped */
 struct axis_shaper {

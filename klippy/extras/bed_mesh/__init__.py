@@ -32,7 +32,9 @@ from .config import (
     read_shape,
 )
 from .points import Layout, MeshError, MeshShape
+from .zmesh import ZMesh
 
+BedMeshError = MeshError  # the name plugins know
 ADAPTIVE_PROFILE = "adaptive"
 
 
@@ -165,9 +167,12 @@ class BedMesh:
             options = self.options
             self.surface.follow(self.fade, self.shift, options.check_distance, options.split_delta_z)
 
-    def set_mesh(self, mesh: Profile | None) -> None:
+    def set_mesh(self, mesh: Profile | ZMesh | None) -> None:
         """For other modules."""
-        self.use(mesh, self.profile_name if mesh is not None else "")
+        if isinstance(mesh, ZMesh):
+            self.use(mesh.profile, mesh.name)
+        else:
+            self.use(mesh, self.profile_name if mesh is not None else "")
 
     def get_mesh(self) -> Profile | None:
         return self.current
@@ -258,6 +263,12 @@ class BedMesh:
 
     # -- profiles --
 
+    def save_profile(self, name: str) -> None:
+        """Keep the mesh in force, for this session and for SAVE_CONFIG. Raises command_error without one."""
+        if self.current is None:
+            raise self.printer.command_error("Unable to save to profile, the bed has not been probed")
+        self._save(name)
+
     def _save(self, name: str) -> None:
         assert self.current is not None
         configfile = self.printer.lookup_object("configfile")
@@ -283,9 +294,7 @@ class BedMesh:
         if not name.strip():
             raise gcmd.error(f"Value for parameter '{action}' must be specified")
         if action == "SAVE":
-            if self.current is None:
-                raise gcmd.error("Unable to save to profile, the bed has not been probed")
-            self._save(name)
+            self.save_profile(name)
         elif name not in self.profiles:
             raise gcmd.error(f"bed_mesh: Unknown profile [{name}]")
         elif action == "LOAD":

@@ -25,7 +25,7 @@ class InductionDump:
         self.printer = printer
         self.heater = heater
         self._folder = Path(folder).expanduser()
-        self._clients: list[tuple[Any, dict[str, Any]]] = []
+        self._clients: dict[Any, dict[str, Any]] = {}  # with the template of each
         self._rows: list[tuple[Any, ...]] = []
         self._file: TextIO | None = None
         self._writer: Any = None
@@ -73,7 +73,7 @@ class InductionDump:
 
     def _on_request(self, request: Any) -> None:
         template = request.get_dict("response_template", {})
-        self._clients.append((request.get_client_connection(), template))
+        self._clients[request.get_client_connection()] = template
         request.send({"header": HEADER})
         self._listen()
         if self._timer is None:
@@ -82,8 +82,8 @@ class InductionDump:
 
     def _on_timer(self, eventtime: float) -> float:
         rows, self._rows = self._rows, []
-        self._clients = [c for c in self._clients if not c[0].is_closed()]
-        for client, template in self._clients:
+        self._clients = {c: template for c, template in self._clients.items() if not c.is_closed()}
+        for client, template in self._clients.items():
             if rows:
                 client.send({**template, "params": {"data": rows, "header": HEADER}})
         if self._clients:

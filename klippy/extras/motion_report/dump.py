@@ -28,7 +28,7 @@ class Stream:
         self._reactor = printer.get_reactor()
         self._header = header
         self._start, self._read = start, read
-        self._clients: list[tuple[Any, dict[str, Any]]] = []
+        self._clients: dict[Any, dict[str, Any]] = {}  # with the template of each
         self._timer: Any = None
 
     def serve(self, request: Any) -> None:
@@ -37,18 +37,18 @@ class Stream:
         if self._timer is None:
             self._start()
             self._timer = self._reactor.register_timer(self._on_timer, self._reactor.monotonic() + PERIOD_S)
-        self._clients.append((request.get_client_connection(), template))
+        self._clients[request.get_client_connection()] = template
         request.send({"header": list(self._header)})
 
     def _on_timer(self, eventtime: float) -> float:
-        self._clients = [entry for entry in self._clients if not entry[0].is_closed()]
+        self._clients = {c: template for c, template in self._clients.items() if not c.is_closed()}
         if not self._clients:
             self._reactor.unregister_timer(self._timer)
             self._timer = None
             return float(self._reactor.NEVER)
         try:
             while (rows := self._read()) is not None:
-                for client, template in self._clients:
+                for client, template in self._clients.items():
                     client.send({**template, "params": rows})
         except Exception:
             logging.exception("motion_report: a stream ends")

@@ -9,10 +9,12 @@ from configfile import ConfigWrapper
 from gcode import GCodeCommand
 
 from .. import manual_probe
+from .series import Series, lift_speed_of
 
 Point = Sequence[float]
 # finalize(offsets of the probe, nozzle's places at the triggers); "retry": probe all again
 Finalize = Callable[[Any, list[list[float]]], Any]
+SCANS = ("scan", "rapid_scan")
 NO_OFFSETS = (0.0, 0.0, 0.0)
 
 
@@ -67,6 +69,10 @@ class ProbePointsHelper:
         manual_probe.verify_no_manual_probe(self.printer)
         probe = self.printer.lookup_object("probe", None)
         method = gcmd.get("METHOD", "automatic").lower()
+        if method in SCANS:
+            raise gcmd.error(
+                f"METHOD={method} needs a probe that measures while it moves; use METHOD=automatic"
+            )
         if method not in ("automatic", "manual"):
             raise gcmd.error(f"METHOD is '{method}'; it can be automatic or manual")
         self.horizontal_move_z = gcmd.get_float("HORIZONTAL_MOVE_Z", self.default_horizontal_move_z)
@@ -76,7 +82,7 @@ class ProbePointsHelper:
             self._manual_places = []
             self._next_by_hand(gcmd)
             return
-        self.lift_speed = min(self.speed, probe.get_lift_speed(gcmd))
+        self.lift_speed = min(self.speed, lift_speed_of(probe, gcmd))
         self._offsets = probe.get_offsets(gcmd)
         if self.horizontal_move_z < self._offsets[2]:
             raise gcmd.error("horizontal_move_z can't be less than probe's z_offset")
@@ -92,12 +98,12 @@ class ProbePointsHelper:
         lift_speed = self.speed  # the first lift: nothing hangs on it
         while True:
             places: list[list[float]] = []
-            probe.multi_probe_begin()
+            series = Series(probe, gcmd)
             for number in range(len(self.probe_points or ())):
                 self._travel(number, lift_speed)
                 lift_speed = self.lift_speed
-                places.append(probe.run_probe(gcmd))
-            probe.multi_probe_end()
+                places.append(series.run())
+            series.end()
             if self._finish(places) != "retry":
                 return
 

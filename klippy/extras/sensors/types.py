@@ -17,7 +17,7 @@ from .. import (
     temperature_mcu,
     thermistor,
 )
-from . import bosch, ds18b20, i2c_temperature
+from . import bosch, ds18b20, i2c_temperature, induction
 
 CUSTOM_SECTIONS = ("thermistor", "adc_temperature", "polynomial_thermistor")
 
@@ -28,6 +28,7 @@ BUILTIN: tuple[Callable[[Any], None], ...] = (
     i2c_temperature.register_builtin,
     bosch.register_builtin,
     ds18b20.register_builtin,
+    induction.register_builtin,
     temperature_mcu.register_builtin,
     temperature_host.register_builtin,
     temperature_combined.register_builtin,

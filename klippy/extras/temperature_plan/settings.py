@@ -14,7 +14,7 @@ from thermal.models.melt_exchange import NozzleLimits
 from thermal.plan import requests
 from thermal.plan.deposit import Surroundings
 from thermal.plan.materials import MATERIALS, Material
-from thermal.plan.planner import PlanOptions
+from thermal.plan.planner import Deposited, PlanOptions
 from thermal.plan.session import PlanSettings
 
 FOLLOW_MM = 60000.0  # a fair part of a print: the weld is held where the user's own target has it on average
@@ -68,6 +68,13 @@ def _table(config: ConfigWrapper, material: Material) -> requests.RequestTable:
     return table
 
 
+def _is_record(path: Path) -> bool:
+    """Whether a file is empty or an earlier record: only such a one is overwritten."""
+    start = ",".join(Deposited._fields).encode()
+    with path.open("rb") as stream:
+        return stream.read(len(start)) in (b"", start)
+
+
 def _record(config: ConfigWrapper) -> str | None:
     """A file that can be written, as far as can be checked without making it."""
     text = config.get("record", None)
@@ -76,6 +83,8 @@ def _record(config: ConfigWrapper) -> str | None:
     path = Path(text).expanduser()
     if path.is_dir():
         wrong = f"'{text}' is a folder"
+    elif path.is_fifo() or (path.is_file() and not _is_record(path)):
+        wrong = f"'{text}' is another file, which would be lost"
     elif not path.parent.is_dir():
         wrong = f"there is no folder '{path.parent}'"
     elif not os.access(path if path.exists() else path.parent, os.W_OK):

@@ -128,6 +128,7 @@ READ_ONLY = (
     "MSCURACT",
     "DRV_STATUS",
     "PWM_SCALE",
+    "ADC_TEMP",
     "SG4_RESULT",
 )
 UART_WRITE_ONLY = ("SLAVECONF", "IHOLD_IRUN", "TPOWERDOWN", "TPWMTHRS")
@@ -186,7 +187,8 @@ TMC5160 = Chip(
     {}, ("en_pwm_mode", 1), 12e6, SPI_STALL,
 )  # fmt: skip
 TMC2240 = Chip(
-    "tmc2240", {**SPI_CHIP, "DRV_CONF": 0x0A, "GLOBALSCALER": 0x0B, "SG4_THRS": 0x74, "SG4_RESULT": 0x75},
+    "tmc2240", {**SPI_CHIP, "DRV_CONF": 0x0A, "GLOBALSCALER": 0x0B, "ADC_TEMP": 0x51, "SG4_THRS": 0x74,
+                "SG4_RESULT": 0x75},
     (), READ_ONLY,
     table(f"{GSTAT}, register_reset 3, vm_uvlo 4{HOLD}, irundelay 24 4{COMMON}\n"
           f"    {COOL}{SPI_MORE}{STEALTH2}, pwm_meas_sd_enable 22, pwm_dis_reg_stst 23\n{WAVE}\n"
@@ -197,7 +199,7 @@ TMC2240 = Chip(
 ext_res_det 13, ext_clk 14, adc_err 15, silicon_rv 16 3, version 24 8\n"
           f"    DRV_STATUS: {SPI_STATUS}, s2vsa 12, s2vsb 13, stealth 14\n"
           f"    CHOPCONF: {SPI_CHOP}, tpfd 20 4, diss2vs 31\n    GLOBALSCALER: globalscaler 0 8\n"
-          "    DRV_CONF: current_range 0 2, slope_control 4 2\n"
+          "    DRV_CONF: current_range 0 2, slope_control 4 2\n    ADC_TEMP: adc_temp 0 13\n"
           "    SG4_THRS: sg4_thrs 0 8, sg4_filt_en 8, sg4_angle_offset 9\n    SG4_RESULT: sg4_result 0 10"),
     {**SPI_OPTIONS, "pwm_ofs": 29, "irundelay": 4, "offset_sin90": 0, "sg4_thrs": 0, "sg4_angle_offset": 1,
      "slope_control": 0},

@@ -15,7 +15,8 @@ from gcode import GCodeCommand
 
 from .chips import FLAGS, SIGNED, Chip
 from .current import CurrentModel
-from .registers import Fields, microstep_bits, speed_threshold
+from .registers import Fields, adc_temp_c, microstep_bits, speed_threshold
+from .surface import CurrentView, FieldView, RegisterView
 
 STEP_PULSE_S = 0.000000100
 PHASES_PER_CYCLE = 1024  # of MSCNT
@@ -52,12 +53,16 @@ class StepperDriver:
         self.chip, self.link, self.current = chip, link, current
         self.values = Fields(chip.fields)
         self.stepper: Any = None
+        # for plugins
+        self.fields = FieldView(self.values)
+        self.mcu_tmc = RegisterView(self.fields, chip.clock_hz, self._read, self._write)
+        self.current_helper = CurrentView(self)
         largest = current.largest_a
         self.run_current = config.getfloat("run_current", above=0.0, maxval=largest)
         self.hold_current = self._read_hold_current(config)
-        self._stealth_speed = 0.0
+        self._stealth_speed: float | None = None
         if chip.stealth_field is not None:
-            self._stealth_speed = config.getfloat("stealthchop_threshold", 0.0, minval=0.0)
+            self._stealth_speed = config.getfloat("stealthchop_threshold", None, minval=0.0)
         self._speeds: dict[str, float] = {}
         for option, field in (("coolstep_threshold", "tcoolthrs"), ("high_velocity_threshold", "thigh")):
             if field in chip.fields and (speed := config.getfloat(option, None, minval=0.0)) is not None:
@@ -69,6 +74,9 @@ class StepperDriver:
         self._saved: dict[str, int] = {}
         self._endstop: Any = None
         self._is_hot = False
+        # None while the motor is off
+        self._drv_status: dict[str, int] | None = None  # fields that are not 0
+        self._temp_c: float | None = None
         self._reactor = self.printer.get_reactor()
         self._check_timer = self._reactor.register_timer(self._check_faults)
         self._chip_name = f"{chip.name}_{self.name}"
@@ -156,12 +164,15 @@ class StepperDriver:
         return speed_threshold(speed, self.stepper.get_step_dist(), self.microsteps, self.chip.clock_hz)
 
     def _set_thresholds(self) -> None:
-        """StealthChop up to stealthchop_threshold (0: never), CoolStep from coolstep_threshold on."""
+        """StealthChop up to stealthchop_threshold, CoolStep from coolstep_threshold on.
+
+        A written 0 allows StealthChop at no speed, but its mode is on, as with Klipper.
+        """
         if self.chip.stealth_field is None:
             return
         field, on = self.chip.stealth_field
-        self.values.set(field, on if self._stealth_speed else 1 - on)
-        self.values.set("tpwmthrs", self._threshold(self._stealth_speed))
+        self.values.set(field, 1 - on if self._stealth_speed is None else on)
+        self.values.set("tpwmthrs", self._threshold(self._stealth_speed or 0.0))
         for name, speed in self._speeds.items():
             self.values.set(name, self._threshold(speed))
 
@@ -169,6 +180,12 @@ class StepperDriver:
         """Returns the registers concerned."""
         self.run_current, self.hold_current = run_a, hold_a
         return {self.values.set(name, value) for name, value in self.current.fields(run_a, hold_a).items()}
+
+    def set_currents(self, run_a: float, hold_a: float) -> None:
+        """From now on."""
+        self.printer.lookup_object("toolhead").get_last_move_time()
+        for register in sorted(self._set_currents(run_a, hold_a)):
+            self._write(register)
 
     def _write(self, register: str) -> None:
         self.link.write(self.chip.registers[register], self.values.words.get(register, 0))
@@ -187,6 +204,8 @@ class StepperDriver:
 
     def _handle_enable(self, print_time: float, is_enabled: bool) -> None:
         wake = self._reactor.monotonic() + CHECK_PERIOD_S if is_enabled else self._reactor.NEVER
+        if not is_enabled:
+            self._drv_status = self._temp_c = None
         # called while steps are worked out: the timer itself asks the driver
         self._reactor.update_timer(self._check_timer, wake)
 
@@ -194,6 +213,9 @@ class StepperDriver:
         """Timer: stop the printer if the driver has lost its settings or switched off."""
         try:
             status = self._read("DRV_STATUS")
+            self._drv_status = self.values.parts("DRV_STATUS", status)
+            if "ADC_TEMP" in self.chip.registers:
+                self._temp_c = adc_temp_c(self.chip.fields["adc_temp"].extract(self._read("ADC_TEMP")))
             if "reset" in self.chip.fields and self.chip.fields["reset"].extract(self._read("GSTAT")):
                 raise self.printer.command_error(
                     f"The driver of '{self.stepper_name}' has lost its settings: it was without power for a moment"
@@ -278,6 +300,8 @@ class StepperDriver:
             else phase * self.stepper.get_step_dist(),
             "run_current": self.run_current,
             "hold_current": self.hold_current,
+            "drv_status": self._drv_status,
+            "temperature": self._temp_c,
         }
 
     def cmd_INIT_TMC(self, gcmd: GCodeCommand) -> None:
@@ -337,7 +361,5 @@ class StepperDriver:
         run = gcmd.get_float("CURRENT", None, above=0.0, maxval=largest)
         hold = gcmd.get_float("HOLDCURRENT", None, above=0.0, maxval=largest)
         if run is not None or hold is not None:
-            self.printer.lookup_object("toolhead").get_last_move_time()
-            for register in sorted(self._set_currents(run or self.run_current, hold or self.hold_current)):
-                self._write(register)
+            self.set_currents(run or self.run_current, hold or self.hold_current)
         gcmd.respond_info(f"Run Current: {self.run_current:0.2f}A Hold Current: {self.hold_current:0.2f}A")

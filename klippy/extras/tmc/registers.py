@@ -58,13 +58,17 @@ class Fields:
         field = self.fields[name]
         return field.extract(self.words.get(field.register, 0))
 
-    def describe(self, register: str, word: int) -> str:
-        """'CHOPCONF: 10000053 toff=3 hstrt=5 ...', without fields that are 0."""
-        parts = [
-            f"{name}={field.extract(word)}"
+    def parts(self, register: str, word: int) -> dict[str, int]:
+        """The fields of a register's value that are not 0."""
+        return {
+            name: field.extract(word)
             for name, field in self.fields.items()
             if field.register == register and field.extract(word)
-        ]
+        }
+
+    def describe(self, register: str, word: int) -> str:
+        """'CHOPCONF: 10000053 toff=3 hstrt=5 ...', without fields that are 0."""
+        parts = [f"{name}={value}" for name, value in self.parts(register, word).items()]
         return f"{register + ':':<11} {word:08x} {' '.join(parts)}".rstrip()
 
 
@@ -81,3 +85,8 @@ def microstep_bits(microsteps: int) -> int:
     if microsteps < 1 or microsteps > MICROSTEPS_MAX or microsteps & (microsteps - 1):
         raise ValueError("the driver knows 1, 2, 4, ... 256 microsteps")
     return 8 - (microsteps.bit_length() - 1)
+
+
+def adc_temp_c(raw: int) -> float:
+    """Temperature of a TMC2240 from its converter (datasheet, ADC_TEMP)."""
+    return round((raw - 2038) / 7.7, 2)

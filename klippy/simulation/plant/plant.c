@@ -22,6 +22,7 @@
 #include "plant_bridge.h"
 
 static const double pi = 3.14159265358979323846, phase_full_ticks = 45000.0;
+static const double one_leg_ticks = 15000; // half the voltage of both: sin(phi/2) = 1/2
 static const double sigma_sb = 5.670374e-8, kelvin = 273.15, cp_reference_c = 25.0;
 static const double max_step_s = 2e-3, emptying_step_s = 1e-4, unsampled_settled_s = 5e-3;
 static const double decay_done = 1e-7; // below this the tank counts as settled (error < 1e-4 units)
@@ -37,19 +38,20 @@ _Static_assert(sizeof(struct plant_values) == PLANT_PARAM_COUNT * sizeof(double)
 
 // ---- drive ---------------------------------------------------------------------------------------------------------
 
-static int fault_is(const struct plant *p, enum plant_fault fault)
+int plant_fault_is(const struct plant *p, enum plant_fault fault)
 {
-    return (int)(p->v.fault + 0.5) == (int)fault;
+    return (int)(p->v.fault + 0.5) == (int)fault || ((unsigned)p->v.fault_set >> fault & 1u);
 }
 
-static double phase_in_force(const struct plant *p)
+double plant_phase_in_force(const struct plant *p)
 {
-    return fault_is(p, PLANT_BRIDGE_STUCK) ? p->v.fault_phase_ticks : p->phase_ticks;
+    const double ticks = plant_fault_is(p, PLANT_BRIDGE_STUCK) ? p->v.fault_phase_ticks : p->phase_ticks;
+    return plant_fault_is(p, PLANT_LEG_DEAD) && ticks > 0 ? one_leg_ticks : ticks;
 }
 
 static double half_sine(const struct plant *p)
 {
-    return sin(0.5 * pi * phase_in_force(p) / phase_full_ticks);
+    return sin(0.5 * pi * plant_phase_in_force(p) / phase_full_ticks);
 }
 
 double plant_electrical_power(const struct plant *p, double metal_w)
@@ -57,7 +59,7 @@ double plant_electrical_power(const struct plant *p, double metal_w)
     const double s = half_sine(p);
     if (s <= 0)
         return 0;
-    if (fault_is(p, PLANT_COIL_BROKEN))
+    if (plant_fault_is(p, PLANT_COIL_BROKEN))
         return p->v.electrical_base_w;
     return fmax(metal_w, p->v.electrical_base_w + p->v.electrical_swing_w * s * s);
 }
@@ -73,40 +75,49 @@ double plant_loaded_supply(const struct plant *p)
 // The ripple is added where an instant matters; it averages out of the heat.
 static double mean_supply(const struct plant *p)
 {
+    if (plant_fault_is(p, PLANT_SUPPLY_SHORT))
+        return 0;
     return p->effects.bus ? p->effects.bus_v : plant_loaded_supply(p);
 }
 
 double plant_supply(const struct plant *p)
 {
-    const double ripple_v = p->v.ripple_v == 0 || p->supply_open ? 0 : p->v.ripple_v * sin(2 * pi * p->v.ripple_hz * p->time_s);
-    return mean_supply(p) + ripple_v;
+    const double mean_v = mean_supply(p);
+    const double ripple_v = mean_v <= 0 || p->v.ripple_v == 0 || p->supply_open ? 0 : p->v.ripple_v * sin(2 * pi * p->v.ripple_hz * p->time_s);
+    return mean_v + ripple_v;
 }
 
 static double metal_power(const struct plant *p)
 {
-    if (fault_is(p, PLANT_NO_NOZZLE) || fault_is(p, PLANT_COIL_BROKEN))
+    if (plant_fault_is(p, PLANT_NO_NOZZLE) || plant_fault_is(p, PLANT_COIL_BROKEN))
         return 0;
     const double drive = half_sine(p) * mean_supply(p) / p->v.supply_nominal_v;
-    double power = p->v.heat_w * p->v.efficiency_factor * pow(fmax(drive, 0.0), p->v.heat_exponent);
+    double power = p->v.heat_w * p->v.efficiency_factor * (1 - p->v.coil_short) * pow(fmax(drive, 0.0), p->v.heat_exponent);
     if (p->v.curie_drop > 0)
         power *= 1 - p->v.curie_drop / (1 + exp((p->v.curie_c - p->skin_c) / p->v.curie_width_k));
     if (p->v.dead_time_ns > 0 && power > 0)
         power *= exp(p->v.heat_exponent *
-                     bridge_dead_time(p->v.dead_time_ns, phase_in_force(p), p->skin_c).log_current);
+                     bridge_dead_time(p->v.dead_time_ns, plant_phase_in_force(p), p->skin_c).log_current);
     return power;
 }
 
 static struct tank_drive drive_now(const struct plant *p)
 {
     struct tank_drive d = {
-        .phase_ticks = phase_in_force(p),
+        .phase_ticks = plant_phase_in_force(p),
         .supply_v = plant_supply(p),
         .frequency_hz = (1 + 1e-6 * p->v.frequency_ppm) / p->period_s,
-        .empty = fault_is(p, PLANT_NO_NOZZLE),
-        .open = fault_is(p, PLANT_COIL_BROKEN),
+        .empty = plant_fault_is(p, PLANT_NO_NOZZLE),
+        .open = plant_fault_is(p, PLANT_COIL_BROKEN),
     };
     effects_drive(p, &d);
     return d;
+}
+
+// The temperature the tank answers to.
+static double sensed_c(const struct plant *p)
+{
+    return p->v.reading_factor == 1 ? p->skin_c : 25 + p->v.reading_factor * (p->skin_c - 25);
 }
 
 // Hand a step of the drive to the tank; it settles from where it is.
@@ -114,7 +125,7 @@ static void drive_stepped(struct plant *p)
 {
     const struct tank_drive d = drive_now(p);
     p->drive_w = metal_power(p);
-    tank_set_drive(&p->tank, &p->v, &d, p->skin_c);
+    tank_set_drive(&p->tank, &p->v, &d, sensed_c(p));
     p->unsampled_s = 0;
 }
 
@@ -127,6 +138,7 @@ void plant_init(struct plant *p, const double *values, uint64_t seed)
     p->mean_c = p->skin_c = p->tip_c = p->second_c = p->bore_c = p->v.start_c;
     p->period_s = 1 / 120e3;
     p->last_code = (int)lround(p->v.adc_zero);
+    p->last_level = (float)p->v.adc_zero;
     noise_seed(&p->noise, seed);
     tank_init(&p->tank);
     effects_init(p, seed);
@@ -164,7 +176,7 @@ void plant_set_param(struct plant *p, int index, double value)
     if (index < 0 || index >= PLANT_PARAM_COUNT)
         return;
     // The tank keeps its present current (tank_now) while the parameter changes under it, as at a phase step.
-    const struct tank_point present = tank_now(&p->tank, tank_steady(&p->tank, &p->v, p->skin_c));
+    const struct tank_point present = tank_now(&p->tank, tank_steady(&p->tank, &p->v, sensed_c(p)));
     memcpy((char *)&p->v + (size_t)index * sizeof(double), &value, sizeof(value));
     tank_changed(&p->tank);
     effects_changed(p);
@@ -179,7 +191,7 @@ void plant_set_phase(struct plant *p, double phase_ticks)
     if (phase_ticks == p->phase_ticks)
         return;
     p->phase_ticks = phase_ticks;
-    if (!fault_is(p, PLANT_BRIDGE_STUCK))
+    if (!plant_fault_is(p, PLANT_BRIDGE_STUCK))
         drive_stepped(p);
 }
 
@@ -347,10 +359,12 @@ static void quantise(uint16_t *restrict out, uint32_t n, struct noise_rows rows,
 }
 
 // In codes, before white noise.
-static float level_of(const struct plant *p, double error, double disturbance_lsb)
+static float level_of(struct plant *p, double error, double disturbance_lsb)
 {
-    const double signal = (fault_is(p, PLANT_SIGNAL_LOST) ? 0 : error) / p->v.units_per_lsb;
-    return (float)(p->v.adc_zero + signal + disturbance_lsb);
+    const double signal = (plant_fault_is(p, PLANT_SIGNAL_LOST) ? 0 : error) / p->v.units_per_lsb;
+    if (!plant_fault_is(p, PLANT_SIGNAL_HELD))
+        p->last_level = (float)(p->v.adc_zero + p->v.sense_gain * signal + disturbance_lsb);
+    return plant_fault_is(p, PLANT_SENSE_SHORT) ? 0 : p->last_level + (float)p->v.sense_offset_lsb;
 }
 
 // Where the drive moves without a step; everything else went through drive_stepped.
@@ -365,11 +379,11 @@ static void follow_drive(struct plant *p, double period_s)
 
 static void sample_run(struct plant *p, uint16_t *out, uint32_t n, double decay_per_sample, double disturbance_lsb)
 {
-    const float sigma = (float)p->v.noise_lsb, top = (float)p->v.adc_max;
+    const float sigma = (float)(plant_fault_is(p, PLANT_SIGNAL_HELD) ? p->v.fault_noise_lsb : p->v.noise_lsb), top = (float)p->v.adc_max;
     struct noise_rows rows = noise_run(&p->noise);
     uint32_t done = 0;
     for (; done < n && p->tank.unsettled > 0; done++) {
-        const struct tank_point now = tank_now(&p->tank, tank_steady(&p->tank, &p->v, p->skin_c));
+        const struct tank_point now = tank_now(&p->tank, tank_steady(&p->tank, &p->v, sensed_c(p)));
         const float level = level_of(p, tank_error(&p->tank, &p->v, now), disturbance_lsb);
         quantise(out + done, 1, rows, level, sigma, top);
         rows.a++, rows.b++, rows.sign++;
@@ -379,7 +393,7 @@ static void sample_run(struct plant *p, uint16_t *out, uint32_t n, double decay_
     }
     if (done == n)
         return;
-    const float level = level_of(p, tank_steady_error(&p->tank, &p->v, p->skin_c), disturbance_lsb);
+    const float level = level_of(p, tank_steady_error(&p->tank, &p->v, sensed_c(p)), disturbance_lsb);
     quantise(out + done, n - done, rows, level, sigma, top);
 }
 
@@ -399,10 +413,13 @@ void plant_sample(struct plant *p, uint16_t *out, uint32_t n, double period_s)
         sample_run(p, out + done, take, decay_per_sample, disturbance_lsb);
         done += take;
     }
-    if (fault_is(p, PLANT_SIGNAL_STUCK)) {
+    if (plant_fault_is(p, PLANT_SIGNAL_STUCK)) {
         const int code = p->v.fault_code < 0 ? p->last_code : (int)lround(p->v.fault_code);
         for (uint32_t i = 0; i < n; i++)
             out[i] = (uint16_t)code;
     }
+    if (p->v.adc_set_bits > 0 || p->v.adc_clear_bits > 0)
+        for (uint32_t i = 0; i < n; i++)
+            out[i] = (uint16_t)((out[i] | (unsigned)p->v.adc_set_bits) & ~(unsigned)p->v.adc_clear_bits);
     p->last_code = out[n - 1];
 }

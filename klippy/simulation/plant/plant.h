@@ -36,6 +36,10 @@ enum plant_fault {
     PLANT_BRIDGE_STUCK = 3, // the bridge stays at fault_phase_ticks whatever is commanded
     PLANT_SIGNAL_STUCK = 4, // every code the same, heating goes on
     PLANT_SIGNAL_LOST = 5,  // sensing lead open: adc_zero and noise, heating goes on
+    PLANT_LEG_DEAD = 6,     // the other leg goes on switching: half the voltage whatever the phase, and another phase
+    PLANT_SUPPLY_SHORT = 7, // both switches of a leg conduct: no voltage at the bridge
+    PLANT_SENSE_SHORT = 8,  // sensing lead shorted: code 0
+    PLANT_SIGNAL_HELD = 9,  // the signal stays what it was; noise of fault_noise_lsb goes on
 };
 
 // One row of the parameter table, for config readers and documentation.
@@ -78,6 +82,7 @@ struct plant {
     struct tank tank;
     struct noise_source noise;
     int last_code;
+    float last_level; // of the signal, in codes
 };
 
 struct plant_outputs {
@@ -107,6 +112,8 @@ void plant_advance(struct plant *p, double dt_s); // sub-steps of at most 10 ms 
 // n ADC codes at consecutive bridge periods, the first one at the present instant. About 1 to 3 ns a sample.
 void plant_sample(struct plant *p, uint16_t *out, uint32_t n, double period_s);
 void plant_read(const struct plant *p, struct plant_outputs *out);
+double plant_phase_in_force(const struct plant *p);
+int plant_fault_is(const struct plant *p, enum plant_fault fault);
 double plant_supply(const struct plant *p);        // at the bridge, ripple included
 double plant_electrical_power(const struct plant *p, double metal_w); // at full supply, metal_w at least
 double plant_loaded_supply(const struct plant *p); // what it settles to at this drive, without ripple

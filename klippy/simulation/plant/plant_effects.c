@@ -158,10 +158,13 @@ void effects_drive(const struct plant *p, struct tank_drive *d)
     const double coil_k = v->coil_j_k > 0 ? e->coil_c - values_hold_c : 0;
     d->c1_uf = v->c1_uf * v->c1_factor * (1 + 1e-6 * v->c1_ppm_k * (cap_c - values_hold_c));
     d->l2_uh = v->l2_uh * (1 + 1e-6 * v->l2_ppm_k * (choke_c - values_hold_c)) + 1e-3 * v->cable_l2_nh * e->head;
-    d->l1_factor = 1 + v->coil_expansion_per_k * coil_k + (e->moves ? 1e-6 * v->move_ppm_um * place_um(p) : 0);
+    d->l1_factor = (1 - v->coil_short) * (1 - v->coil_short);
+    d->l1_factor *= 1 + v->coil_expansion_per_k * coil_k + (e->moves ? 1e-6 * v->move_ppm_um * place_um(p) : 0);
     d->l1_add_uh = 1e-3 * v->cable_l1_nh * e->head;
     d->r_add_ohm = v->coil_ohm * v->coil_rise_per_k * coil_k;
     d->late_ns = p->moved_ns + v->skew_ns + v->delay_ns_k * (v->board_c - values_hold_c);
+    if (plant_fault_is(p, PLANT_LEG_DEAD) && p->phase_ticks > 0) // the legs lie phi/2 before and behind the middle
+        d->late_ns += 0.25e9 / d->frequency_hz * (p->phase_ticks / phase_full_ticks - 1);
     d->signal_error = 0;
     for (int k = 0; k < LAW_ERROR_TERMS && v->signal_error > 0; k++)
         d->signal_error += e->law_error[k] * cos((k + 1) * pi * d->phase_ticks / phase_full_ticks);

@@ -123,8 +123,17 @@
   /* --- faults: may be set while running --------------------------------------------------------------------------------- */ \
   X(fault,                "",       0.0,      0.0,      0.0,      0,    5,    "0 none, 1 no nozzle, 2 heating coil broken, 3 bridge stuck on, " \
                                                                      "4 signal stuck, 5 signal lost")                 \
+  X(fault_set,            "",       0.0,      0.0,      0.0,      0,    1023, "more of them at a time: the sum of 2^number; " \
+                                                                     "6 a leg of the bridge dead, 7 supply shorted by a leg, 8 sensing lead shorted, 9 signal held, with noise") \
   X(fault_phase_ticks,    "ticks",  22500.0,  22500.0,  22500.0,  0,    45000, "fault 3: the phase the bridge stays at")       \
-  X(fault_code,           "LSB",    -1.0,     -1.0,     -1.0,     -1,   65535, "fault 4: the code; -1 keeps the last one")
+  X(fault_code,           "LSB",    -1.0,     -1.0,     -1.0,     -1,   65535, "fault 4: the code; -1 keeps the last one") \
+  X(fault_noise_lsb,      "LSB",    1.0,      1.0,      1.0,      0,    1000, "fault 9: noise of the held signal, rms")        \
+  X(coil_short,           "",       0.0,      0.0,      0.0,      0,    0.9,  "share of the coil's turns that are shorted")    \
+  X(sense_gain,           "",       1.0,      1.0,      1.0,      0,    10,   "gain of the signal amplifier about error 0")    \
+  X(sense_offset_lsb,     "LSB",    0.0,      0.0,      0.0,      -4095, 4095, "added to the signal")                          \
+  X(adc_set_bits,         "",       0.0,      0.0,      0.0,      0,    4095, "bits of the code that are always 1")            \
+  X(adc_clear_bits,       "",       0.0,      0.0,      0.0,      0,    4095, "bits of the code that are always 0")            \
+  X(reading_factor,       "",       1.0,      1.0,      1.0,      0.1,  10,   "the tank answers as at 25 degC plus this times what the skin is above it: a wrong calibration")
 // clang-format on
 
 #endif

@@ -54,7 +54,7 @@ def prepare(study: Study, sample: Callable[[str], Path]) -> Prepared:
                 config,
                 file,
                 seed,
-                _overrides(point),
+                _overrides(study, point),
                 study.before,
                 study.until_s,
                 figures,
@@ -74,16 +74,22 @@ def _describe(study: Study, point: Mapping[str, Any]) -> dict[str, Any]:
         gcode = folder / "nothing.gcode"
         gcode.write_text("G4 P1\n", encoding="utf-8")
         task = {"config": str(study.config), "gcode": str(gcode), "seed": 1, "describe": True}
-        return run_child({**task, "overrides": _overrides(point)}, folder)
+        return run_child({**task, "overrides": _overrides(study, point)}, folder)
 
 
-def _overrides(point: Mapping[str, Any]) -> tuple[tuple[str, str, str], ...]:
+def _overrides(study: Study, point: Mapping[str, Any]) -> tuple[tuple[str, str, str], ...]:
     found = []
-    for name, value in point.items():
+    sets = {parameter.name: parameter.sets for parameter in study.parameters if parameter.sets}
+    options = [pair for name, value in point.items() for pair in _options(sets, name, value)]
+    for name, value in options:
         section, _, option = name.rpartition(".")
         text = f"{value:.9g}" if isinstance(value, float) else str(value)
         found.append((section.strip(), option.strip().lower(), text))
     return tuple(found)
+
+
+def _options(sets: Mapping[str, Any], name: str, value: Any) -> list[tuple[str, Any]]:
+    return list(sets[name][value].items()) if name in sets else [(name, value)]
 
 
 def _hashes(study: Study, config: str, file: str) -> tuple[str, str]:
@@ -152,14 +158,15 @@ def _check_names(study: Study, options: Options, point: Mapping[str, Any]) -> No
     """An option that the config of the file did not read may be one with these parameters: the host decides."""
     config_sections = _sections(study)
     for parameter in study.parameters:
-        if parameter.name.rpartition(".")[0].strip() not in config_sections:
-            raise _unknown(study, parameter.name, options)
+        names = [name for options_of in parameter.sets.values() for name in options_of] or [parameter.name]
+        if missing := [name for name in names if name.rpartition(".")[0].strip() not in config_sections]:
+            raise _unknown(study, missing[0], options)
     answer = _describe(study, point)
     if answer["exit_status"] == 0:
         return
     for parameter in study.parameters:
         section, _, option = parameter.name.rpartition(".")
-        if option.strip().lower() not in options.get(section.strip().lower(), {}):
+        if not parameter.sets and option.strip().lower() not in options.get(section.strip().lower(), {}):
             raise _unknown(study, parameter.name, options)
     raise study.error(("parameters",), f"with the first point: {answer['reason']}")
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 KINDS = ("grid", "lhs", "sobol", "saltelli")
@@ -34,13 +34,17 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """`section.option`. `relative`: the value is times that of the config; `steps`: points in a grid."""
+    """`section.option`. `relative`: the value is times that of the config; `steps`: points in a grid.
+
+    With `sets` the name has no section, and a value is the name of a set: option → value.
+    """
 
     name: str
     kind: str
     arguments: Mapping[str, Any]
     relative: bool = False
     steps: int = 0
+    sets: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     @property
     def levels(self) -> int:

@@ -217,6 +217,10 @@ def _read_plan(table: _Table) -> Plan:
 
 def _read_parameters(table: _Table) -> Iterable[Parameter]:
     for name in list(table.values):
+        value = table.values[name]
+        if "." not in name and isinstance(value, dict) and all(isinstance(v, dict) for v in value.values()):
+            yield _read_sets(name, table.table(name))
+            continue
         section, dot, option = name.rpartition(".")
         if not dot or not section.strip() or not option.strip():
             raise table.error(
@@ -230,6 +234,19 @@ def _read_parameters(table: _Table) -> Iterable[Parameter]:
             yield Parameter(name, "constant", {"values": [value]})
             continue
         yield _read_distribution(name, table.table(name))
+
+
+def _read_sets(name: str, table: _Table) -> Parameter:
+    """Sets of options under one name each: name → "section.option" → value."""
+    sets: dict[str, Mapping[str, Any]] = {}
+    for one in list(table.values):
+        sets[one] = table.table(one).values
+        for option, value in sets[one].items():
+            if "." not in option or isinstance(value, list | dict):
+                raise table.error(one, f'a set has "section.option" = value; {option!r} is none.')
+    if not sets:
+        raise table.error("", "this has to have a set of options or more.")
+    return Parameter(name, "choice", {"values": list(sets)}, sets=sets)
 
 
 def _read_distribution(name: str, table: _Table) -> Parameter:

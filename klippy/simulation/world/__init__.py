@@ -59,6 +59,9 @@ def get_world_ffi() -> tuple[Any, Any]:
     return ffi, ffi.dlopen(str(WORLD_LIBRARY))
 
 
+# As enum accel_kind and enum world_accelerometer_fault count them.
+_ACCELEROMETERS = ("adxl345", "lis2dw", "lis3dh", "mpu9250", "icm20948", "bmi160")
+_ACCELEROMETER_FAULTS = ("none", "unplugged", "frozen", "saturated")
 _PRESETS = {"nozzle": ("reference", "strong", "real"), "load": ("hotend", "bed")}
 _LIGHT_MASS_G = 0.46  # preset `light`: `strong` with half the steel
 
@@ -219,6 +222,40 @@ class World:
             setattr(options.bed, name, value)
         return self._index(self.lib.world_add_probe(self.pointer, options))
 
+    def add_frame(
+        self, frequency_hz: tuple[float, float], damping_ratio: tuple[float, float], motor_hz: float
+    ) -> None:
+        """Ringing of the axes X and Y, which must be there."""
+        options = self.ffi.new("struct world_frame *", (frequency_hz, damping_ratio, motor_hz))
+        self._index(self.lib.world_add_frame(self.pointer, options))
+
+    def frame_place(self, axis: int) -> float:
+        """Place (mm) of the mass on axis 0 (X) or 1 (Y)."""
+        return float(self.lib.world_frame_place(self.pointer, axis))
+
+    def add_accelerometer(
+        self,
+        kind: str,
+        orientation: tuple[int, int, int],
+        select: Pin | None,
+        i2c: tuple[int, int],
+        noise_ug: float,
+        rate_error: float,
+        fault: str,
+    ) -> int:
+        """`kind`: name of the chip; `i2c`: MCU and address. Returns its index."""
+        options = self.ffi.new("struct world_accelerometer_options *")
+        options.kind, options.fault = _ACCELEROMETERS.index(kind), _ACCELEROMETER_FAULTS.index(fault)
+        options.orientation, options.select = orientation, self.pin(select or Pin())
+        options.i2c_mcu, options.i2c_address = i2c
+        options.noise_ug, options.rate_error = noise_ug, rate_error
+        return self._index(self.lib.world_add_accelerometer(self.pointer, options))
+
+    def set_accelerometer_fault(self, accelerometer: int, fault: str) -> None:
+        """From now on: none, unplugged, frozen or saturated."""
+        number = _ACCELEROMETER_FAULTS.index(fault)
+        self._index(self.lib.world_set_accelerometer_fault(self.pointer, accelerometer, number))
+
     def bed_height(self, probe: int, x: float, y: float) -> float:
         """Height (mm) of the bed of probe number `probe`."""
         return float(self.lib.world_bed_height(self.pointer, probe, x, y))
@@ -307,6 +344,23 @@ class World:
             self.lib.world_set_nozzle_parameter if table == "nozzle" else self.lib.world_set_load_parameter
         )
         change(self.pointer, index, number, value)
+
+    def parameter(self, nozzle: int, name: str) -> float:
+        """A parameter of a nozzle as it is now."""
+        number = list(parameter_tables()["nozzle"]).index(name)
+        return float(self.lib.world_nozzle_parameter(self.pointer, nozzle, number))
+
+    def stop_adc(self, mcu: int) -> None:
+        """No more samples in step with the bridge. Raises WorldError for an emulated chip."""
+        self._index(self.lib.world_stop_adc(self.pointer, mcu))
+
+    def watch(self, nozzle: int) -> int:
+        """Look at a nozzle from now on; returns the number for `watched`."""
+        return self._index(self.lib.world_watch(self.pointer, nozzle))
+
+    def watched(self, watch: int) -> dict[str, Any]:
+        """struct world_watch_state"""
+        return self._record("world_watch_state", self.lib.world_watched, watch)
 
     # --- recording ---
     def open_trace(self, path: Path | None, rate_hz: float) -> None:

@@ -186,14 +186,17 @@ void machine_pin_write(struct machine *m, int mcu, uint32_t number, uint8_t valu
     if (pin->level == value)
         return;
     pin->level = value;
-    if (pin->role == PIN_STEP)
+    if (pin->role == PIN_STEP) {
+        frame_advance(m, now_s);
         step_pin_changed(m, mcu, pin);
-    else if (pin->role == PIN_DUTY)
+    } else if (pin->role == PIN_DUTY)
         duty_set(&m->duties[pin->target], value, now_s);
     else if (pin->role == PIN_CONTROL)
         probe_control(&m->probes[pin->target], value, now_s);
     else if (pin->role == PIN_ENABLE)
         switch_edge(&m->nozzles[pin->target].supply_switch, value, now_s);
+    else if (pin->role == PIN_SELECT)
+        accelerometer_select(&m->accelerometers[pin->target], value);
 }
 
 void machine_pwm_write(struct machine *m, int mcu, uint32_t number, double level, double now_s)
@@ -381,10 +384,12 @@ static double fan_speed(const struct machine *m, int fan)
 
 void machine_tick(struct machine *m, double now_s, double tick_s)
 {
+    frame_advance(m, now_s);
     for (int i = 0; i < m->fan_count; i++) {
         struct fan *f = &m->fans[i];
         double drive = duty_take(&m->duties[f->duty], now_s);
-        f->speed += (drive - f->speed) * (f->spin_up_s > 0.0 ? 1.0 - exp(-tick_s / f->spin_up_s) : 1.0);
+        if (!f->stuck)
+            f->speed += (drive - f->speed) * (f->spin_up_s > 0.0 ? 1.0 - exp(-tick_s / f->spin_up_s) : 1.0);
     }
     for (int i = 0; i < m->nozzle_count; i++) {
         struct nozzle *n = &m->nozzles[i];

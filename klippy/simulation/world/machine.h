@@ -15,6 +15,8 @@
 #define FERRITE_MACHINE_H
 
 #include <stdint.h>
+#include "accel_chip.h"
+#include "frame.h"
 #include "plant.h"
 #include "thermal_load.h"
 #include "world_api.h"
@@ -28,13 +30,14 @@ enum {
     MACHINE_NOZZLES = 4,
     MACHINE_REFERENCES = 4,
     MACHINE_PROBES = 4,
+    MACHINE_ACCELEROMETERS = 4,
     NOZZLE_PROFILES = 16,
     PROFILE_POINTS = 32,
     MACHINE_DUTIES = MACHINE_FANS + MACHINE_LOADS,
 };
 
 enum pin_role { PIN_UNUSED, PIN_STEP, PIN_DUTY, PIN_SWITCH, PIN_THERMISTOR, PIN_REFERENCE, PIN_PROBE, PIN_CONTROL,
-                PIN_SUPPLY, PIN_ENABLE };
+                PIN_SUPPLY, PIN_ENABLE, PIN_SELECT };
 
 struct machine_pin {
     uint8_t role;   /* enum pin_role */
@@ -65,6 +68,7 @@ struct fan {
     int duty;
     double spin_up_s;
     double speed; /* 0..1 */
+    int stuck;    /* at that speed */
 };
 
 /* Melt pushed by an axis. */
@@ -118,6 +122,15 @@ struct probe {
     double rise_s, pulse_end_s;
 };
 
+/* On SPI (select) or I2C. `last_`: of its sample before. */
+struct accelerometer {
+    struct world_accelerometer_options options;
+    struct accel_chip chip;
+    uint32_t noise; /* state of its generator */
+    int fault;      /* enum accel_fault */
+    double next_s, last_s, last_rate[FRAME_AXES], frozen[3];
+};
+
 struct load {
     struct thermal_load thermal;
     struct feed feed;
@@ -135,7 +148,13 @@ struct machine {
     struct load loads[MACHINE_LOADS];
     struct reference references[MACHINE_REFERENCES];
     struct probe probes[MACHINE_PROBES];
-    int axis_count, duty_count, fan_count, nozzle_count, load_count, reference_count, probe_count;
+    struct accelerometer accelerometers[MACHINE_ACCELEROMETERS];
+    struct frame_axis frame[FRAME_AXES];
+    int frame_of[FRAME_AXES]; /* indices of axes X and Y */
+    int has_frame;
+    double frame_start_s;
+    int64_t frame_steps;
+    int axis_count, duty_count, fan_count, nozzle_count, load_count, reference_count, probe_count, accelerometer_count;
     int nozzle_of_mcu[MACHINE_MCUS]; /* index, -1 */
     double chip_temp_c[MACHINE_MCUS];
 };
@@ -146,6 +165,8 @@ void machine_init(struct machine *m);
 int machine_add_axis(struct machine *m, const struct world_axis_options *options);
 int machine_couple_axes(struct machine *m, int axis, int partner, double own_share, double partner_share);
 int machine_add_probe(struct machine *m, const struct world_probe_options *options, uint32_t seed);
+int machine_add_frame(struct machine *m, const struct world_frame *options, double now_s);
+int machine_add_accelerometer(struct machine *m, const struct world_accelerometer_options *options, uint32_t seed);
 int machine_add_duty(struct machine *m, struct world_pin pin, double now_s);
 int machine_add_fan(struct machine *m, struct world_pin pin, double spin_up_s, double now_s);
 
@@ -157,6 +178,9 @@ uint16_t machine_adc_read(struct machine *m, int mcu, uint32_t pin, double now_s
 void machine_bridge_set(struct machine *m, int mcu, uint16_t phase, double now_s);
 void machine_sample(struct machine *m, int mcu, uint16_t *out, uint32_t count, double first_s, double period_s);
 void machine_move_sampling(struct machine *m, int mcu, double late_s);
+void machine_spi_exchange(struct machine *m, int mcu, uint8_t *data, uint32_t len, double now_s);
+uint8_t machine_i2c_exchange(struct machine *m, int mcu, uint8_t address, const uint8_t *write, uint32_t write_len,
+                             uint8_t *read, uint32_t read_len, double now_s);
 void machine_reset_outputs(struct machine *m, int mcu, double now_s); /* the MCU restarts: everything it drives is off */
 
 /* `now_s` - the last tick = tick_s. */
@@ -165,6 +189,8 @@ void machine_tick(struct machine *m, double now_s, double tick_s);
 double axis_position_mm(const struct axis *a);
 uint8_t probe_level(const struct machine *m, struct probe *p, double now_s);
 void probe_control(struct probe *p, uint8_t level, double now_s);
+void frame_advance(struct machine *m, double now_s);
+void accelerometer_select(struct accelerometer *a, uint8_t level);
 double bed_height_mm(const struct world_bed *b, double x, double y);
 void nozzle_advance(struct nozzle *n, double now_s);
 

@@ -74,6 +74,7 @@ int world_add_mcu(struct world *w, const char *library, double clock_hz, double 
     struct world_mcu *m = &w->mcus[w->mcu_count];
     *m = (struct world_mcu){ .world = w, .index = w->mcu_count, .wake_s = NEVER_S };
     m->clock_hz = clock_hz * (1.0 + clock_ppm * 1e-6);
+    m->clock_base_s = w->start_s;
     link_init(&m->down, link, world_new_seed(w));
     link_init(&m->up, link, world_new_seed(w));
     if (world_mcu_load(m, library)) {
@@ -127,6 +128,33 @@ int world_add_probe(struct world *w, const struct world_probe_options *options)
 {
     int index = machine_add_probe(&w->machine, options, (uint32_t)world_new_seed(w));
     return index >= 0 ? index : world_fail(w, "probe: too many, no such axis, or a pin out of range");
+}
+
+int world_add_frame(struct world *w, const struct world_frame *options)
+{
+    if (machine_add_frame(&w->machine, options, w->now_s))
+        return world_fail(w, "frame: it needs axes X and Y");
+    return 0;
+}
+
+int world_add_accelerometer(struct world *w, const struct world_accelerometer_options *options)
+{
+    int index = machine_add_accelerometer(&w->machine, options, (uint32_t)world_new_seed(w));
+    return index >= 0 ? index : world_fail(w, "accelerometer: too many, no frame, or an orientation or pin out of range");
+}
+
+int world_set_accelerometer_fault(struct world *w, int accelerometer, int fault)
+{
+    if (accelerometer < 0 || accelerometer >= w->machine.accelerometer_count)
+        return world_fail(w, "there is no such accelerometer");
+    w->machine.accelerometers[accelerometer].fault = fault;
+    return 0;
+}
+
+double world_frame_place(const struct world *w, int axis)
+{
+    const struct machine *m = &w->machine;
+    return m->has_frame && axis >= 0 && axis < FRAME_AXES ? m->frame[axis].x : NAN;
 }
 
 double world_bed_height(const struct world *w, int probe, double x, double y)
@@ -229,12 +257,21 @@ int world_add_supply_switch(struct world *w, int nozzle, const struct world_supp
     return 0;
 }
 
+/* One rule at a time: what is set or given a profile loses the one before. */
+static void forget_profile(struct nozzle *n, int index)
+{
+    for (int i = 0; i < n->profile_count; i++)
+        if (n->profiles[i].index == index)
+            n->profiles[i--] = n->profiles[--n->profile_count];
+}
+
 int world_add_profile(struct world *w, int nozzle, int index, const double *times_s, const double *values, int count)
 {
     struct machine *m = &w->machine;
     if (nozzle < 0 || nozzle >= m->nozzle_count || index < 0 || index >= plant_param_count)
         return world_fail(w, "profile: no such nozzle or parameter");
     struct nozzle *n = &m->nozzles[nozzle];
+    forget_profile(n, index);
     if (n->profile_count == NOZZLE_PROFILES || count < 1 || count > PROFILE_POINTS)
         return world_fail(w, "profile: at most %d of a nozzle, each with 1 to %d points", NOZZLE_PROFILES, PROFILE_POINTS);
     struct profile *p = &n->profiles[n->profile_count++];
@@ -306,7 +343,7 @@ uint32_t world_drain(struct world *w, int mcu, uint8_t *data, uint32_t capacity)
 static void pump(struct world *w, struct world_mcu *m)
 {
     uint8_t buffer[TRANSMIT_CAPACITY];
-    if (!m->queue)
+    if (!m->queue || w->now_s < w->stalled_until_s)
         return;
     double wake_s = NEVER_S;
     int length;
@@ -326,7 +363,7 @@ static double next_stop_s(const struct world *w, double until_s)
         const struct world_mcu *m = &w->mcus[i];
         first_event_s = fmin(first_event_s, world_mcu_next_s(m));
         stop_s = fmin(stop_s, link_next_s(&m->down));
-        if (m->queue)
+        if (m->queue && w->now_s >= w->stalled_until_s)
             stop_s = fmin(stop_s, fmin(link_next_s(&m->up), m->wake_s));
     }
     return fmax(w->now_s, fmin(stop_s, first_event_s + w->lookahead_s));
@@ -339,7 +376,7 @@ static int deliver(struct world *w, struct world_mcu *m)
     int waiting = 0;
     while ((c = link_take(&m->down, w->now_s)))
         world_mcu_receive(m, c->data, c->length);
-    if (!m->queue)
+    if (!m->queue || w->now_s < w->stalled_until_s)
         return 0;
     int received = 0;
     while ((c = link_take(&m->up, w->now_s))) {
@@ -358,6 +395,7 @@ static void tick_if_due(struct world *w)
         return;
     w->tick++;
     machine_tick(&w->machine, w->now_s, WORLD_TICK_S);
+    world_watch_tick(w);
     if (w->now_s >= w->trace.next_s)
         world_trace_row(w);
 }
@@ -440,8 +478,15 @@ double world_nozzle_temperature(const struct world *w, int nozzle)
 
 void world_set_nozzle_parameter(struct world *w, int nozzle, int index, double value)
 {
-    if (nozzle >= 0 && nozzle < w->machine.nozzle_count && index >= 0 && index < plant_param_count)
-        plant_set_param(&w->machine.nozzles[nozzle].plant, index, value);
+    if (nozzle < 0 || nozzle >= w->machine.nozzle_count || index < 0 || index >= plant_param_count)
+        return;
+    forget_profile(&w->machine.nozzles[nozzle], index);
+    plant_set_param(&w->machine.nozzles[nozzle].plant, index, value);
+}
+
+double world_nozzle_parameter(const struct world *w, int nozzle, int index)
+{
+    return nozzle < 0 || nozzle >= w->machine.nozzle_count ? NAN : plant_get_param(&w->machine.nozzles[nozzle].plant, index);
 }
 
 void world_set_load_parameter(struct world *w, int load, int index, double value)

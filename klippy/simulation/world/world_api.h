@@ -63,6 +63,25 @@ struct world_probe_options {
     struct world_bed bed;
 };
 
+/* Ringing of the frame along X and Y: natural frequency (0: rigid) and damping of the masses, lag of the motors. */
+struct world_frame {
+    double frequency_hz[2], damping_ratio[2];
+    double motor_hz;
+};
+
+enum world_accelerometer_fault { WORLD_ACCEL_WORKS, WORLD_ACCEL_UNPLUGGED, WORLD_ACCEL_FROZEN, WORLD_ACCEL_SATURATED };
+
+/* An accelerometer that rides on both axes. `kind`: enum accel_kind (plant/accel_chip.h). orientation: the printer's
+ * axis, 1 to 3 with sign, that each of the sensor's own points along. On SPI it has a select pin, else an I2C address. */
+struct world_accelerometer_options {
+    int kind, fault;
+    int orientation[3];
+    struct world_pin select;
+    int i2c_mcu, i2c_address;
+    double noise_ug;   /* per sqrt(Hz); < 0: the chip's typical */
+    double rate_error; /* of its own clock: 0.01 is 1 % fast */
+};
+
 enum world_axis_role { WORLD_AXIS_X, WORLD_AXIS_Y, WORLD_AXIS_Z, WORLD_AXIS_E, WORLD_AXIS_OTHER };
 
 struct world_axis_options {
@@ -79,6 +98,14 @@ struct world_axis_options {
 struct world_feed {
     int axis;
     double filament_area_mm2;
+};
+
+/* What a nozzle did since world_watch(). commanded_s, off_s: after how long its bridge was commanded off, and without
+ * voltage, for good; < 0: it is not. peak_above_c: above the greatest target since then, and above where it was. */
+struct world_watch_state {
+    int nozzle;
+    double start_s, start_c, target_c, peak_c, peak_above_c, commanded_s, off_s;
+    double before_j, after_j; /* into the metal: until it was commanded off, and since then */
 };
 
 struct world_axis_state {
@@ -128,6 +155,12 @@ int world_set_chip_temperature(struct world *w, int mcu, double temp_c);
 int world_load_image(struct world *w, int mcu, const char *image);
 int world_add_axis(struct world *w, const struct world_axis_options *options);
 int world_add_probe(struct world *w, const struct world_probe_options *options);
+int world_add_frame(struct world *w, const struct world_frame *options);
+int world_add_accelerometer(struct world *w, const struct world_accelerometer_options *options);
+/* May be set at any time. */
+int world_set_accelerometer_fault(struct world *w, int accelerometer, int fault);
+/* Place (mm) of the mass on axis 0 (X) or 1 (Y) of the frame; NAN without a frame. */
+double world_frame_place(const struct world *w, int axis);
 double world_bed_height(const struct world *w, int probe, double x, double y);
 /* The carriage of `axis` goes own_share of its motor's way plus partner_share of that of the motor of `partner`. */
 int world_couple_axes(struct world *w, int axis, int partner, double own_share, double partner_share);
@@ -148,7 +181,21 @@ double world_fan_speed(const struct world *w, int fan);
 
 /* A parameter changes while the machine runs: faults, drift, disturbances. Indices as in world_parameter(). */
 void world_set_nozzle_parameter(struct world *w, int nozzle, int index, double value);
+double world_nozzle_parameter(const struct world *w, int nozzle, int index);
 void world_set_load_parameter(struct world *w, int load, int index, double value);
+
+/* Faults of everything else. Lines are cut and the host stands still until `until_s`, world time; a clock goes by another
+ * rate from now on; an MCU starts anew as after power-on. world_stop_adc: not for an emulated chip. */
+void world_cut_link(struct world *w, int mcu, int down, int up, double until_s);
+void world_damage_link(struct world *w, int mcu, double corrupt);
+void world_step_clock(struct world *w, int mcu, double ppm);
+int world_stop_adc(struct world *w, int mcu);
+void world_reset_mcu(struct world *w, int mcu);
+void world_stall_host(struct world *w, double until_s);
+void world_stick_fan(struct world *w, int fan, double speed);
+/* From now on look at a nozzle; returns an index. */
+int world_watch(struct world *w, int nozzle);
+int world_watched(const struct world *w, int watch, struct world_watch_state *out);
 
 /* The parameters of a nozzle (table 0) and of a load (table 1): 0 when index is past the end.
  * values: min, max, then those of each preset: reference, strong, real; or hotend, bed. */

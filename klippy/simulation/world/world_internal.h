@@ -13,6 +13,7 @@
 
 enum {
     WORLD_MCUS = 16,    /* a bit each in the result of world_advance() */
+    WORLD_WATCHES = 32, /* faults of one run */
     WORLD_EPOCHS = 512, /* more targets than that in one run: the last record is reused */
 };
 
@@ -43,6 +44,7 @@ struct world_mcu {
     struct mcu_library library;
     struct sim_board board;
     double clock_hz; /* true rate, drift included */
+    double clock_base, clock_base_s; /* ticks at a world time, where that rate began */
     int booted;
 
     struct link down, up; /* to the MCU, to the host */
@@ -75,6 +77,9 @@ struct world {
     uint64_t tick; /* of the next one */
     struct world_trace trace;
     double channels[WORLD_CHANNELS];
+    double stalled_until_s; /* the host stands still */
+    struct world_watch_state watches[WORLD_WATCHES];
+    int watch_count;
 };
 
 /* world.c */
@@ -88,6 +93,11 @@ void world_mcu_unload(struct world_mcu *m);
 double world_mcu_next_s(const struct world_mcu *m); /* world time of its next event, never before now */
 void world_mcu_advance(struct world_mcu *m, double until_s);
 void world_mcu_receive(struct world_mcu *m, const uint8_t *data, uint32_t length);
+
+void world_mcu_reboot(struct world_mcu *m);
+
+/* world_faults.c */
+void world_watch_tick(struct world *w);
 
 /* world_trace.c */
 void world_trace_row(struct world *w);

@@ -76,6 +76,10 @@ static void send_chunk(struct link *l, const uint8_t *data, uint32_t length, dou
 void link_send(struct link *l, const uint8_t *data, uint32_t length, double now_s)
 {
     l->bytes += length;
+    if (now_s < l->cut_until_s) {
+        l->dropped += length;
+        return;
+    }
     while (length) {
         uint32_t part = length < LINK_CHUNK_BYTES ? length : LINK_CHUNK_BYTES;
         send_chunk(l, data, part, now_s);

@@ -26,6 +26,7 @@ struct link {
     double byte_s;
     double free_s;    /* when the line has sent all it was given */
     double latest_s;  /* arrival of the newest chunk */
+    double cut_until_s; /* what is sent before is lost */
     uint64_t random;  /* state of the generator */
     uint32_t first, count;
     uint64_t bytes, corrupted, dropped, duplicated, overflowed;

@@ -14,12 +14,12 @@ static const double SIM_PWM_MAX = 255.0; /* constant PWM_MAX of the simulator po
 
 static double to_seconds(const struct world_mcu *m, uint64_t clock)
 {
-    return m->world->start_s + (double)clock / m->clock_hz;
+    return m->clock_base_s + ((double)clock - m->clock_base) / m->clock_hz;
 }
 
 static uint64_t to_clock(const struct world_mcu *m, double time_s)
 {
-    return (uint64_t)floor((time_s - m->world->start_s) * m->clock_hz + CLOCK_MARGIN_TICKS);
+    return (uint64_t)floor(m->clock_base + (time_s - m->clock_base_s) * m->clock_hz + CLOCK_MARGIN_TICKS);
 }
 
 /* ---- what the board offers the firmware (struct sim_board) ------------------------------------ */
@@ -76,6 +76,22 @@ static void on_console_send(void *ctx, const uint8_t *data, uint32_t len, uint64
     link_send(&m->up, data, len, to_seconds(m, clock));
 }
 
+static void on_spi_exchange(void *ctx, uint32_t bus, uint8_t mode, uint8_t *data, uint32_t len, uint64_t clock)
+{
+    struct world_mcu *m = ctx;
+    (void)bus, (void)mode; /* a chip is known by its select pin */
+    machine_spi_exchange(&m->world->machine, m->index, data, len, to_seconds(m, clock));
+}
+
+static uint8_t on_i2c_exchange(void *ctx, uint32_t bus, uint8_t address, const uint8_t *write, uint32_t write_len,
+                               uint8_t *read, uint32_t read_len, uint64_t clock)
+{
+    struct world_mcu *m = ctx;
+    (void)bus; /* one device of an address on an MCU */
+    return machine_i2c_exchange(&m->world->machine, m->index, address, write, write_len, read, read_len,
+                                to_seconds(m, clock));
+}
+
 /* ---- the library ------------------------------------------------------------------------------ */
 
 static int find_function(struct world_mcu *m, const char *name, void *out)
@@ -123,6 +139,8 @@ int world_mcu_load(struct world_mcu *m, const char *path)
         .sync_adc_read = on_sync_adc_read,
         .sync_adc_move = on_sync_adc_move,
         .console_send = on_console_send,
+        .spi_exchange = on_spi_exchange,
+        .i2c_exchange = on_i2c_exchange,
     };
     return 0;
 }
@@ -144,17 +162,26 @@ double world_mcu_next_s(const struct world_mcu *m)
     return fmax(to_seconds(m, clock), m->world->now_s);
 }
 
+static void reboot(struct world_mcu *m, uint64_t clock)
+{
+    machine_reset_outputs(&m->world->machine, m->index, to_seconds(m, clock));
+    link_clear(&m->down);
+    m->library.boot(&m->board, clock);
+}
+
 /* After every stretch of an MCU: has its model objected, does it want to be restarted? */
 static void look_after(struct world_mcu *m, uint64_t clock)
 {
     struct world *w = m->world;
     if (m->library.fault && !w->failed && m->library.fault(w->error, sizeof w->error))
         w->failed = 1;
-    if (!m->library.take_reset())
-        return;
-    machine_reset_outputs(&m->world->machine, m->index, to_seconds(m, clock));
-    link_clear(&m->down);
-    m->library.boot(&m->board, clock);
+    if (m->library.take_reset())
+        reboot(m, clock);
+}
+
+void world_mcu_reboot(struct world_mcu *m)
+{
+    reboot(m, to_clock(m, m->world->now_s));
 }
 
 void world_mcu_advance(struct world_mcu *m, double until_s)

@@ -83,7 +83,10 @@ class BridgeDriver:
         """The target was turned on or off."""
 
     def limit_w(self, below_c: float) -> float:
-        """Power allowed this far below the target."""
+        """Power allowed this far below the target; less while supervision doubts the reading."""
+        return min(self._approach_w(below_c), self.state.supervise.limit_w)
+
+    def _approach_w(self, below_c: float) -> float:
         approach, state = self.parameters.approach, self.state
         if below_c < approach.band_c:
             state.arriving = True
@@ -180,8 +183,8 @@ class PredictiveDriver(BridgeDriver):
     def is_held(self) -> bool:
         return not self.state.horizon and self.state.bridge.driving
 
-    def limit_w(self, below_c: float) -> float:
-        limit_w = super().limit_w(below_c)
+    def _approach_w(self, below_c: float) -> float:
+        limit_w = super()._approach_w(below_c)
         # With a sensing law that follows the drive the control law knows when to stop.
         return math.inf if self.parameters.approach.rebase_fraction == math.inf else limit_w
 

@@ -17,18 +17,39 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from thermal.models import heat_loss
 from thermal.records import PhaseCommand, SampleBlock, TempEstimate
-from thermal.sensing import heat_balance_monitor, supervision
+from thermal.sensing import heat_balance_monitor, laws, supervision
 from thermal.sensing.blocks import Blocks
 from thermal.sensing.pipeline import Chain
 
 from . import control_api
 from .bridge_driver import driver_for
-from .loop_records import NO_REQUEST, NOT_MEASURED, Ahead, Approach, Control, LoopParameters, LoopState
+from .loop_records import (
+    CALIBRATION,
+    NO_REQUEST,
+    NOT_MEASURED,
+    Ahead,
+    Approach,
+    Control,
+    LoopParameters,
+    LoopState,
+)
+from .story import Story
 from .timeline import Timing
 
-__all__ = ["NOT_MEASURED", "Approach", "Control", "InductionLoop", "LoopParameters", "LoopState", "Timing"]
+__all__ = [
+    "CALIBRATION",
+    "NOT_MEASURED",
+    "Approach",
+    "Control",
+    "InductionLoop",
+    "LoopParameters",
+    "LoopState",
+    "Timing",
+]
 
+FAN_W_K = 0.02  # most that a part fan takes
 BALANCE_S = 0.1  # ten times a second is enough for a balance over half a minute
 
 # (block, its filtered estimate or None, print time of its arrival)
@@ -45,6 +66,7 @@ class InductionLoop:
         self.chain = Chain()  # blocks to temperatures, with its own memory
         self.state = LoopState(law=parameters.control.law.start)
         self.parameters = parameters
+        self.story = Story()
         self.listeners: list[BlockListener] = []  # given every block, in order
         self.on_listener_error: Callable[[Exception], None] = lambda problem: None
         self.quiet = True  # set from outside: neither melt nor fan takes heat
@@ -74,6 +96,7 @@ class InductionLoop:
         """Blocks of one message, or of a batch, arrived."""
         state, before = self.state, None
         news = self.chain.take(blocks)
+        self.story.note(blocks)
         if blocks.count:
             state.bridge.edge(blocks.end_s)
         if self.listeners:
@@ -104,6 +127,10 @@ class InductionLoop:
         state, p = self.state, self._parameters
         fraction = state.request.power_w / p.control.power_max_w
         temp_c, target_c = state.estimate.temp_c, state.target_c
+        loss_w = heat_loss.loss_w(p.loss, temp_c) if state.estimate.valid else 0.0
+        supervision.watch_reading(
+            p.supervise, state.supervise, self.chain.watch, self.chain.state.witness, temp_c, target_c, loss_w
+        )
         return supervision.watch(
             p.supervise, state.supervise, self.chain.watch, now_s, temp_c, target_c, fraction
         )
@@ -221,5 +248,22 @@ class InductionLoop:
         heat_balance_monitor.observe(
             p.heat_balance, state.heat_balance, news.time_s, news.temp_c, heat_j, self.quiet
         )
+        self._inform_witness(news)
         state.balanced_s = news.time_s
         state.warning = heat_balance_monitor.warning(p.heat_balance, state.heat_balance)
+
+    def _inform_witness(self, news: TempEstimate) -> None:
+        """What the heat witness may assume from now on."""
+        p, inputs = self._parameters, self.chain.state.witness.inputs
+        near_s = (news.time_s - BALANCE_S, news.time_s, news.time_s + BALANCE_S)
+        taken_w = (
+            max(map(self.flow.at, near_s))
+            * p.melt.heat_mj_m3k
+            * 1e-3
+            * max(0.0, news.temp_c - p.melt.inlet_c)
+        )
+        taken_w += max(map(self.fan.at, near_s)) * FAN_W_K * max(0.0, news.temp_c - p.loss.ambient_c)
+        exact = isinstance(p.estimator.law, laws.TankLaw)
+        supervision.inform(p.supervise, p.heat_balance, self.state.heat_balance, inputs, taken_w, exact)
+        holds = p.control.law.name != CALIBRATION  # a run has no target to hold
+        inputs.room_c = p.supervise.above_target_c + p.control.beyond_c if holds else 0.0

@@ -21,6 +21,8 @@ from thermal.sensing import (
 from . import actuator, control_api
 from .timeline import Bridge, Timing
 
+CALIBRATION = "calibration"  # name of the law that is a calibration's run
+
 # Where a chain begins.
 NO_REQUEST = PowerRequest(-math.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 NOT_MEASURED = TempEstimate(math.nan, math.nan, math.nan, math.nan, math.nan, 0, False, "not measured yet")

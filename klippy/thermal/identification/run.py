@@ -112,5 +112,5 @@ def as_control(run: OutputRun, power_max_w: float) -> loop.Control:
         power_w = max(0.0, min(limit_w, run.decide(at_s, temp_c, limit_w)))
         return control_api.ControlOutput(power_w, power_w, power_w, 0.0, 0.0, 0.0), state
 
-    law = control_api.Law("calibration", step, 0, lambda p, state, inputs, out: state)
+    law = control_api.Law(loop.CALIBRATION, step, 0, lambda p, state, inputs, out: state)
     return loop.Control(law, None, power_max_w, models=True)

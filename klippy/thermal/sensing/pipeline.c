@@ -142,6 +142,7 @@ chain_take(const struct chain_params *p, struct chain_state *s, struct coil_bloc
         if (p->has_looks)
             drive_offset_block(&s->drive, &p->filter, s->filter.rate_k_s, p->phase_max_ticks, b);
         chain_watch_block(p, &s->watch, b);
+        witness_block(&s->witness, &p->filter, p->phase_max_ticks, b);
         chain_note_span(p, s, b);
         if (filter_block(&p->filter, &s->filter, b))
             newest = i;

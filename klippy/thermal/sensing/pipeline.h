@@ -11,6 +11,7 @@
 #include "thermal/control/predictive_filter.h"
 #include "temperature_filter.h"
 #include "drive_offset.h"
+#include "heat_witness.h"
 #include "laws.h"
 
 // Why a block gives no temperature; the texts are in klippy/thermal/sensing/block_temperature.py.
@@ -76,6 +77,7 @@ struct chain_state {
     struct chain_watch watch;
     struct filter_state filter;
     struct drive_offset drive;
+    struct witness_state witness;
     double heat_j;              // put in since somebody last set this to 0
     double span_lsb;            // running mean of highest minus lowest code
     int32_t spans;              // how many are in it

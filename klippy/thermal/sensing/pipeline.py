@@ -83,6 +83,7 @@ class Chain:
         """The filter knows nothing any more."""
         self._lib.filter_reset(self._filter)
         self._lib.drive_offset_reset(self._ffi.addressof(self.state, "drive"))
+        self._lib.witness_reset(self._ffi.addressof(self.state, "witness"))
 
     def take(self, blocks: Blocks) -> TempEstimate | None:
         """Blocks in order of time; the newest filtered estimate among them, if any."""

@@ -1,8 +1,11 @@
 """Plausibility of what the chain sees and does: returns a fault text, or "" while all is well.
 
 The MCU's guard watches single blocks against fixed limits with the host dead; this watches what needs memory
-and a target: no blocks, no valid temperature, too hot, too cold, power in and no warmth out, warmth
-without power. A fault latches: once named it stays.
+and a target: no blocks, no valid temperature, too hot, too cold, power in and no warmth out, warmth without power, a
+reading that does not follow the heat (heat_witness.h). A fault latches: once named it stays.
+
+    OFF ──► WARMING ──► HOLD ──► COOLING ──► OFF        by target and reading
+      any ──► DOUBT ──► back, or FAULT                  by the heat witness: power is held back meanwhile
 """
 
 from __future__ import annotations
@@ -11,7 +14,23 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from . import heat_balance_monitor
 from .blocks import REASONS
+
+OFF, WARMING, HOLD, COOLING, DOUBT, FAULT = "off", "warming", "hold", "cooling", "doubt", "fault"
+NEAR_C = 5.0  # of the target: held
+COLD_C = 60.0  # below this a heater that is off has cooled down
+LOSS_BAND = 0.2  # of the losses, beside their own uncertainty
+UNKNOWN_LAW_C = 30.0  # more slack for a law that is not the tank's
+
+# heat_witness.h, enum witness_trip
+_WITNESS = {
+    1: "the reading does not follow the heat that goes in: {missing:.0f} C are missing at {temp:.0f} C (sensing chain,"
+    " coil, supply, or another nozzle than the calibrated one)",
+    2: "the reading rises by {surplus:.0f} C more than the heat that goes in allows, at {temp:.0f} C: does the bridge"
+    " heat by itself, or did the signal jump?",
+    3: "nozzle at {temp:.0f} C, more than {room:g} C above its target of {base:.0f} C",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +51,8 @@ class SuperviseParameters:
     demand_fraction: float = 0.5  # ... with at least this fraction of full power asked
     warming_s: float = 2.0  # with the heater off the nozzle may in this time ...
     warming_c: float = 15.0  # ... not warm by this much
+    above_target_c: float = 25.0  # room above the target or the way down to it: 5 LSB of interference take 21
+    slack_c: float = 15.0  # of the heat witness: 5 LSB of interference are 12 C from peak to peak
     calibrated: bool = True  # else temperatures say nothing: only silence is a fault
 
     @property
@@ -49,6 +70,8 @@ class SuperviseState:
     demand_from_c: float = math.nan
     off_s: float = math.inf  # start of the present window with the heater off
     off_from_c: float = math.nan
+    limit_w: float = math.inf  # power held back while the reading is in doubt
+    state: str = OFF
 
 
 def start(state: SuperviseState, seen: Any, time_s: float) -> None:
@@ -103,6 +126,78 @@ def _warms_while_off(
     if temp_c - state.off_from_c < parameters.warming_c:
         return ""
     return f"nozzle warms with the heater off ({temp_c:.0f} C): is the bridge stuck on?"
+
+
+def inform(
+    parameters: SuperviseParameters,
+    balance: heat_balance_monitor.HeatBalanceParameters,
+    seen: heat_balance_monitor.HeatBalanceState,
+    inputs: Any,
+    taken_w: float,
+    exact: bool,
+) -> None:
+    """What the heat witness may assume. `inputs`: C's struct witness_inputs; `taken_w`: the most that filament and fan
+    take."""
+    loss, temp_c = balance.loss, seen.temp_c
+    over_k = max(20.0, temp_c - loss.ambient_c)
+    doubt_w = loss.link_w_k * seen.second_doubt_c
+    out_w = loss.skin_out_w(temp_c, seen.second_c)
+    band = LOSS_BAND + balance.loss_uncertainty
+    inputs.loss_low_w_k = max(0.0, (out_w - doubt_w) * (1.0 - band)) / over_k
+    inputs.loss_high_w_k = max(0.0, (out_w + doubt_w) * (1.0 + band)) / over_k
+    inputs.taken_w = taken_w
+    inputs.slack_c = parameters.slack_c if exact else parameters.slack_c + UNKNOWN_LAW_C
+    inputs.is_on = parameters.calibrated
+
+
+def name_state(witness: Any, temp_c: float, target_c: float) -> str:
+    """Where a nozzle without a fault is; `witness`: C's struct witness_state."""
+    if not math.isnan(witness.beyond_s):
+        return DOUBT
+    if target_c <= 0.0:
+        return COOLING if temp_c > COLD_C else OFF
+    if abs(temp_c - target_c) <= NEAR_C:
+        return HOLD
+    return WARMING if temp_c < target_c else COOLING
+
+
+def _doubt(
+    parameters: SuperviseParameters,
+    state: SuperviseState,
+    seen: Any,
+    witness: Any,
+    temp_c: float,
+    loss_w: float,
+) -> str:
+    """What is plausible but not certain holds the power back; what stays so, or is gross, is a fault."""
+    state.limit_w = math.inf if math.isnan(witness.beyond_s) else loss_w
+    if not witness.is_tripped or seen.beyond:  # beyond a limit: that says more
+        return ""
+    return _WITNESS[witness.is_tripped].format(
+        missing=witness.missing_c,
+        surplus=witness.surplus_c,
+        temp=temp_c,
+        room=parameters.above_target_c,
+        base=witness.base_c,
+    )
+
+
+def watch_reading(
+    parameters: SuperviseParameters,
+    state: SuperviseState,
+    seen: Any,
+    witness: Any,
+    temp_c: float,
+    target_c: float,
+    loss_w: float,
+) -> str:
+    """To be called before watch(), with the same `seen`. `witness`: C's struct witness_state; `loss_w`: what would
+    hold the reading."""
+    witness.inputs.target_c = target_c
+    if not state.fault:
+        state.fault = _doubt(parameters, state, seen, witness, temp_c, loss_w)
+    state.state = FAULT if state.fault else name_state(witness, temp_c, target_c)
+    return state.fault
 
 
 def watch(

@@ -157,7 +157,7 @@ class MoveWriter:
         parts = []
         for axis in "XYZ" if self.rng.random() < 0.3 else "XY":
             kind, f = self.rng.choice(SHAPERS), self.rng.choice([0.0, *self.rng.uniform(18.0, 110.0, 4)])
-            damping = self.rng.choice([0.0, 0.1, self.rng.uniform(0.0, 0.3)])
+            damping = self.rng.choice([0.0, 0.1, self.rng.uniform(0.0, 0.2)])
             parts.append(
                 f"SHAPER_TYPE_{axis}={kind} SHAPER_FREQ_{axis}={f:.3f} DAMPING_RATIO_{axis}={damping:.4f}"
             )

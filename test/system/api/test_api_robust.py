@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import resource
 import socket
 import time
 from pathlib import Path
@@ -11,6 +13,7 @@ from typing import Any
 import pytest
 
 from base_rig import Session
+from configtext import Origin
 from unit.host.test_webhooks import Client, with_client
 
 
@@ -151,9 +154,9 @@ def test_a_script_of_many_lines_lets_others_in(tmp_path: Path) -> None:
 def test_a_stalled_client_is_dropped_even_if_nothing_more_is_sent(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import webhooks
+    from webhooks import connection
 
-    monkeypatch.setattr(webhooks, "_STALL_S", 0.3)
+    monkeypatch.setattr(connection, "_STALL_S", 0.3)
 
     def body(client: Client) -> None:
         request = json.dumps({"id": 1, "method": "gcode/help"}).encode() + b"\x03"
@@ -241,3 +244,107 @@ def test_an_interval_of_ones_own(tmp_path: Path) -> None:
         assert times[-1] - times[0] < 0.6
 
     with_client(tmp_path, config(tmp_path), body, before)
+
+
+def longest_hold(session: Session) -> list[float]:
+    """Where the longest time between two rounds of the reactor will be, s of this process's work."""
+    found = [0.0]
+    seen = time.thread_time()
+
+    def look(eventtime: float) -> float:
+        nonlocal seen
+        now = time.thread_time()
+        found[0], seen = max(found[0], now - seen), now
+        return eventtime + 0.001
+
+    session.reactor.register_timer(look, session.reactor.NOW)
+    return found
+
+
+def test_a_flood_of_queries_holds_nobody_up_and_an_emergency_stop_goes_first(tmp_path: Path) -> None:
+    holds: list[list[float]] = []
+
+    def before(session: Session) -> None:
+        session.printer.lookup_object("configfile")._data.set("filler", "text", "x" * 200_000, Origin("-", 1))
+        holds.append(longest_hold(session))
+
+    def body(client: Client) -> None:
+        query = {"id": 1, "method": "objects/query", "params": {"objects": {"configfile": None}}}
+        data = json.dumps(query).encode() + b"\x03"
+        holds[0][0] = 0.0
+        client.send_raw(data * 700 + b'{"id": 2, "method": "emergency_stop"}\x03')  # 60 kB
+        answers = 0
+        while client.receive()["id"] != 2:
+            answers += 1
+        assert answers < 100
+        assert holds[0][0] < 0.050
+
+    with_client(tmp_path, config(tmp_path), body, before)
+
+
+def test_more_clients_than_there_may_be_are_refused_and_the_first_ones_stay(tmp_path: Path) -> None:
+    def body(client: Client) -> None:
+        path = client.sock.getpeername()
+        others = []
+        for _ in range(150):
+            others.append(Client(path))
+            time.sleep(0.002)  # the kernel keeps a few waiting
+        served = 0
+        for other in others:
+            try:
+                served += alive(other)
+            except ConnectionError:
+                pass
+        assert served == 127 and alive(client)
+        for other in others:
+            other.sock.close()
+        assert alive(client)
+        assert alive(Client(path))
+
+    with_client(tmp_path, config(tmp_path), body)
+
+
+def test_without_a_descriptor_a_client_is_refused_and_the_host_does_not_spin(tmp_path: Path) -> None:
+    def body(client: Client) -> None:
+        path = client.sock.getpeername()
+        limits = resource.getrlimit(resource.RLIMIT_NOFILE)
+        sockets = [socket.socket(socket.AF_UNIX) for _ in range(3)]
+        taken = os.open(os.devnull, os.O_RDONLY)
+        resource.setrlimit(resource.RLIMIT_NOFILE, (taken + 1, limits[1]))
+        try:
+            for sock in sockets:
+                sock.connect(path)
+                sock.settimeout(2.0)
+                assert sock.recv(1) == b""  # closed by the host
+            assert alive(client)
+            begin = time.process_time()
+            time.sleep(0.3)
+            assert time.process_time() - begin < 0.2
+        finally:
+            resource.setrlimit(resource.RLIMIT_NOFILE, limits)
+            os.close(taken)
+        assert alive(Client(path))
+
+    with_client(tmp_path, config(tmp_path), body)
+
+
+def test_scripts_that_wait_are_limited_and_emergency_stop_is_not_among_them(tmp_path: Path) -> None:
+    def body(client: Client) -> None:
+        script = json.dumps({"id": 1, "method": "gcode/script", "params": {"script": "WAIT"}}).encode()
+        client.send_raw((script + b"\x03") * 600)
+        for _ in range(100):
+            assert "under way already" in client.receive()["error"]["message"]
+        client.send_raw(b'{"id": 2, "method": "emergency_stop"}\x03')
+        assert client.receive() == {"id": 2, "result": {}}
+
+    def before(session: Session) -> None:
+        session.gcode.register_command("WAIT", lambda gcmd: session.sleep(20.0))
+
+    with_client(tmp_path, config(tmp_path), body, before)
+
+
+def test_the_socket_is_not_for_everybody(tmp_path: Path) -> None:
+    def body(client: Client) -> None:
+        assert os.stat(client.sock.getpeername()).st_mode & 0o007 == 0
+
+    with_client(tmp_path, config(tmp_path), body)

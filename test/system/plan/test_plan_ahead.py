@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from plan_rig import Watched, watch
-from sample_gcode import sample_path
+from simulation.sample_gcode import sample_path
 from system.conftest import machine
 
 # The plan may slow down hot layers; with minimum_speed_factor 1 every move has the file's own speed.

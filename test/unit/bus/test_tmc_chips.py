@@ -22,6 +22,7 @@ from extras.tmc.chips import (
     Chip,
 )
 from extras.tmc.current import CurrentModel, ReferenceResistor, TwoRanges, tmc5160_current
+from extras.tmc.registers import Fields, adc_temp_c
 
 CHIPS = (TMC2130, TMC2208, TMC2209, TMC2240, TMC2240_UART, TMC2660, TMC5160)
 FULL_PEAK_A = {0: 11.75 / 12.0, 1: 2.0, 2: 3.0}  # TMC2240 with 12 kohm, by range
@@ -98,3 +99,11 @@ def test_options_are_fields_that_are_written(chip: Chip) -> None:
         assert 0 <= value < (2 if name in FLAGS else limit // 2 if name in SIGNED else limit), name
     assert chip.written[-1] == "CHOPCONF"
     assert not set(chip.write_only) - set(chip.written)
+
+
+def test_status_fields_that_are_not_zero_and_the_temperature_of_the_2240() -> None:
+    """Datasheet: 2038 counts at 0 degrees C, 7.7 counts a degree."""
+    values = Fields(TMC2240.fields)
+    stealth, otpw, scale = 1 << 14, 1 << 26, 16 << 16
+    assert values.parts("DRV_STATUS", stealth | otpw | scale) == {"stealth": 1, "otpw": 1, "cs_actual": 16}
+    assert adc_temp_c(2038) == 0.0 and adc_temp_c(2038 + 77 * 3) == 30.0

@@ -114,6 +114,7 @@ ext_res_det 2000 ext_clk 4000 adc_err 8000 silicon_rv 70000 version FF000000
 6F DRV_STATUS {STATUS2}
 70 PWMCONF {PWM2} pwm_meas_sd_enable 400000 pwm_dis_reg_stst 800000
 71 PWM_SCALE pwm_scale_sum 3FF pwm_scale_auto 1FF0000
+51 ADC_TEMP adc_temp 1FFF
 74 SG4_THRS sg4_thrs FF sg4_filt_en 100 sg4_angle_offset 200
 75 SG4_RESULT sg4_result 3FF"""
 # TMC2660: commit 6d8e942b306501c32966550e0e6147aeea9fa809 (MSCNT=RESPONSE0 with mscnt=MSTEP, SG_RESULT=RESPONSE1 with

@@ -115,20 +115,32 @@ def test_save_config_keeps_what_is_left_out(tmp_path: Path) -> None:
     assert "#*# [pause_resume]\n#*# recover_velocity = 7\n" in text
 
 
-def test_what_a_printer_relies_on_is_refused_all_at_once(tmp_path: Path) -> None:
-    (tmp_path / "probe.cfg").write_text("\n[probe_eddy_current eddy]\nsensor_type: ldc1612\n")
+ABSENT_PROBE = """\
+[probe_eddy_current eddy]
+sensor_type: ldc1612
+[sx1509 duex]
+i2c_address: 62
+"""
+
+
+def test_homing_by_a_probe_that_is_left_out_fails_with_its_section(tmp_path: Path) -> None:
+    def home(s: Session) -> None:
+        endstop = s.printer.lookup_object("pins").setup_pin("endstop", "probe:z_virtual_endstop")
+        assert endstop.query_endstop(0.0) == 0
+        with pytest.raises(
+            s.printer.command_error, match=r"Ferrite does not have \[probe_eddy_current eddy\]"
+        ):
+            endstop.home_start(0.0, 0.001, 4, 0.01)
+
+    Session(tmp_path, ABSENT_PROBE).run(home)
+
+
+def test_a_sensor_on_a_pin_that_is_left_out_stops_the_start(tmp_path: Path) -> None:
     text = start_error(
         tmp_path,
-        "[include probe.cfg]\n[palette2]\nserial: x\n[pause_resume]\n[sx1509 duex]\n"
-        "[fan]\npin: sx1509_duex:PIN_0\n[display]\n[delta_calibrate]\n",
+        "[replicape]\n[temperature_sensor bed]\nsensor_type: Generic 3950\nsensor_pin: replicape:host_adc4\n",
     )
-    assert text.splitlines()[:5] == [
-        "Klipper has [probe_eddy_current eddy], Ferrite does not yet (probe.cfg, line 2).",
-        "Klipper has [palette2], Ferrite does not yet (printer.cfg, line 2).",
-        "Klipper has [sx1509 duex], Ferrite does not yet (printer.cfg, line 5).",
-        "Klipper has [delta_calibrate], Ferrite does not yet (printer.cfg, line 9).",
-        "Take these sections out of the config, and what refers to them.",
-    ]
+    assert "Pin 'replicape:host_adc4' can not be read: Ferrite does not have [replicape] yet" in text
 
 
 def test_sections_and_options_nobody_knows_are_refused_all_at_once(tmp_path: Path) -> None:
@@ -144,6 +156,41 @@ def test_sections_and_options_nobody_knows_are_refused_all_at_once(tmp_path: Pat
         "Option 'lift' is not valid in section 'pause_resume' (printer.cfg, line 4).",
         "Section 'respnd' is not a valid config section (printer.cfg, line 6). Did you mean 'respond'?",
     ]
+
+
+def test_the_problems_of_several_sections_are_named_at_once(tmp_path: Path) -> None:
+    """Of each its first; what only follows from another one is not repeated."""
+    text = start_error(
+        tmp_path,
+        "[pause_resume]\nrecover_velocity: fast\n[idle_timeout]\ntimeout: -1\n[respond]\ndefault_tpe: echo\n"
+        "[gcode_macro A]\ngcode: {% if %}\n[firmware_retraction]\nretract_speed: 0\n"
+        "[output_pin light]\npin: no_chip:PA1\n",
+    )
+    named = [line.partition(":")[0] for line in text.splitlines()]
+    for start in (
+        "Option 'recover_velocity' in section 'pause_resume'",
+        "Option 'timeout' in section 'idle_timeout'",
+        "Option 'default_tpe' is not valid in section 'respond' (printer.cfg, line 6). Did you mean 'default_type'?",
+    ):
+        assert start in named
+    assert "Unknown pin chip name" not in text
+    assert "(printer.cfg, line 8)" in text, "the macro"
+    assert "(printer.cfg, line 10)" in text, "the retraction"
+
+
+def test_a_module_that_breaks_over_another_ones_problem_does_not_hide_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(extras, "__path__", list(extras.__path__))
+    (tmp_path / "plugins").mkdir()
+    (tmp_path / "plugins" / "follower.py").write_text(
+        "def load_config(config):\n"
+        "    return config.get_printer().lookup_object('pause_resume', None).is_paused\n"
+    )
+    config = f"[pause_resume]\nrecover_velocity: fast\n[follower]\n[plugins]\npath: {tmp_path / 'plugins'}\n"
+    text = start_error(tmp_path, config)
+    assert text.startswith("Option 'recover_velocity' in section 'pause_resume'")
+    assert "Internal error" not in text
 
 
 def test_a_plugin_may_bring_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -164,11 +211,11 @@ def test_a_plugin_may_bring_what_is_missing(tmp_path: Path, monkeypatch: pytest.
 def test_what_is_missing_is_documented() -> None:
     page = read_page("Config_Reference.md")
     listed = set(re.findall(r"`(\w+)`", page.partition("## Sections of Klipper that are missing")[2]))
-    assert listed >= DISPENSABLE | configabsent.REFUSED
+    assert listed >= DISPENSABLE
 
 
-def test_every_section_of_klipper_is_loaded_left_out_or_refused() -> None:
-    absent = DISPENSABLE | configabsent.REFUSED
+def test_every_section_of_klipper_is_loaded_or_left_out() -> None:
+    absent = DISPENSABLE
     modules = configfile.section_modules()
     assert not SECTIONS - absent - modules - READ_ELSEWHERE
     assert not {name for name in absent if _locate_extra(name)}, "there is a module: take it off the list"

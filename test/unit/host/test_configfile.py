@@ -374,3 +374,12 @@ def test_a_package_of_helpers_is_no_section_and_no_suggestion(tmp_path: Path) ->
     text = start_error(tmp_path, "[heater]\n")
     assert "Section 'heater' is not a valid config section (printer.cfg, line 1)" in text
     assert "Did you mean 'heater'" not in text
+
+
+@pytest.mark.parametrize("name", ["pipe", "/dev/zero", "folder"])
+def test_an_include_that_is_no_plain_file_is_refused_at_once(tmp_path: Path, name: str) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "folder").mkdir()
+    text = start_error(tmp_path, f"[include {name}]\n")
+    assert text.startswith(f"Unable to open config file {tmp_path / name}: ")
+    assert "it is no plain file" in text or "Is a directory" in text

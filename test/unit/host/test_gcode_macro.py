@@ -76,6 +76,23 @@ def test_two_macros_of_one_name_are_refused(tmp_path: Path) -> None:
     assert "is already registered" in text
 
 
+def test_a_command_to_rename_that_is_not_there_stops_the_start_only_if_no_section_is_left_out(
+    tmp_path: Path,
+) -> None:
+    renaming = "[gcode_macro MEASURE_AXES_NOISE]\nrename_existing: _MEASURE\ngcode:\n    M118 mine\n"
+    assert "Existing command 'MEASURE_AXES_NOISE' not found" in start_error(
+        tmp_path, "[respond]\n" + renaming
+    )
+
+    def body(s: Session) -> None:
+        s.gcode.run_script("MEASURE_AXES_NOISE")
+        assert "// mine" in s.lines or "echo: mine" in s.lines
+        (warning,) = [w["message"] for w in s.status("configfile")["warnings"] if "_MEASURE" in w["message"]]
+        assert "no command to rename to _MEASURE" in warning and "display" in warning
+
+    Session(tmp_path, "[respond]\n[display]\nlcd_type: st7920\n" + renaming).run(body)
+
+
 def test_a_macro_may_be_taken_away_and_put_back(tmp_path: Path) -> None:
     """As a dry run does with commands that heat."""
 
@@ -131,6 +148,15 @@ def test_what_a_macro_puts_into_its_own_variable_stays_there(tmp_path: Path) -> 
     assert run(tmp_path, config, "REMEMBER A=1\nREMEMBER B=2\nSHOW") == ["// {'A': '1', 'B': '2'}"]
 
 
+def test_a_macro_changes_what_another_one_keeps(tmp_path: Path) -> None:
+    config = (
+        "[gcode_macro KEEPER]\nvariable_store: {'a': 1}\ngcode:\n  M118 {store.b}\n[respond]\n"
+        "[gcode_macro WRITER]\ngcode:\n  {% set _ = printer['gcode_macro KEEPER'].store.update({'b': 7}) %}\n"
+    )
+    session = Session(tmp_path, config).run(lambda s: s.gcode.run_script("WRITER\nKEEPER"))
+    assert "echo: 7" in session.lines
+
+
 def test_a_change_inside_a_variable_shows_in_the_status(tmp_path: Path) -> None:
     """Clients are sent what differs from the status before: that may not change along."""
     config = macro("REMEMBER", "{% do kept[0].append(params.A) %}", options="variable_kept: [[]]\n")
@@ -169,3 +195,13 @@ def test_the_documented_macros_take_no_name_of_ours() -> None:
         if line.startswith("[gcode_macro ")
     }
     assert names and not names & OWN_COMMANDS
+
+
+@pytest.mark.parametrize("value", ["1e999", "[1, -1e999]", "{'a': 1e999}"])
+def test_a_variable_is_no_number_without_an_end(tmp_path: Path, value: str) -> None:
+    def body(s: Session) -> None:
+        with pytest.raises(s.gcode.error, match="Unable to parse"):
+            s.gcode.run_script(f'SET_GCODE_VARIABLE MACRO=A VARIABLE=x VALUE="{value}"')
+        assert s.status("gcode_macro A") == {"x": 1}
+
+    Session(tmp_path, "[gcode_macro A]\nvariable_x: 1\ngcode:\n").run(body)

@@ -314,3 +314,14 @@ def test_the_loop_goes_on_while_work_is_done_beside_it() -> None:
     reactor.register_callback(lambda eventtime: ticked.set(), reactor.monotonic() + 0.001)
     reactor.run()
     assert finished == [True]
+
+
+def test_thousands_of_greenlets_may_sleep() -> None:
+    """Each script of an API client that waits is one. A greenlet must not begin as deep as the one before."""
+    reactor = Reactor(VirtualTime())
+    woken: list[float] = []
+    for _ in range(3000):
+        reactor.register_callback(lambda eventtime: woken.append(reactor.pause(eventtime + 10.0)))
+    run_for(reactor, 11.0)
+    assert len(woken) == 3000
+    reactor.finalize()

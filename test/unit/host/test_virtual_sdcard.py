@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import time
 from pathlib import Path
 from typing import Any
@@ -98,13 +100,53 @@ def test_a_named_file_is_opened_without_a_look_at_all_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A part may lie in a home folder with a million files."""
-    monkeypatch.setattr("extras.virtual_sdcard.os.walk", lambda *_, **__: pytest.fail("walked"))
+    monkeypatch.setattr("extras.virtual_sdcard.os.scandir", lambda *_: pytest.fail("looked"))
 
     def body(s: Session) -> None:
         s.gcode.run_script("SDCARD_PRINT_FILE FILENAME=part.gcode")
         wait_until(s, "complete")
 
     sd_session(tmp_path, part="MOVE\n").run(body)
+
+
+def test_a_pipe_or_a_device_is_no_file_to_print(tmp_path: Path) -> None:
+    session = sd_session(tmp_path, part="MOVE\n")
+    os.mkfifo(tmp_path / "gcodes" / "pipe.gcode")  # opening it would wait for a writer for ever
+    (tmp_path / "gcodes" / "zero.gcode").symlink_to("/dev/zero")
+
+    def body(s: Session) -> None:
+        for name, words in (("pipe.gcode", "it is no plain file"), ("zero.gcode", "outside")):
+            with pytest.raises(CommandError, match=words):
+                s.gcode.run_script(f"SDCARD_PRINT_FILE FILENAME={name}")
+
+    session.run(body)
+
+
+@pytest.mark.parametrize("script", ["SDCARD_PRINT_FILE FILENAME=none.gcode", "M23 none.gcode", "M20"])
+def test_twenty_thousand_files_do_not_hold_up_the_host(tmp_path: Path, script: str) -> None:
+    session = sd_session(tmp_path, part="MOVE\n")
+    for number in range(20_000):
+        (tmp_path / "gcodes" / f"part{number}.gcode").touch()
+    longest_s, seen = 0.0, time.process_time()
+
+    def look(eventtime: float) -> float:
+        nonlocal longest_s, seen
+        now = time.process_time()
+        longest_s, seen = max(longest_s, now - seen), now
+        return session.reactor.NOW
+
+    def body(s: Session) -> None:
+        s.reactor.register_timer(look, s.reactor.NOW)
+        s.reactor.pause(s.reactor.NOW)
+        nonlocal longest_s
+        longest_s = 0.0
+        with contextlib.suppress(CommandError):
+            s.gcode.run_script(script)
+        s.reactor.pause(s.reactor.NOW)
+        assert longest_s < 0.1  # 20 ms at rest; looking at each file of them takes 150 ms
+        assert (sum("part" in line for line in s.lines) == 20_001) == (script == "M20")
+
+    session.run(body)
 
 
 def test_pause_resume_from_outside_loses_no_line(tmp_path: Path) -> None:

@@ -222,9 +222,9 @@ def test_error_state_answers_everything_but_commands(tmp_path: Path) -> None:
 
 
 def test_a_client_that_does_not_read_is_dropped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    import webhooks
+    from webhooks import connection
 
-    monkeypatch.setattr(webhooks, "_STALL_S", 0.2)
+    monkeypatch.setattr(connection, "_STALL_S", 0.2)
 
     def body(client: Client) -> None:
         client.send_raw(b'{"id": 1, "method": "gcode/subscribe_output"}\x03')
@@ -252,10 +252,10 @@ def test_the_end_of_the_host_is_no_error_for_a_client_that_is_writing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, closes: bool
 ) -> None:
     """Moonraker writes a traceback into its log when a write to the socket fails."""
-    import webhooks
+    from webhooks import connection
 
     if not closes:
-        monkeypatch.setattr(webhooks, "_FAREWELL_S", 0.1)
+        monkeypatch.setattr(connection, "_FAREWELL_S", 0.1)
     path = str(tmp_path / "api.sock")
     session = Session(tmp_path, "[respond]\n", SystemTime(), apiserver=path)
     connected, finished, ended = threading.Event(), threading.Event(), threading.Event()

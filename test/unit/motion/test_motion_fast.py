@@ -16,7 +16,7 @@ from extras.gcode_move import MoveRows
 from motion_rig import CLOCK_HZ, CONFIG, EXTRUDER, dictionary
 from printer import Printer
 from reactor import Reactor
-from sample_gcode import sample_path
+from simulation.sample_gcode import sample_path
 
 MACHINE = CONFIG + EXTRUDER + "pressure_advance: 0.04\n[fan]\npin: PE0\n"
 HOMED = "G28\nM83\nG1 X20 Y20 Z0.3 F9000\n"

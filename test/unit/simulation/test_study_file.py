@@ -159,3 +159,28 @@ def test_saltelli_exchanges_one_column_at_a_time() -> None:
         assert (rows[:, column] == b[:, column]).all()
         others = [other for other in range(3) if other != column]
         assert (rows[:, others] == a[:, others]).all()
+
+
+SETS = GOOD.replace(
+    "[figures]",
+    """
+[parameters.machine]
+plain = {}
+heavy = { "simulator nozzle nozzle.mass_factor" = 1.3, "extruder.nozzle_diameter" = 0.6 }
+
+[figures]""",
+)
+
+
+def test_a_parameter_may_be_a_choice_of_sets_of_options(tmp_path: Path) -> None:
+    machine = read(tmp_path, SETS).parameters[-1]
+    assert machine.arguments["values"] == ["plain", "heavy"]
+    assert machine.sets["heavy"] == {
+        "simulator nozzle nozzle.mass_factor": 1.3,
+        "extruder.nozzle_diameter": 0.6,
+    }
+
+
+def test_a_set_of_something_else_than_options_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(StudyError, match=r'a set has "section\.option" = value'):
+        read(tmp_path, SETS.replace("extruder.nozzle_diameter", "diameter"))

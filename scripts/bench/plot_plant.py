@@ -3,12 +3,12 @@
 
 Four panels: Table 1 (signal over temperature at four powers), Table 5 (cooling without power, induction and
 conventional), static losses, and heating up. The same functions give the tests in test/c/test_plant_tables.py their
-numbers. Usage: scripts/plot_plant.py [OUTPUT.png]
+numbers. Usage: scripts/bench/plot_plant.py [OUTPUT.png]
 """
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import harness  # isort: skip
 
 import argparse
 import importlib
@@ -19,7 +19,7 @@ from typing import Any
 
 import matplotlib as mpl
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = harness.ROOT
 OUTPUT = ROOT / "docs" / "images" / "plant_vs_tables.png"
 STATIC_LOSS_W = {212: 3.9, 250: 4.7, 500: 11.0}  # power into the metal that holds the temperature
 COLORS = ("#1f77b4", "#2ca02c", "#ff7f0e", "#d62728")

@@ -1,15 +1,12 @@
-#!/usr/bin/env python3
 """Where the sliced sample files are.
 
 They come with the PyPI package pyGCodeDecode (MIT licence), of which only the data files are used; it is
-found without being imported, since its own dependencies are not installed. `sample_gcode.py NAME`
-prints the path of one.
+found without being imported, since its own dependencies are not installed.
 """
 
 from __future__ import annotations
 
 import importlib.util
-import sys
 from pathlib import Path
 
 PACKAGE = "pyGCodeDecode"
@@ -30,19 +27,3 @@ def sample_path(name: str) -> Path:
         known = ", ".join(sorted(p.stem for p in folder.glob("*.gcode")))
         raise SampleMissing(f"{PACKAGE} has no sample '{name}'; it has: {known}")
     return path
-
-
-def main(argv: list[str]) -> int:
-    if len(argv) != 2:
-        print("usage: sample_gcode.py NAME", file=sys.stderr)
-        return 2
-    try:
-        print(sample_path(argv[1]))
-    except SampleMissing as e:
-        print(e, file=sys.stderr)
-        return 2
-    return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main(sys.argv))

@@ -1,0 +1,7 @@
+; 25 mm3/s: 10.4 mm/s of 1.75 mm filament
+M109 S250
+M83
+G4 P1000
+G1 E100 F624
+G1 E100 F624
+G4 P5000

@@ -1,0 +1,156 @@
+"""Samples that firmware sends in bulk, and when each was taken.
+
+The firmware numbers its messages and knows, at a clock, how many samples there have been. That gives points (samples
+taken, clock); a line through the last ones is the chip's own rate, which may be some percent off its nominal one.
+
+      clock  │            ·─── a point lies up to one sample period early:
+             │        ·─'      the line through the middle of them is half a period late, sample k is at k + 0.5
+             │    ·─'
+             └────────────────► samples taken
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from typing import Any
+
+from roles import Printer
+
+STATUS_S = 0.1
+POINTS_MAX = 256  # of the line
+MAX_QUERY_S = 0.001  # a count that took longer to read says little about when
+Params = dict[str, Any]
+
+
+class SampleClock:
+    """The line from sample numbers to MCU clock (64 bits)."""
+
+    def __init__(self, nominal_ticks: float) -> None:
+        self._nominal = nominal_ticks
+        self._points: deque[tuple[float, float]] = deque(maxlen=POINTS_MAX)
+
+    def add(self, taken: int, clock: float) -> None:
+        self._points.append((taken, clock))
+
+    def line(self) -> tuple[float, float]:
+        """(clock of sample 0, ticks a sample)."""
+        points = self._points
+        mean_n = sum(n for n, _ in points) / len(points)
+        mean_clock = sum(clock for _, clock in points) / len(points)
+        spread = sum((n - mean_n) ** 2 for n, _ in points)
+        slope = self._nominal
+        if len(points) > 2 and spread > 0.0:
+            slope = sum((n - mean_n) * (clock - mean_clock) for n, clock in points) / spread
+        return mean_clock + (0.5 - mean_n) * slope, slope
+
+
+class BulkReader:
+    """One sensor's messages between start and stop. `take(data, first, line)` gets whole messages in order."""
+
+    def __init__(self, mcu: Any, oid: int, samples_per_message: int, sample_bytes: int) -> None:
+        self._mcu = mcu
+        self._per_message, self._sample_bytes = samples_per_message, sample_bytes
+        self._oid = oid
+        self._messages: list[Params] = []
+        self._status: Any = None
+        self.lost_messages = self.overflows = 0
+        self._next_sequence = 0  # 64 bits
+        self._clock = SampleClock(1.0)
+        mcu.register_response(self._messages.append, "sensor_bulk_data", oid)
+
+    def build(self, status_command: str, cmd_queue: Any) -> None:
+        """Called when the MCU's commands are known."""
+        self._status = self._mcu.lookup_query_command(
+            f"{status_command} oid=%c",
+            "sensor_bulk_status oid=%c clock=%u query_ticks=%u next_sequence=%hu buffered=%u possible_overflows=%hu",
+            oid=self._oid,
+            cq=cmd_queue,
+        )
+
+    def start(self, rate_hz: float) -> None:
+        """The firmware has begun anew."""
+        self._messages.clear()
+        self._next_sequence = self.lost_messages = self.overflows = 0
+        self._clock = SampleClock(self._mcu.seconds_to_clock(1.0) / rate_hz)
+
+    def update(self) -> int:
+        """Ask for the count; returns how many samples the chip has taken since the start."""
+        params = self._status.send([self._oid])
+        clock = self._mcu.clock32_to_clock64(params["clock"])
+        behind = params["next_sequence"] - self._next_sequence & 0xFFFF
+        self.overflows += (params["possible_overflows"] - self.overflows) & 0xFFFF
+        messages = self._next_sequence + behind
+        taken = messages * self._per_message + params["buffered"] // self._sample_bytes
+        if params["query_ticks"] <= self._mcu.seconds_to_clock(MAX_QUERY_S):
+            self._clock.add(taken, clock)
+        return int(taken)
+
+    def take(self, sample: Callable[[bytes, float], None]) -> None:
+        """Each sample that has come, with its print time."""
+        messages, self._messages[:] = list(self._messages), []
+        if not messages:
+            return
+        first_clock, ticks = self._clock.line()
+        for params in messages:
+            gap = (params["sequence"] - self._next_sequence) & 0xFFFF
+            self.lost_messages += gap
+            number = (self._next_sequence + gap) * self._per_message
+            self._next_sequence += gap + 1
+            data = params["data"]
+            for place in range(len(data) // self._sample_bytes):
+                at = place * self._sample_bytes
+                clock = first_clock + (number + place) * ticks
+                sample(data[at : at + self._sample_bytes], self._mcu.clock_to_print_time(clock))
+
+
+class Batches:
+    """A timer that calls `collect()` while anybody listens, and hands what it gives to all of them.
+
+    A client returns False when it wants no more. `start` and `stop` switch the source on and off.
+    """
+
+    def __init__(
+        self,
+        printer: Printer,
+        collect: Callable[[], Params],
+        start: Callable[[], None],
+        stop: Callable[[], None],
+        report_error: Callable[[Exception], None],
+    ) -> None:
+        self._printer = printer
+        self._reactor = printer.get_reactor()
+        self._collect, self._start, self._stop, self._report_error = collect, start, stop, report_error
+        self._clients: list[Callable[[Params], bool]] = []
+        self._timer: Any = None
+
+    def add_client(self, client: Callable[[Params], bool]) -> None:
+        """Called with each batch; raises the printer's command_error if the source does not start."""
+        if self._timer is None:
+            self._start()
+            self._timer = self._reactor.register_timer(self._on_timer, self._reactor.monotonic() + STATUS_S)
+        self._clients.append(client)
+
+    def _on_timer(self, eventtime: float) -> float:
+        """Timer of the reactor; may wait for the MCU's answer."""
+        try:
+            batch = self._collect()
+            self._clients = [client for client in self._clients if client(batch)]
+            if self._clients and not self._printer.is_shutdown():
+                return eventtime + STATUS_S
+            self._end()
+        except self._printer.command_error as problem:
+            self._end(problem)
+        return float(self._reactor.NEVER)
+
+    def _end(self, problem: Exception | None = None) -> None:
+        self._reactor.unregister_timer(self._timer)
+        self._timer = None
+        self._clients = []
+        try:
+            if not self._printer.is_shutdown():
+                self._stop()
+        except self._printer.command_error as e:
+            problem = problem or e
+        if problem is not None:
+            self._report_error(problem)

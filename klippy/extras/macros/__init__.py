@@ -1,0 +1,1 @@
+"""What templates of G-code macros are run in."""

@@ -1,0 +1,28 @@
+/* Ringing of a printer's frame: two axes, each a mass on a spring behind its motor.
+ *
+ *     planned place ──► motor (second order, follows steps) ──► belt: k, c ──► mass with the accelerometer
+ *
+ *     u" = wm^2 (p - u) - 2 dm wm u'            p: place by steps, u: of the rotor
+ *     x" = w^2 (u - x) + 2 d w (u' - x')        x: of the mass
+ *
+ * The rotor's lag smooths single steps, as a real motor's does. Semi-implicit Euler on a fixed grid; at FRAME_STEP_S
+ * the frequency of a 200 Hz mass is low by 0.01 %.
+ */
+#ifndef FERRITE_FRAME_H
+#define FERRITE_FRAME_H
+
+enum { FRAME_AXES = 2 };
+static const double FRAME_STEP_S = 1.0 / 25600.0; /* eight to a sample at 3200 Hz */
+
+struct frame_axis {
+    double frequency_hz, damping_ratio; /* of the mass; 0 Hz: rigid, moves as the rotor */
+    double motor_hz;
+    double u, u_rate; /* mm, mm/s */
+    double x, x_rate;
+};
+
+void frame_axis_init(struct frame_axis *a, double frequency_hz, double damping_ratio, double motor_hz, double place_mm);
+/* One FRAME_STEP_S with the steps at place_mm. */
+void frame_axis_step(struct frame_axis *a, double place_mm);
+
+#endif

@@ -1,0 +1,168 @@
+/* The ringing frame, and the accelerometers on it: their buses, mounting, noise and faults.
+ *
+ *     steps ──► frame (plant/frame.h), every 39 us ──► mean acceleration since the last sample, as a chip's filter makes it
+ *           + gravity ──► turned as the sensor is mounted ──► noise ──► registers (plant/accel_chip.h) ◄──► SPI or I2C
+ */
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "machine.h"
+
+static const double GRAVITY_M_S2 = 9.80665;
+static const double M_PER_MM = 1e-3;
+static const double BEYOND_ANY_RANGE_M_S2 = 1e4;
+enum { I2C_DONE = 0, I2C_NO_DEVICE = 3 }; /* of src/board/i2c_status.h */
+
+int machine_add_frame(struct machine *m, const struct world_frame *o, double now_s)
+{
+    static const int roles[FRAME_AXES] = { WORLD_AXIS_X, WORLD_AXIS_Y };
+    for (int i = 0; i < FRAME_AXES; i++) {
+        int axis = 0;
+        while (axis < m->axis_count && m->axes[axis].options.role != roles[i])
+            axis++;
+        if (axis == m->axis_count)
+            return -1;
+        m->frame_of[i] = axis;
+        frame_axis_init(&m->frame[i], o->frequency_hz[i], o->damping_ratio[i], o->motor_hz,
+                        axis_position_mm(&m->axes[axis]));
+    }
+    m->has_frame = 1;
+    m->frame_start_s = now_s;
+    m->frame_steps = 0;
+    return 0;
+}
+
+int machine_add_accelerometer(struct machine *m, const struct world_accelerometer_options *o, uint32_t seed)
+{
+    if (m->accelerometer_count == MACHINE_ACCELEROMETERS || o->kind < 0 || o->kind >= ACCEL_KINDS || !m->has_frame)
+        return -1;
+    for (int i = 0; i < 3; i++)
+        if (o->orientation[i] == 0 || abs(o->orientation[i]) > 3)
+            return -1;
+    int has_select = o->select.mcu >= 0;
+    if (has_select && (o->select.mcu >= MACHINE_MCUS || o->select.pin < 0 || o->select.pin >= MACHINE_PINS))
+        return -1;
+    struct accelerometer *a = &m->accelerometers[m->accelerometer_count];
+    *a = (struct accelerometer){ .options = *o, .noise = seed, .fault = o->fault };
+    accel_chip_init(&a->chip, (enum accel_kind)o->kind);
+    if (a->options.noise_ug < 0.0)
+        a->options.noise_ug = accel_chip_noise(a->chip.kind);
+    if (has_select) {
+        struct machine_pin *pin = &m->pins[o->select.mcu][o->select.pin];
+        pin->role = PIN_SELECT;
+        pin->target = (uint8_t)m->accelerometer_count;
+        pin->level = !o->select.inverted; /* idle */
+    }
+    return m->accelerometer_count++;
+}
+
+/* About Gaussian, standard deviation 1. */
+static double draw(struct accelerometer *a)
+{
+    double sum = 0.0;
+    for (int i = 0; i < 4; i++) {
+        a->noise = a->noise * 1664525u + 1013904223u;
+        sum += a->noise / 4294967296.0 - 0.5;
+    }
+    return sum * 1.7320508075688772;
+}
+
+static void take_sample(struct machine *m, struct accelerometer *a, double now_s, double rate)
+{
+    double along[3] = { 0.0, 0.0, GRAVITY_M_S2 }, seen[3];
+    for (int i = 0; i < FRAME_AXES; i++) {
+        along[i] = (m->frame[i].x_rate - a->last_rate[i]) / (now_s - a->last_s) * M_PER_MM;
+        a->last_rate[i] = m->frame[i].x_rate;
+    }
+    a->last_s = now_s;
+    double noise = a->options.noise_ug * 1e-6 * GRAVITY_M_S2 * sqrt(0.5 * rate);
+    for (int i = 0; i < 3; i++) {
+        int axis = a->options.orientation[i];
+        seen[i] = (axis < 0 ? -1.0 : 1.0) * along[abs(axis) - 1] + noise * draw(a);
+        if (a->fault == ACCEL_SATURATED)
+            seen[i] = BEYOND_ANY_RANGE_M_S2;
+    }
+    if (a->fault == ACCEL_FROZEN)
+        memcpy(seen, a->frozen, sizeof seen);
+    memcpy(a->frozen, seen, sizeof seen);
+    accel_chip_sample(&a->chip, seen);
+}
+
+static void sample_if_due(struct machine *m, struct accelerometer *a, double now_s)
+{
+    double rate = accel_chip_rate(&a->chip);
+    if (rate <= 0.0) {
+        a->next_s = 0.0;
+        return;
+    }
+    rate *= 1.0 + a->options.rate_error;
+    if (a->next_s == 0.0) { /* just switched on */
+        a->next_s = now_s + 1.0 / rate;
+        a->last_s = now_s;
+        for (int i = 0; i < FRAME_AXES; i++)
+            a->last_rate[i] = m->frame[i].x_rate;
+    }
+    if (now_s < a->next_s)
+        return;
+    a->next_s += 1.0 / rate;
+    take_sample(m, a, now_s, rate);
+}
+
+void frame_advance(struct machine *m, double now_s)
+{
+    if (!m->has_frame)
+        return;
+    double time_s;
+    while ((time_s = m->frame_start_s + (double)(m->frame_steps + 1) * FRAME_STEP_S) <= now_s) {
+        m->frame_steps++;
+        for (int i = 0; i < FRAME_AXES; i++)
+            frame_axis_step(&m->frame[i], axis_position_mm(&m->axes[m->frame_of[i]]));
+        for (int i = 0; i < m->accelerometer_count; i++)
+            sample_if_due(m, &m->accelerometers[i], time_s);
+    }
+}
+
+/* ---- buses ----------------------------------------------------------------------------------- */
+
+static int is_selected(const struct machine *m, const struct accelerometer *a, int mcu)
+{
+    struct world_pin p = a->options.select;
+    return p.mcu == mcu && m->pins[mcu][p.pin].level == (p.inverted != 0);
+}
+
+void accelerometer_select(struct accelerometer *a, uint8_t level)
+{
+    if (level == (a->options.select.inverted != 0))
+        accel_chip_spi_select(&a->chip);
+}
+
+void machine_spi_exchange(struct machine *m, int mcu, uint8_t *data, uint32_t len, double now_s)
+{
+    struct accelerometer *selected = NULL;
+    for (int i = 0; i < m->accelerometer_count; i++)
+        if (is_selected(m, &m->accelerometers[i], mcu))
+            selected = &m->accelerometers[i];
+    if (!selected || selected->fault == ACCEL_UNPLUGGED) {
+        memset(data, 0xff, len); /* the line is pulled up */
+        return;
+    }
+    frame_advance(m, now_s);
+    for (uint32_t i = 0; i < len; i++)
+        data[i] = accel_chip_spi_byte(&selected->chip, data[i]);
+}
+
+uint8_t machine_i2c_exchange(struct machine *m, int mcu, uint8_t address, const uint8_t *write, uint32_t write_len,
+                             uint8_t *read, uint32_t read_len, double now_s)
+{
+    for (int i = 0; i < m->accelerometer_count; i++) {
+        struct accelerometer *a = &m->accelerometers[i];
+        if (a->options.i2c_mcu != mcu || a->options.i2c_address != address || a->fault == ACCEL_UNPLUGGED)
+            continue;
+        frame_advance(m, now_s);
+        accel_chip_i2c(&a->chip, write, write_len, read, read_len);
+        return I2C_DONE;
+    }
+    memset(read, 0xff, read_len);
+    return I2C_NO_DEVICE;
+}

@@ -1,0 +1,23 @@
+"""Ten simulated minutes of `make soak-api`: misdeeds of clients beside a print, none of which it notices."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+import soak_api
+
+
+def test_ten_minutes_of_misdeeds_cost_a_print_nothing(tmp_path: Path) -> None:
+    count, rows, wrong = soak_api.soak(600.0, tmp_path)
+    assert wrong == ""
+    assert count > 3 * len(soak_api.misdeeds())
+    steady = [mb for now_s, mb in rows if now_s > soak_api.SETTLED_S]
+    assert max(steady) - steady[0] < soak_api.GROWTH_MAX_MB
+
+
+def test_a_host_that_does_not_refuse_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(soak_api, "SCRIPTS", (("M114", "must be refused"),))
+    _, _, wrong = soak_api.soak(120.0, tmp_path)
+    assert "not answered with an error: M114" in wrong
