@@ -1,7 +1,7 @@
 /* Theory, formats and contexts: signal_test.h. */
 #include "signal_test.h"
 
-enum { COMPARABLE_SHIFT = 5, RATE_SHIFT = 6, RATE_SPAN_MAX = 1 << 15 };
+enum { COMPARABLE_SHIFT = 5, RIPPLE_SHIFT = 15, RATE_SHIFT = 6, RATE_SPAN_MAX = 1 << 15 };
 
 static uint8_t
 is_before(uint32_t a, uint32_t b)
@@ -168,7 +168,8 @@ signal_test_block(struct signal_test *t, const struct guard_input *block, uint32
     uint16_t mean = (uint16_t)(16 * block->sum / block->count);
     uint32_t end = first + block->count, span = end - t->jump_end;
     uint8_t judged = t->limits.jump && block->phase >= t->limits.phase && comparable(t, block->phase, span);
-    int32_t change = (int32_t)mean - t->jump_mean, limit = t->limits.jump;
+    int32_t change = (int32_t)mean - t->jump_mean;
+    int32_t limit = (int32_t)(t->limits.jump + ((uint32_t)t->limits.jump * block->phase >> RIPPLE_SHIFT));
     uint8_t bad = judged && (change > limit + (int32_t)(t->limits.rise * span >> RATE_SHIFT) ||
                              -change > limit + (int32_t)(t->limits.fall * span >> RATE_SHIFT));
     if (bad)

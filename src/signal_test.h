@@ -12,7 +12,8 @@
  * amplitude a and frequency f is left with a * (2 pi f * 16 periods)^2 / 2, 9 % of it at 500 Hz and 120 kHz.
  * off.  Without current the signal is that of no current.  A bridge that conducts all the same shows a nozzle.
  * jump.  Between whole blocks whose phases differ by less than 1/32 the mean moves by no more than a fixed limit,
- * plus what a nozzle can rise or fall in the time between them.
+ * plus what a nozzle can rise or fall in the time between them.  The limit grows with the phase, to 2.4 times at full drive: there
+ * the signal follows the ripple of the supply, by 2.3 units a percent.
  *
  * Tests of the two kinds alternate, `interval` samples from one to the next.  After a bad one the next comes at once: the
  * second bad one of a kind in a row trips; a bad move is followed by another move, so that a frozen signal is not taken for

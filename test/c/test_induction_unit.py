@@ -448,7 +448,7 @@ TESTS = {"moved_low": 16 * 72, "moved_high": 16 * 98, "off_low": 246, "off_high"
 TESTS |= {"phase": 2012, "jump": 240, "rise": 16, "fall": 1}
 
 
-def tested(frozen_s: float = 9.0, stuck_s: float = 9.0, stopped_s: float = 9.0) -> Unit:
+def answering(frozen_s: float = 9.0, stuck_s: float = 9.0, stopped_s: float = 9.0) -> Unit:
     """A unit with all tests on a signal that answers them, until a fault sets in."""
     unit = Unit(y=4, block=(192, 3), tests=TESTS)
 
@@ -467,7 +467,7 @@ def tested(frozen_s: float = 9.0, stuck_s: float = 9.0, stopped_s: float = 9.0) 
 
 
 def test_tests_of_the_signal_run_while_the_bridge_is_driven_and_their_samples_reach_no_block():
-    unit = tested()
+    unit = answering()
     unit.hold(14230, 0.2)
     assert unit.state()["trip"] == 0
     moves = [clock for clock, ticks in unit.mcu.sampling_moves if ticks]
@@ -488,7 +488,7 @@ def test_tests_of_the_signal_run_while_the_bridge_is_driven_and_their_samples_re
     ],
 )
 def test_a_signal_that_does_not_answer_shuts_down_with_the_bridge_off(fault, text, within_s):
-    unit = tested(**{fault: 0.1})
+    unit = answering(**{fault: 0.1})
     unit.hold(14230, 0.1 + within_s)
     assert unit.mcu.shutdown_reason() == text
     assert unit.mcu.bridge_sets[-1][1] == 0
@@ -497,7 +497,7 @@ def test_a_signal_that_does_not_answer_shuts_down_with_the_bridge_off(fault, tex
 
 def test_a_step_of_the_drive_in_a_test_takes_effect_at_its_clock():
     """Plans that step every 0.7 ms leave no room for a whole test; each step is carried out all the same."""
-    unit = tested()
+    unit = answering()
     clocks = []
     for n in range(60):
         clocks.append(unit.phase(14230 + n % 2, 0.0005))

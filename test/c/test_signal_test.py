@@ -260,13 +260,21 @@ def test_two_blocks_that_stand_out_are_forgotten() -> None:
 
 
 @pytest.mark.parametrize(
-    ("mean", "bad"), [(450 + 18, 0), (450 + 18 + 1 / 16, 1), (450 - 15 - 3 / 16, 0), (450 - 15 - 4 / 16, 1)]
+    ("mean", "bad", "phase"),
+    [
+        (450 + 18 + 15 / 16, 0, 2184),
+        (450 + 19, 1, 2184),
+        (450 - 15 - 18 / 16, 0, 2184),
+        (450 - 15 - 19 / 16, 1, 2184),
+        (450 + 35 + 9 / 16 + 3, 0, 45000),
+        (450 + 35 + 10 / 16 + 3, 1, 45000),
+    ],
 )
-def test_a_nozzle_may_rise_and_fall_between_two_blocks(mean: float, bad: int) -> None:
-    """192 samples apart: 15 LSB, and 3 LSB up or 3/16 LSB down."""
+def test_a_nozzle_may_rise_and_fall_between_two_blocks(mean: float, bad: int, phase: int) -> None:
+    """192 samples apart: 15 LSB times 1 + phase / 32768 (2184: 15 sixteenths more), and 3 LSB up or 3/16 LSB down."""
     t = fresh()
-    block(t, 450, 0)
-    assert block(t, mean, 192) == NONE
+    block(t, 450, 0, phase)
+    assert block(t, mean, 192, phase) == NONE
     assert t.bad_jumps == bad
 
 

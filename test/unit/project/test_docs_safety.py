@@ -198,6 +198,7 @@ def signal_claims() -> Iterator[str]:
     yield f"The last {length} must be within {signal_limits.OFF_UNITS:g} units of `adc_zero`"
     assert (constant("SIGNAL_TEST_BAD"), constant("SIGNAL_JUMP_BLOCKS")) == (2, 3)
     yield f"at the same drive by more than {signal_limits.JUMP_UNITS:g} units, three blocks in a row"
+    yield f"drive the limit is {signal_limits.JUMP_UNITS * (1.0 + PHASE_MAX_TICKS / 2**15):.0f} units"
     samples = 2.0 * interval_s / PERIOD_S
     lost = (length + off + option("settle_samples")) / samples
     yield f"The tests cost {100 * lost:.1f} % of the samples and the bridge {100 * off / samples:.0f} % of its time."
