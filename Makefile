@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan bench-studies soak soak-motion soak-api fuzz mutants clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan bench-control bench-machines bench-studies soak soak-motion soak-api fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -22,14 +22,16 @@ help:
 	@echo "make check   the checks only: lint, types, layers, message formats, cross compilation"
 	@echo "make bench   print the 5 MB benchy in closed loop and report speed and memory (QUICK=1: the short file)"
 	@echo "make bench-thermometer  accuracy and latency of the estimate, beside the published chain"
-	@echo "make bench-control      every control law on the same plants, table and plots (QUICK=1)"
+	@echo "make bench-control      every control law on the same plants, and on random machines (studies; QUICK=1)"
 	@echo "make bench-motion       moves a second, batch mode and print (PEER=\"CMD\": a peer beside it; QUICK=1)"
 	@echo "make bench-steady       printing in real time beside a busy computer; memory of ten hours (QUICK=1)"
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
 	@echo "make bench-firmware     cost of samples, steps, commands on the images of both chips (QUICK=1)"
 	@echo "make bench-identify     hidden plants found again from their recorded prints (QUICK=1)"
 	@echo "make bench-faults       every fault on every machine in every state: caught by what, how hot (QUICK=1)"
-	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it"
+	@echo "make bench-recovery     where an interrupted print would be resumed, at 1,000 instants"
+	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it (studies)"
+	@echo "make bench-machines     1,000 drifting machines, calibrated and printing for 20 minutes (a study; RUNS=20: 40; QUICK=1)"
 	@echo "make bench-studies      the studies of config/studies: random machines, calibrated machines, the sample"
 	@echo "make soak               a long print in closed loop: does it leak? (HOURS=10, hours of wall time, too)"
 	@echo "make soak-api           clients that misbehave beside a print, one thing a simulated second (HOURS=24)"
@@ -74,25 +76,31 @@ printer: setup sim chelper
 
 # QUICK=1: what each bench leaves out then stands in its --help.
 BENCH = $(PYTHON) scripts/bench/bench_$*.py --json $(OUT)/bench/$*.json
-BENCHES := bench-print bench-api bench-thermometer bench-control bench-motion bench-steady bench-firmware bench-identify \
-           bench-faults
+BENCHES := bench-print bench-api bench-thermometer bench-motion bench-steady bench-firmware bench-identify bench-faults \
+           bench-recovery
 .PHONY: $(BENCHES)
 bench: bench-print
 $(BENCHES): bench-%: setup sim chelper
 	@$(BENCH) $(if $(QUICK),--quick) $(ARGS)
 
-bench-thermometer bench-control bench-firmware: setup-test
+bench-thermometer bench-firmware: setup-test
 bench-motion: ARGS = $(if $(PEER),--peer "$(PEER)")
 
-bench-plan: bench-%: setup sim chelper
-	@$(BENCH)
-	@$(PYTHON) scripts/bench/bench_plan_cost.py --memory benchy.gcode
-	@$(PYTHON) scripts/bench/bench_plan_cost.py --real-time 30
+# Benches that are studies, and what each measures besides.
+STUDIES_bench-control := control control_machines
+STUDIES_bench-plan    := plan_prints plan_steps
+STUDIES_bench-machines := bench_machines
+STUDIES_bench-studies := machines calibrated sample_print real
+BESIDE_bench-control  = $(PYTHON) scripts/bench/bench_control.py --json $(OUT)/bench/control.json $(if $(QUICK),--quick)
+BESIDE_bench-plan     = $(PYTHON) scripts/bench/bench_plan.py --json $(OUT)/bench/plan.json && \
+    $(PYTHON) scripts/bench/bench_plan_cost.py --memory benchy.gcode && \
+    $(PYTHON) scripts/bench/bench_plan_cost.py --real-time 30
 
-bench-studies: setup sim chelper
+bench-control bench-plan bench-machines bench-studies: setup sim chelper
 	@scripts/setup.sh study
-	@status=0; for study in $(wildcard config/studies/*.toml); do \
-	    $(PYTHON) scripts/study.py $$study --out $(OUT)/studies/$$(basename $$study .toml) || status=1; done; exit $$status
+	@status=0; for study in $(STUDIES_$@); do \
+	    $(PYTHON) scripts/study.py config/studies/$$study.toml --out $(OUT)/studies/$$study $(if $(QUICK),--small) $(if $(RUNS),--runs $(RUNS)) || status=1; \
+	done; $(or $(BESIDE_$@),true) || status=1; exit $$status
 
 soak: setup sim chelper
 	@$(PYTHON) scripts/bench/soak_print.py --hours $(or $(HOURS),10)

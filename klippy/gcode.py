@@ -58,7 +58,8 @@ class Coord(NamedTuple):
 # of the command. Macros with the name of any other command need `rename_existing`, as in Klipper.
 OWN_COMMANDS = frozenset({
     "DRY_RUN", "EXTRUSION_CALIBRATE", "HEATER_PROFILE", "INDUCTION_CALIBRATE", "INDUCTION_DUMP", "INDUCTION_RECORD",
-    "INDUCTION_REFERENCE", "INDUCTION_STATUS", "INDUCTION_ZERO", "M104.1", "M17", "MODEL_CALIBRATE", "PRIME_OOZE",
+    "INDUCTION_REFERENCE", "INDUCTION_STATUS", "INDUCTION_ZERO", "M104.1", "M17", "MODEL_CALIBRATE",
+    "NOZZLE_MONITOR_CALIBRATE", "NOZZLE_REPORT", "PRIME_OOZE", "RECOVER_DISCARD", "RECOVER_PRINT",
     "SET_SEGMENT_TEMPERATURE", "SIMULATOR_FAULT", "TEMPERATURE_PLAN",
 })  # fmt: skip
 MACRO_INSTEAD = "A macro has the name of the command %s and takes its place"

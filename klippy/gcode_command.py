@@ -119,6 +119,10 @@ class GCodeCommand:
             value = parser(text)
         except (ValueError, TypeError, ArithmeticError):
             kind = _PARSER_KIND.get(parser, "valid")
+            if not text:
+                raise CommandError(
+                    f"{self._command}: {name} needs {kind}: '{self._commandline.strip()}'"
+                ) from None
             raise CommandError(f"{self._command}: {name}: '{text}' is not {kind}") from None
         if minval is not None and value < minval:
             raise CommandError(f"{self._command}: {name} must have minimum of {minval}, it is {text}")

@@ -251,6 +251,8 @@ class MCU:
         state = query.send()
         if first and self._start_args.get("start_reason") == "startup":
             # what a host that crashed has left: its moves and outputs may still run
+            if state["is_config"] and state["crc"] == self._script.crc:
+                self._printer.send_event("mcu:left_over", self)
             if state["is_shutdown"]:
                 self._restart_for("it was shut down before this host started")
             if state["is_config"]:

@@ -37,7 +37,7 @@ _FIRMWARE_RESTART_ADVICE = (
     'Once the underlying issue is corrected, use the\n"FIRMWARE_RESTART" command to reset the firmware, '
     "reload the\nconfig, and restart the host software.\n"
 )
-MESSAGE_SHUTDOWN = _FIRMWARE_RESTART_ADVICE + "Printer is shutdown"
+MESSAGE_SHUTDOWN = _FIRMWARE_RESTART_ADVICE + "What to check: docs/guides/Trouble.md\nPrinter is shutdown"
 MESSAGE_CONNECT = _FIRMWARE_RESTART_ADVICE + "Error configuring printer"
 MESSAGE_INTERNAL = "This is an internal error of the host: the log has the details."
 

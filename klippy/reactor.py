@@ -251,7 +251,7 @@ class Reactor:
         self._heap: list[tuple[float, int, ReactorTimer]] = []
         self._live = 0
         self._tickets = 0
-        self.late_s = 0.0  # most that a timer came late by since somebody put 0 here
+        self.late_s = 0.0  # maximum delay of a timer since somebody put 0 here
         self._pass_time = 0.0  # no timer is filed under an earlier time: keeps "now" fair
         self._running = False
         self._fds = FdPoll()
@@ -381,6 +381,8 @@ class Reactor:
     def unregister_fd(self, file_handler: ReactorFileHandler) -> None:
         """Stop watching (call before closing the descriptor)."""
         self._fds.forget(file_handler)
+        # its owner holds the handler, and these hold the owner: freed at once rather than by the next collection
+        file_handler.read_callback, file_handler.write_callback = _return_never, None
 
     # --- greenlets ---
     def completion(self) -> ReactorCompletion:

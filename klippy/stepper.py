@@ -173,6 +173,10 @@ class MCU_stepper:
         if self._solver is not None:
             self._lib.itersolve_adopt_steps(self._solver, position)
 
+    def ask_steps(self) -> int:
+        """The MCU's count of steps, also of one that is shut down."""
+        return self._ask_position()[0]
+
     def _ask_position(self) -> tuple[int, int]:
         """(steps, clock) as the MCU says."""
         params = self._position_query.send([self._oid])

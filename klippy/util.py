@@ -40,7 +40,7 @@ def open_plain(path: str) -> BinaryIO:
         os.close(descriptor)
         number, text = (errno.EISDIR, None) if stat.S_ISDIR(kind) else (errno.EINVAL, "it is no plain file")
         raise OSError(number, text or os.strerror(number), path)
-    return open(descriptor, "rb")  # the caller closes it
+    return open(path, "rb", opener=lambda path, flags: descriptor)  # with its name; the caller closes it
 
 
 def read_plain(path: str, size_max: int = 16_000_000) -> str:

@@ -160,7 +160,7 @@ class PacedHost:
         config = self._printer.lookup_object("configfile").get_status(0.0)["config"]
         try:
             machine = assemble(self._world, sections, config)
-            self._world.open_trace(None, machine.trace_rate_hz)
+            self._world.open_trace(None, machine.recording.trace_rate_hz)
             self._injector = Injector(Target(machine, self._inner, self._printer))
             self._injector.order(all_orders(machine, ()))
         except (FaultError, WorldError) as e:

@@ -41,7 +41,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "klippy"))
 sys.path.insert(0, str(ROOT / "scripts"))
 
-import printer_data  # noqa: E402
+from simulation import printer_data  # noqa: E402
 
 MOONRAKER = ROOT / "out" / "moonraker-venv" / "bin" / "moonraker"
 POLL_S = 0.2

@@ -14,6 +14,7 @@ import in_venv  # noqa: F401  # isort: skip
 import argparse
 import json
 import logging
+import shlex
 import sys
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
@@ -224,6 +225,9 @@ def main(argv: Sequence[str]) -> int:
                     api=options.api,
                 )
             ).run()
+        outcome.summary["command"] = shlex.join(
+            ["scripts/simulate.py", *(text.replace(f"{ROOT}/", "") for text in argv)]
+        )
         write_results(options, outcome)
     except (BadInput, faults.FaultError, WorldError, OSError) as e:
         print(f"simulate: {e}", file=sys.stderr)

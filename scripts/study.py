@@ -49,6 +49,8 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--run", metavar="KEY", help="repeat one print, with trace, log and report in DIR/runs/KEY"
     )
+    parser.add_argument("--small", action="store_true", help="the study's small form")
+    parser.add_argument("--runs", type=int, metavar="N", help="points of the plan in place of the file's")
     parser.add_argument("--quiet", action="store_true", help="no progress bar")
     return parser.parse_args(argv)
 
@@ -92,7 +94,8 @@ def run(options: argparse.Namespace, study: Study) -> int:
         row = repeat(prepared, options.run, options.out)["row"]
         print(f"{row['status']}: {row['reason']}; see {options.out / 'runs' / options.run}")
         return 0
-    command = command_of("scripts/study.py", options.study, "--out", options.out)
+    size = ["--small"] * options.small + (["--runs", options.runs] if options.runs is not None else [])
+    command = command_of("scripts/study.py", options.study, "--out", options.out, *size)
     bar = None if options.quiet or not sys.stderr.isatty() else Bar(options.study.name)
     with bar or nullcontext():
         finished = run_study(
@@ -125,7 +128,7 @@ def main(argv: Sequence[str]) -> int:
         )
         return BAD_STUDY
     try:
-        return run(options, read_study(options.study))
+        return run(options, read_study(options.study, options.small, options.runs))
     except StudyError as e:
         print(f"study: {e}", file=sys.stderr)
         return BAD_STUDY

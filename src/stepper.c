@@ -280,7 +280,7 @@ command_stepper_get_position(const struct command_args *args)
     irq_restore(flag);
     respond(&response_stepper_position, oid, position);
 }
-DECL_COMMAND(command_stepper_get_position, "stepper_get_position oid=%c");
+DECL_COMMAND_FLAGS(command_stepper_get_position, HF_IN_SHUTDOWN, "stepper_get_position oid=%c");
 
 static void
 stop_on_trigger(struct trsync_signal *signal, uint8_t reason)

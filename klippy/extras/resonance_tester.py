@@ -19,7 +19,7 @@ from typing import Any
 import chelper
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
-from motionlimits import SPEED
+from motionlimits import SPEED, Range
 from roles import Printer
 from vibration.excitation import Excitation, extent_mm, split_at_rest
 
@@ -31,7 +31,7 @@ REST_S = 0.5  # before and after a test
 CHUNK_S = 0.05
 REPORT_HZ = 5.0
 FIT_AXES = {"x": 0, "y": 1}
-_LIMITS: dict[str, dict[str, float]] = {
+_LIMITS: dict[str, Range] = {
     "min_freq": {"minval": 1.0, "maxval": 200.0},
     "max_freq": {"minval": 1.0, "maxval": 300.0},
     "accel_per_hz": {"above": 0.0, "maxval": 1000.0},
@@ -279,8 +279,8 @@ class ResonanceTester:
             raise gcmd.error("OUTPUT must be resonances, raw_data, or both with a comma between.")
         raw = self._measure(gcmd, axis, name)
         if "resonances" in outputs:
-            _, path = self._evaluate(gcmd, raw, f"resonances_{axis.name}_{name}.csv", [])
-            gcmd.respond_info(f"Resonances data written to {path} file")
+            _, written = self._evaluate(gcmd, raw, f"resonances_{axis.name}_{name}.csv", [])
+            gcmd.respond_info(f"Resonances data written to {written} file")
         for path in raw:
             if "raw_data" in outputs:
                 gcmd.respond_info(f"Writing raw accelerometer data to {path} file")
@@ -370,7 +370,7 @@ def load_config(config: ConfigWrapper) -> ResonanceTester:
     min_hz = config.getfloat("min_freq", 5.0, **_LIMITS["min_freq"])
     excitation = Excitation(
         min_hz=min_hz,
-        max_hz=config.getfloat("max_freq", 10000.0 / 75.0, above=min_hz, maxval=300.0),
+        max_hz=config.getfloat("max_freq", 133.33, above=min_hz, maxval=300.0),
         accel_per_hz=config.getfloat("accel_per_hz", 60.0, **_LIMITS["accel_per_hz"]),
         hz_per_s=config.getfloat("hz_per_sec", 1.0, **_LIMITS["hz_per_sec"]),
         sweeping_accel=config.getfloat("sweeping_accel", 400.0, above=0.0, maxval=10000.0),

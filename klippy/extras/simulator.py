@@ -64,9 +64,12 @@ ParameterTables = Mapping[str, Mapping[str, ParameterRow]]  # "nozzle" and "load
 
 @dataclass(frozen=True, slots=True)
 class SimulatorSettings:
-    """[simulator]: trace rows a simulated second; faults as simulate.py --fault takes them."""
+    """[simulator]: trace rows a simulated second; for how long the host does nothing, at random; faults as simulate.py
+    --fault takes them.
+    """
 
     trace_rate_hz: float = TRACE_RATE_HZ
+    host_late_s: float = 0.0
     faults: tuple[str, ...] = ()
 
 
@@ -460,6 +463,7 @@ def read_settings(config: ConfigWrapper) -> SimulatorSettings:
     """Options of [simulator]."""
     return SimulatorSettings(
         config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0),
+        config.getfloat("host_late", 0.0, minval=0.0, maxval=10.0),
         tuple(config.get("fault", "").split()),
     )
 

@@ -45,7 +45,7 @@ class SystemStats:
 def read_computer() -> dict[str, Any]:
     """Load; CPU seconds of this program; KB of free memory; pages swapped since the start of the computer.
 
-    Where the computer tells: clock of the first core (MHz), whether it was throttled or had too little voltage.
+    Where the computer reports them: clock of the first core (MHz), whether it was throttled or had too little voltage.
     """
     facts: dict[str, Any] = {"sysload": round(os.getloadavg()[0], 2), "cputime": time.process_time()}
     facts["memavail"] = _count("/proc/meminfo", b"MemAvailable:")

@@ -20,6 +20,7 @@ from .world import WorldError, parameter_tables
 
 WATCHES_MAX = 32  # as WORLD_WATCHES
 FULL_TICKS = 45000
+DRIVE_FORCE_N = 60.0  # a geared drive on PLA slips [assumed]
 KILLED_S = 2.0  # so long a machine whose host was killed is looked at
 BLOB_W_K, CONTACT_W_K = 0.05, 1.0  # plastic around the nozzle; nozzle against a clip [assumed]
 SET = {"leg_dead": 6, "supply_short": 7, "sense_short": 8, "held": 9}
@@ -95,6 +96,18 @@ def _bit(bit: float, level: float, t: Target) -> None:
     t.set(name, int(t.machine.world.parameter(0, name)) | 1 << int(bit))
 
 
+def _clog(hole_mm: float, seconds: float, t: Target) -> None:
+    """The hole narrows, and the drive slips where it can push no harder."""
+    if not t.machine.world.parameter(0, "drive_force_n"):
+        t.set("drive_force_n", DRIVE_FORCE_N)
+    if not seconds:
+        t.set("hole_mm", hole_mm)
+        return
+    world = t.machine.world
+    start_s, begin_mm = world.now - world.start_s, world.parameter(0, "hole_mm")
+    world.add_profile(0, "hole_mm", ((start_s, begin_mm), (start_s + seconds, hole_mm)))
+
+
 def _command_stuck(ticks: float, t: Target) -> None:
     """The host's commands all ask for one phase."""
     for _, section in t.printer.lookup_objects("induction_heater"):
@@ -138,7 +151,7 @@ def _scale(name: str) -> Callable[[float, Target], None]:
 
 _TICKS = Argument("ticks", 0, FULL_TICKS)
 _FACTOR = Argument("factor", 0.1, 10.0)
-_SECONDS = Argument("s", 0.0, 1e6, 0.0)  # 0: for good
+_SECONDS = Argument("s", 0.0, 1e6, 0.0)  # 0: for good, or at once
 
 FAULTS: dict[str, Fault] = {
     "bridge_stuck_on": Fault(_stuck, (Argument("ticks", 1, FULL_TICKS, FULL_TICKS),)),
@@ -175,6 +188,10 @@ FAULTS: dict[str, Fault] = {
     "nozzle_mass": Fault(_scale("mass_factor"), (Argument("factor", 0.2, 5.0),)),
     "blob": Fault(lambda t: t.change("loss_w_k", plus=BLOB_W_K)),
     "thermal_short": Fault(lambda t: t.change("link_w_k", plus=CONTACT_W_K)),
+    "clog": Fault(_clog, (Argument("mm", 0.0, 2.0), _SECONDS)),
+    "runout": Fault(lambda t: t.set("flow_share", 0.0)),
+    "grind": Fault(lambda lost, t: t.set("flow_share", 1.0 - lost), (Argument("share", 0.0, 1.0),)),
+    "cold_plug": Fault(lambda t: t.set("hole_mm", 0.0)),
     "fan_stuck": Fault(lambda on, t: t.world("stick_fan", 0, on), (Argument("0|1", 0, 1),), "fan"),
     "clock_step": Fault(lambda ppm, t: t.world("step_clock", t.mcu, ppm), (Argument("ppm", -1e5, 1e5),)),
     "link_cut": Fault(lambda s, t: t.cut(1, 1, s), (_SECONDS,), "mcu"),
@@ -366,6 +383,6 @@ def _milli(seconds: float | None) -> float | None:
 def all_orders(machine: Machine, given: Sequence[str]) -> list[Order]:
     """Of the config and of the command line. Raises WorldError."""
     try:
-        return [parse(text) for text in (*machine.faults, *given)]
+        return [parse(text) for text in (*machine.recording.faults, *given)]
     except FaultError as e:
         raise WorldError(str(e)) from None

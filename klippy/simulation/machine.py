@@ -78,10 +78,9 @@ class Machine:
     loads: dict[str, int] = field(default_factory=dict)
     beds: list[int] = field(default_factory=list)  # those of them that are beds
     probes: dict[str, int] = field(default_factory=dict)
+    recording: SimulatorSettings = field(default_factory=SimulatorSettings)
     nozzle_mcus: list[int] = field(default_factory=list)  # of each nozzle
     accelerometers: dict[str, int] = field(default_factory=dict)
-    trace_rate_hz: float = SimulatorSettings().trace_rate_hz
-    faults: tuple[str, ...] = ()  # of the config, see faults.py
 
 
 def assemble(
@@ -96,8 +95,7 @@ def assemble(
         )
     machine = Machine(world)
     for recording in _of(things, SimulatorSettings):
-        machine.trace_rate_hz = recording.trace_rate_hz
-        machine.faults = recording.faults
+        machine.recording = recording
     _add_mcus(machine, {mcu.name: mcu for mcu in _of(things, McuSettings)}, config, builds or {})
     for axis in _of(things, AxisSettings):
         machine.axes[axis.name] = _add_axis(machine, axis, config)

@@ -84,7 +84,7 @@ class RealTimePrinter:
         settings, text = read_settings(config)
         self.world = World(seed)
         self.machine: Machine = assemble(self.world, settings, text, builds)
-        self.world.open_trace(trace, self.machine.trace_rate_hz)
+        self.world.open_trace(trace, self.machine.recording.trace_rate_hz)
         paths = {name: Path(serial) for serial, name in self.machine.serials.items()}
         paths.update(terminals)
         unknown = set(terminals) - set(self.machine.mcus)

@@ -10,6 +10,7 @@ runner is the user: it waits until the printer is ready, starts the file, and wa
 from __future__ import annotations
 
 import gc
+import math
 import shlex
 import time
 from collections.abc import Callable, Mapping
@@ -36,10 +37,9 @@ PRINTED, BAD_INPUT, SHUT_DOWN = 0, 2, 3
 POLL_S = 0.25  # how often the user looks at the printer
 OUTPUT_FOLDER = OUT / "simulation"  # of a run without a log: files of INDUCTION_DUMP, traces of calibrations
 AFTERMATH_S = 2.0  # watched on after a shutdown, to see that the heat goes off
-SAMPLE_S = 0.010  # host-side channels are read no more often than the trace has rows
 PROGRESS_WALL_S = 0.1
 UNKNOWN_COMMAND = '// Unknown command:"'  # how the console says it; the print goes on
-WARNING = "// Induction heater '"
+WARNINGS = ("// Induction heater '", "// Nozzle monitor:")
 GC_ALLOCATIONS = 100_000  # between looks for cycles: blocks and moves come by the thousand and make none
 
 
@@ -101,6 +101,9 @@ class Simulation:
         self._next_progress = 0.0
         self._heater: Any = None
         self._bed: Any = None
+        self._plan: Any = None
+        self._nozzles: list[Any] = []
+        self._sample_s = 0.0
         self.injector: Injector | None = None
 
     # --- start ---
@@ -162,7 +165,9 @@ class Simulation:
         try:
             settings = [section.settings for section in sections]
             machine = assemble(self.world, settings, config, self.options.builds)
-            self.world.open_trace(self.options.trace, machine.trace_rate_hz)
+            self.world.open_trace(self.options.trace, machine.recording.trace_rate_hz)
+            self._sample_s = 1.0 / machine.recording.trace_rate_hz
+            self.time.make_late(machine.recording.host_late_s, self.options.seed)
             self.injector = Injector(Target(machine, self.time, self.printer, self._kill_host))
             self.injector.order(all_orders(machine, self.options.faults))
         except (FaultError, WorldError) as e:
@@ -172,7 +177,7 @@ class Simulation:
     # --- while time passes ---
     def _before_advance(self, now: float) -> None:
         if now >= self._next_sample:
-            self._next_sample = now + SAMPLE_S
+            self._next_sample = now + self._sample_s
             self._sample(now)
             wall = time.monotonic()
             if self.options.on_progress is not None and wall >= self._next_progress:
@@ -188,6 +193,21 @@ class Simulation:
             estimate_c, target_c = self._heater.get_temp(now)
             set_channel(pointer, lib.WORLD_ESTIMATE_C, estimate_c)
             set_channel(pointer, lib.WORLD_TARGET_C, target_c)
+        if self._plan is not None:
+            set_channel(pointer, lib.WORLD_MELT_TARGET_C, self._plan.melt_target_c())
+
+    def _sample_checks(self, now: float) -> None:
+        """What an induction heater thinks of its own estimate goes into the trace, too; it changes slowly."""
+        if not hasattr(self._heater, "get_detail"):
+            return  # an ordinary heater
+        detail, lib = self._heater.get_detail(now), self.world.lib
+        for channel, key in (
+            (lib.WORLD_SIGMA_C, "sigma"),
+            (lib.WORLD_DRIFT_C, "drift"),
+            (lib.WORLD_SUPPLY, "supply"),
+        ):
+            value = math.nan if detail[key] is None else detail[key]
+            lib.world_set_channel(self.world.pointer, channel, value)
 
     def _find_heaters(self) -> None:
         heaters = self.printer.lookup_object("heaters", None)
@@ -196,6 +216,8 @@ class Simulation:
         known = heaters.get_all_heaters()
         self._heater = heaters.lookup_heater("extruder") if "extruder" in known else None
         self._bed = heaters.lookup_heater("heater_bed") if "heater_bed" in known else None
+        self._plan = self.printer.lookup_object("temperature_plan", None)
+        self._nozzles = [section.heater for _, section in self.printer.lookup_objects("induction_heater")]
 
     def _kill_host(self) -> None:
         """From now on the host does nothing; the machine is watched on."""
@@ -228,11 +250,11 @@ class Simulation:
     def _pause(self) -> bool:
         """Look again in a while; False when it is time to stop."""
         now = self.reactor.pause(self.reactor.monotonic() + POLL_S)
+        set_channel, pointer, lib = self.world.lib.world_set_channel, self.world.pointer, self.world.lib
         if self._bed is not None:
-            bed_target_c = self._bed.get_temp(now)[1]
-            self.world.lib.world_set_channel(
-                self.world.pointer, self.world.lib.WORLD_BED_TARGET_C, bed_target_c
-            )
+            set_channel(pointer, lib.WORLD_BED_TARGET_C, self._bed.get_temp(now)[1])
+        set_channel(pointer, lib.WORLD_WARNING, max((_weight(n.warning()) for n in self._nozzles), default=0))
+        self._sample_checks(now)
         until_s = self.options.until_s
         if until_s is not None and now - self.world.start_s >= until_s:
             self._end(PRINTED, f"stopped after {until_s:g} simulated seconds, as asked")
@@ -279,8 +301,11 @@ class Simulation:
             self.facts.faults.append(
                 f"{self.reactor.monotonic() - self.world.start_s:.1f} s: {text[2:].strip()}"
             )
-        elif text.startswith(WARNING) and self.injector is not None:
-            self.injector.warned(text[3:], self.reactor.monotonic())
+        elif text.startswith(WARNINGS):
+            now = self.reactor.monotonic()
+            self.facts.messages.append(f"{now - self.world.start_s:.1f} s: {text[3:]}")
+            if self.injector is not None:
+                self.injector.warned(text[3:], now)
         elif text.startswith(UNKNOWN_COMMAND):
             name = text[len(UNKNOWN_COMMAND) :].strip('"')
             self.facts.unknown_commands[name] = self.facts.unknown_commands.get(name, 0) + 1
@@ -342,6 +367,11 @@ class Simulation:
             self._note_machine(self.machine)
         if facts.exit_status == SHUT_DOWN:
             facts.faults.insert(0, facts.reason)
+        monitor = self.printer.lookup_object("nozzle_monitor", None)
+        if monitor is not None:
+            facts.nozzle_monitor = [
+                {**row, "t_s": round(row["t_s"] - self.world.start_s, 1)} for row in monitor.history
+            ]
         if self.injector is not None and self.injector.injected:
             facts.injected = self.injector.results()
         return Outcome(facts.exit_status, facts.reason, summary(facts, self.machine))
@@ -351,6 +381,11 @@ class Simulation:
             lost = machine.world.axis(index)["steps_lost"]
             if lost:
                 self.facts.faults.append(f"axis {name} ran against its end: {lost} steps lost")
+
+
+def _weight(warning: str) -> int:
+    """Of a warning in the trace: 2 if it names a thermometer that reads wrong."""
+    return 2 if "drift" in warning or "wrong nozzle" in warning else int(bool(warning))
 
 
 def _first_paragraph(text: str) -> str:

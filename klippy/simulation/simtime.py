@@ -6,6 +6,7 @@ Theory of operation: klippy/simulation/README.md, "Who owns virtual time".
 from __future__ import annotations
 
 import math
+import random
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
 
 # Longest stretch without a look at file descriptors, signals and the hook, s.
 MAX_STRETCH_S = 0.25
+AWAKE_S = 0.014  # mean time from one pause of a late host to the next: it is late as often as not
 
 
 class SimTime:
@@ -38,6 +40,12 @@ class SimTime:
         self.alarm_s = math.inf  # at this world time, or as soon as the host waits after it ...
         self.on_alarm: Callable[[], None] = lambda: None  # ... this is called; it sets the next one
         self.world_wall_s = 0.0  # real time spent in the world; the rest of a run is the host's
+        self._late_s, self._pause_s, self._random = 0.0, math.inf, random.Random()
+
+    def make_late(self, late_s: float, seed: int) -> None:
+        """From now on the host does nothing for up to so long, again and again, at random times."""
+        self._random.seed(seed)
+        self._late_s, self._pause_s = late_s, self._now if late_s else math.inf
 
     def monotonic(self) -> float:
         """World time, s."""
@@ -51,7 +59,10 @@ class SimTime:
         self.before_advance(now)
         pointer = self._world.pointer
         entered = time.perf_counter()
-        waiting = self._advance(pointer, min(until, now + MAX_STRETCH_S, max(self.alarm_s, now)))
+        if now < self._pause_s:
+            waiting = self._advance(pointer, min(until, now + MAX_STRETCH_S, max(self.alarm_s, now)))
+        else:
+            waiting = self._sleep(now)
         self.world_wall_s += time.perf_counter() - entered
         self._now = self._read_now(pointer)
         while self._now >= self.alarm_s:
@@ -60,6 +71,14 @@ class SimTime:
             for mcu, receive in list(self._receivers.items()):
                 if waiting >> mcu & 1:
                     receive()
+
+    def _sleep(self, now: float) -> int:
+        """A late host: what arrives meanwhile has to wait."""
+        end, waiting = now + self._random.uniform(0.0, self._late_s), 0
+        while self._read_now(self._world.pointer) < end:
+            waiting |= self._advance(self._world.pointer, end)
+        self._pause_s = end + self._random.expovariate(1.0 / AWAKE_S)
+        return waiting
 
     def stall(self, until: float, resumes: bool = True) -> None:
         """The host stands still while time goes on: no byte from it, none taken by it."""

@@ -8,16 +8,23 @@ Units are in the names; -1 of the C side ("never") becomes null.
 
 from __future__ import annotations
 
+import hashlib
 import math
 import resource
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
+from functools import cache
 from pathlib import Path
 from typing import Any
 
+from util import get_software_version
+
 from .machine import Machine
 
+SETTLE_S = 2.0  # of world_trace.c: so long within the band is settled
+ROOT = Path(__file__).resolve().parents[2]
 STATUS_TEXT = {0: "printed", 2: "bad input", 3: "printer shut down"}
 
 
@@ -35,6 +42,8 @@ class RunFacts:
     moves: int = 0
     file_progress: float = 0.0
     faults: list[str] = field(default_factory=list)
+    messages: list[str] = field(default_factory=list)  # warnings of the nozzle's chain and monitor
+    nozzle_monitor: list[dict[str, Any]] = field(default_factory=list)
     unknown_commands: dict[str, int] = field(default_factory=dict)  # name: how often
     injected: list[dict[str, Any]] = field(default_factory=list)  # see faults.py
     stages_s: dict[str, float] = field(default_factory=dict)
@@ -51,14 +60,29 @@ def peak_memory_mb() -> float:
     return peak / 1e6 if sys.platform == "darwin" else peak * 1024 / 1e6
 
 
+@cache
+def _version() -> str:
+    return get_software_version(str(ROOT))
+
+
+def _sha256(path: Path) -> str | None:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        return None
+
+
 def summary(facts: RunFacts, machine: Machine | None) -> dict[str, Any]:
     """The summary; without a machine (it was never built) only the run's own facts."""
     result: dict[str, Any] = {
         "status": STATUS_TEXT.get(facts.exit_status, "failed"),
         "exit_status": facts.exit_status,
         "reason": facts.reason,
+        "version": _version(),
+        "date": datetime.now().astimezone().isoformat(" ", "seconds"),
         "config": facts.config,
         "gcode": facts.gcode,
+        "gcode_sha256": _sha256(Path(facts.gcode)),
         "seed": facts.seed,
         "simulated_s": round(facts.simulated_s, 6),
         "wall_s": round(facts.wall_s, 3),
@@ -68,6 +92,8 @@ def summary(facts: RunFacts, machine: Machine | None) -> dict[str, Any]:
         "moves": facts.moves,
         "file_progress": round(facts.file_progress, 6),
         "faults": list(facts.faults),
+        "messages": list(facts.messages),
+        "nozzle_monitor": facts.nozzle_monitor,
         "unknown_commands": facts.unknown_commands,
         "injected": facts.injected,
     }
@@ -100,6 +126,8 @@ def heater_figures(figures: Mapping[str, Any], epochs: Sequence[Mapping[str, Any
         "settled_mean_error_c": _rounded(errors / settled_s) if settled_s else None,
         "estimate_max_error_c": _largest(epochs, "estimate_max_error_c", settled_s),
         "overshoot_c": _largest(heating, "overshoot_c", settled_s),
+        "climb_ratio": _slowest(epochs, "settle_s"),
+        "shown_climb_ratio": _slowest(epochs, "shown_settle_s"),
         "time_to_heat_s": _rounded(_ever(heating[0]["reach_s"])) if heating else None,
         "peak_c": _rounded(figures["peak_c"]),
         "peak_power_w": _rounded(figures["peak_power_w"]),
@@ -117,11 +145,28 @@ def _epoch(epoch: Mapping[str, Any]) -> dict[str, Any]:
         "target_c": _rounded(epoch["target_c"]),
         "reach_s": _rounded(_ever(epoch["reach_s"])),
         "settle_s": _rounded(_ever(epoch["settle_s"])),
+        "climb_ratio": climb_ratio(epoch),
+        "climb_over_s": _rounded(epoch["settle_s"] - SETTLE_S - epoch["bound_s"])
+        if climb_ratio(epoch)
+        else None,
         "overshoot_c": _rounded(epoch["overshoot_c"]),
         "settled_s": _rounded(seconds),
         "max_error_c": _rounded(epoch["max_error_c"]) if seconds else None,
         "rms_error_c": _rounded(math.sqrt(epoch["square_error_sum"] / seconds)) if seconds else None,
     }
+
+
+def climb_ratio(epoch: Mapping[str, Any], settled: str = "settle_s") -> float | None:
+    """Time until the nozzle is in the band and stays there, over that of full power from the first moment; None: no
+    climb, or it never ended. `settled`: by the true temperature, or by the host's estimate.
+    """
+    climbed = epoch["bound_s"] > 0.0 and epoch[settled] >= 0.0
+    return _rounded((epoch[settled] - SETTLE_S) / epoch["bound_s"]) if climbed else None
+
+
+def _slowest(epochs: Sequence[Mapping[str, Any]], settled: str) -> float | None:
+    ratios = [climb_ratio(epoch, settled) for epoch in epochs]
+    return max((ratio for ratio in ratios if ratio is not None), default=None)
 
 
 def _largest(epochs: Sequence[Mapping[str, Any]], name: str, settled_s: float) -> float | None:

@@ -1,6 +1,6 @@
 """The shaper for a measured spectrum: python -m vibration.fit_shaper, in a process of its own, prints JSON.
 
-A shaper of impulses A_i at t_i leaves of an oscillation w, z the share (Singer and Seering 1990, eq. 7)
+A shaper of impulses A_i at t_i leaves of an oscillation w, z the share (Singer 1990, eq. 7)
 
     V(w, z) = exp(-z w t_n) |sum A_i exp((z + j sqrt(1 - z^2)) w t_i)|
 
@@ -12,7 +12,7 @@ Smoothing is how far (mm) a shaped path leaves the planned one at 5000 mm/s^2, t
 acceleration, a/2 sum A_i (t_i - t)^2, and at a right-angled corner that is entered with the corner speed v,
 sqrt(2) sum over t_i > t of A_i (v + a/2 (t_i - t)) (t_i - t), t being the mean time.
 
-Of each type the frequency that leaves least, and of frequencies that leave 0.1 % more the highest (the shortest
+Of each type the frequency that leaves the minimum, and of frequencies that leave 0.1 % more the highest (the shortest
 shaper); of the types the one with the lowest smoothing * (vibration left + 2 %).
 
 Beside this the resonance itself: frequency and damping of |(1 + 2 z r j)/(1 - r^2 + 2 z r j)|^2, r = f/f0, which is

@@ -3,8 +3,8 @@
     raw data      #time,accel_x,accel_y,accel_z                   s, mm/s^2
     resonances    freq,psd_x,psd_y,psd_z,psd_xyz[,SHAPER(Hz) ...]  Hz, (mm/s^2)^2/Hz, share of vibration left
 
-The spectrum is Welch's (1967): Hann windows of WINDOW_S that overlap by half, each without its mean, averaged. It needs
-numpy, so it runs in a process of its own.
+The spectrum is that of Welch 1967: Hann windows of WINDOW_S that overlap by half, each without its mean, averaged. It
+needs numpy, so it runs in a process of its own.
 """
 
 from __future__ import annotations

@@ -3,15 +3,15 @@
 With the natural frequency f and the damping ratio z the damped period is T = 1/(f sqrt(1 - z^2)), and half of it damps
 an oscillation by K = exp(-z pi/sqrt(1 - z^2)). Amplitudes sum to 1.
 
-  zv, zvd    impulses T/2 apart that cancel each other, and that twice over (Singer and Seering 1990, eqs 9 and 12)
+  zv, zvd    impulses T/2 apart that cancel each other, and that twice over (Singer 1990, eqs 9 and 12)
   mzv        n impulses evenly over t periods (below)
-  ei         Singhose, Seering and Singer 1997: at most `v_tol` of the vibration stays at f, none at two frequencies
+  ei         Singhose 1997: at most `v_tol` of the vibration stays at f, none at two frequencies
              beside it. No closed form exists with damping; their published fit is for z of 0 to 0.3
   2hump_ei, 3hump_ei   the same with more such frequencies, for 5 %; their fit has its times in periods 1/f
 
 The fits' sums differ from 1 by up to 0.0005: every shaper is normalised.
 
-mzv is a zero-placement shaper (Tuttle and Seering 1994). Impulses a delay d = tT/(n - 1) apart make the polynomial
+mzv is a zero-placement shaper (Tuttle 1994). Impulses a delay d = tT/(n - 1) apart make the polynomial
 A0 + A1 s + ... + A(n-1) s^(n-1) in s = exp(j w d). Its zeros lie on the unit circle: the first at phi = 2 pi t/(n - 1)
 (the oscillation itself), its mirror image at -phi, and the other n - 3 evenly between those, far from the signal. With
 damping the amplitude at time x is lower by exp(-2 pi z x/sqrt(1 - z^2)), so that the zero falls on the damped pole.
@@ -94,8 +94,8 @@ def _mzv(z: float, arguments: Arguments) -> Impulses:
     first = 2.0 * math.pi * t / (n - 1)
     apart = (2.0 * math.pi - 2.0 * first) / (n - 2)
     coefficients: list[complex] = [1.0]
-    for k in range(n - 1):
-        zero = cmath.exp(1j * (first + k * apart))
+    for number in range(n - 1):
+        zero = cmath.exp(1j * (first + number * apart))
         coefficients = [a - zero * b for a, b in zip([*coefficients, 0.0], [0.0, *coefficients], strict=True)]
     times = [t * i / (n - 1) for i in range(n)]
     damping = _half_period_damping(z)

@@ -72,6 +72,9 @@ BY = {  # words of the message that ended a print → short name
     "below min_temp": "host: below min_temp",
     "heating too slow": "host: heating too slow",
     "warms with": "host: warms while off",
+    "does not follow": "host: heat without rise",
+    "rises by": "host: rise without heat",
+    "above its target": "host: above its target",
 }
 
 

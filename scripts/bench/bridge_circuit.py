@@ -30,7 +30,8 @@ HEADER = ROOT / "klippy" / "simulation" / "plant" / "bridge_table.h"
 PHASE_FULL = 45000
 STEPS, PERIODS = 8192, 36  # a step of 1 ns; 36 periods are 11 time constants of the tank
 
-DEAD_TIMES_NS = (0.0, 60.0, 200.0)
+DEAD_TIMES_NS = (0.0, 60.0, 120.0, 200.0, 300.0)
+SUPPLIES_V = (22.8, 25.2)  # beside the 24 V of the netlist
 DRIVES = tuple(range(1500, PHASE_FULL + 1, 1500))
 TEMPS_C = (25.0, 150.0, 275.0, 400.0, 525.0)
 # Components of the coil, assumed: effect of temperature on L1 over x = |I1| / 39.7 A in steps of 0.1. It differs from
@@ -172,21 +173,36 @@ class Circuit:
         return np.degrees(np.angle(-current)).reshape(self.shape), np.abs(current).reshape(self.shape)
 
 
-def write_table(psi_deg: np.ndarray, current_a: np.ndarray) -> None:
+def write_table() -> None:
+    psi_deg, current_a = Circuit().run()
+    others = [Circuit(vdc=volt).run()[0] for volt in SUPPLIES_V]
     with TABLE.open("w", newline="", encoding="utf-8") as file:
         rows = csv.writer(file, lineterminator="\n")
-        rows.writerow(["dead_time_ns", "temp_c", "phase_ticks", "psi_deg", "coil_a"])
+        rows.writerow(
+            [
+                "dead_time_ns",
+                "temp_c",
+                "phase_ticks",
+                "psi_deg",
+                "coil_a",
+                *(f"psi_{volt:g}_v_deg" for volt in SUPPLIES_V),
+            ]
+        )
         for index in np.ndindex(psi_deg.shape):
             place = DEAD_TIMES_NS[index[0]], TEMPS_C[index[1]], DRIVES[index[2]]
-            rows.writerow([*(f"{x:g}" for x in place), f"{psi_deg[index]:.4f}", f"{current_a[index]:.4f}"])
+            found = (psi_deg[index], current_a[index], *(other[index] for other in others))
+            rows.writerow([*(f"{x:g}" for x in place), *(f"{x:.4f}" for x in found)])
 
 
 def header() -> str:
-    """The C table: what dead time adds to psi, and the logarithm of what it leaves of the current."""
+    """The C table: what dead time adds to psi, how that moves with the supply (by its logarithm), and the logarithm of
+    what it leaves of the current.
+    """
     with TABLE.open(encoding="utf-8") as file:
         data = np.array([[float(x) for x in row] for row in list(csv.reader(file))[1:]])
     shape = len(DEAD_TIMES_NS), len(TEMPS_C), len(DRIVES)
-    psi_deg, current_a = (data[:, k].reshape(shape) for k in (3, 4))
+    psi_deg, current_a, low_deg, high_deg = (data[:, k].reshape(shape) for k in range(3, 7))
+    per_supply = (high_deg - low_deg) / np.log(SUPPLIES_V[1] / SUPPLIES_V[0])
 
     def rows(table: np.ndarray, digits: int) -> str:
         return ",\n".join("    {" + ", ".join(f"{x:.{digits}f}" for x in row) + "}" for row in table)
@@ -202,10 +218,11 @@ def header() -> str:
         "// Made by scripts/bench/bridge_circuit.py from test/data/bridge_circuit.csv; origin and circuit there.\n"
         "// clang-format off\n"
         + line("bridge_dead_ns", DEAD_TIMES_NS)
-        + f"enum {{ BRIDGE_TEMPS = {shape[1]}, BRIDGE_DRIVES = {shape[2]} }};\n"
+        + f"enum {{ BRIDGE_DEADS = {shape[0]}, BRIDGE_TEMPS = {shape[1]}, BRIDGE_DRIVES = {shape[2]} }};\n"
         + f"static const double bridge_temp_low_c = {TEMPS_C[0]:g}, bridge_temp_step_k = {TEMPS_C[1] - TEMPS_C[0]:g}, "
         + f"bridge_drive_step_ticks = {DRIVES[0]};\n"
         + cube("bridge_psi_deg", psi_deg[1:] - psi_deg[0])
+        + cube("bridge_psi_deg_per_supply", per_supply[1:] - per_supply[0])
         + cube("bridge_log_current", np.log(np.maximum(current_a[1:] / current_a[0], 1e-3)))
         + line("coil_saturation", SATURATION)
         + f"static const double coil_resistance[{shape[1]}][5] = {{\n{rows(np.array(RESISTANCE), 4)}}};\n"
@@ -220,7 +237,7 @@ def main(argv: Sequence[str]) -> int:
     parser.add_argument("--check", action="store_true", help="only compare the C header with the table")
     if parser.parse_args(argv).check:
         return int(HEADER.read_text(encoding="utf-8") != header())
-    write_table(*Circuit().run())
+    write_table()
     HEADER.write_text(header(), encoding="utf-8")
     return 0
 

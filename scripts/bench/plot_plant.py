@@ -78,7 +78,7 @@ def main(arguments: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(description="Draw the simulated nozzle against the published tables.")
     parser.add_argument("output", type=Path, nargs="?", default=OUTPUT)
     output: Path = parser.parse_args(arguments).output
-    sys.path.insert(0, str(ROOT / "test" / "c"))
+    sys.path.insert(0, str(ROOT / "test" / "rigs"))
     tables = importlib.import_module("plant_tables")
     mpl.use("Agg")
     plt = importlib.import_module("matplotlib.pyplot")

@@ -60,7 +60,7 @@ SCRIPTS = (
     ("INDUCTION_DUMP FILE=/dev/full", "is not in"),
     ("M220 S99999999", "S must"),
     ("G1 X99999", "ove out of range"),
-    ("M104 Sabc", "is not a number"),
+    ("M104 Sabc", "S needs a number: 'M104 Sabc'"),
     ("NO_SUCH_COMMAND", ""),
 )
 
@@ -169,9 +169,14 @@ def resident_mb(pid: int) -> float:
 def misbehave(process: subprocess.Popen[bytes], path: Path) -> Iterator[tuple[float, float]]:
     """One misdeed a simulated second until the run ends; yields simulated time and the memory of the run, MB."""
     end = time.monotonic() + harness.START_TIMEOUT_S
-    while not path.exists() and process.poll() is None and time.monotonic() < end:
-        time.sleep(0.05)
-    watch = Client(path)
+    watch = None
+    while watch is None and process.poll() is None and time.monotonic() < end:
+        try:
+            watch = Client(path)
+        except OSError:  # not yet there, or not yet listening
+            time.sleep(0.05)
+    if watch is None:
+        raise ConnectionError("nobody listens")
     while "result" not in watch.request("objects/query", objects={"print_stats": None}):
         time.sleep(0.05)
     start_s = next_s = watch.now_s()
@@ -193,7 +198,9 @@ def soak(seconds: float, folder: Path) -> tuple[int, list[tuple[float, float]], 
     )
     gcodes.mkdir()
     (gcodes / "part.gcode").write_text(
-        "".join(part((seconds + SETTLED_S) / 3600.0)).replace("M104 S211", "M104 S210")
+        "".join(part((seconds + SETTLED_S) / 3600.0))
+        .replace("M104 S211", "M104 S210")
+        .replace("M104 S212", "M104 S210")
     )
     os.mkfifo(gcodes / "pipe.gcode")
     config.write_text(CONFIG.format(base=harness.SAMPLE_CONFIG, folder=folder))

@@ -48,13 +48,17 @@ ALSO_SPOKEN = {
     "query_analog_in": "query_analog_in oid=%c clock=%u sample_ticks=%u sample_count=%c rest_ticks=%u"
     " min_value=%hu max_value=%hu range_check_count=%c",
 }
-# what only Klipper's firmware for SAMD51 and for Linux knows, as its dictionaries have it
+# what only Klipper's firmware for SAMD51, for Linux and for CAN knows, as its dictionaries and documentation have it
 COMMANDS_ELSEWHERE = (
+    "get_canbus_status",
     "set_sercom_pin bus=%u sercom_pin_type=%u pin=%u",
     "config_ds18b20 oid=%c serial=%*s max_error_count=%c",
     "query_ds18b20 oid=%c clock=%u rest_ticks=%u min_value=%i max_value=%i",
 )
-RESPONSES_ELSEWHERE = ("ds18b20_result oid=%c next_clock=%u value=%i fault=%u",)
+RESPONSES_ELSEWHERE = (
+    "ds18b20_result oid=%c next_clock=%u value=%i fault=%u",
+    "canbus_status rx_error=%u tx_error=%u tx_retries=%u canbus_bus_state=%u",
+)
 
 PERCENT_FIELD = re.compile(r"%[-+ #0]*\d*(\.\d+)?[a-z]")
 BRACE_FIELD = re.compile(r"\{\w*\}")

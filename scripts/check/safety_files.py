@@ -30,7 +30,10 @@ class Part:
         return self.source.endswith(".c")
 
 
-_SUPERVISION_TESTS = ("test/unit/thermal/test_thermal_supervise.py",)
+_SUPERVISION_TESTS = (
+    "test/unit/thermal/test_thermal_supervise.py",
+    "test/unit/thermal/test_supervision_witness.py",
+)
 SAFETY: dict[str, tuple[Part, ...]] = {
     "guard": (Part("src/guard.c", ("test/c/test_induction_guard.py",)),),
     "signal_test": (Part("src/signal_test.c", ("test/c/test_signal_test.py",)),),

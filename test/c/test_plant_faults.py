@@ -92,3 +92,28 @@ def test_unknown_parameters_are_refused():
     with pytest.raises(KeyError):
         Plant().set_param("no_such", 1)
     assert Plant().lib.plant_param_index(b"no_such") == -1
+
+
+def flow_after(plant: Plant, fed_mm3_s: float = 5.0) -> float:
+    plant.inputs(flow_mm3_s=fed_mm3_s)
+    plant.advance(0.2)
+    return float(plant.read().flow_mm3_s)
+
+
+def test_lost_filament_and_a_closed_hole_pass_no_flow(running):
+    assert flow_after(running) == pytest.approx(5.0, rel=1e-3)
+    running.set_param("flow_share", 0.7)
+    assert flow_after(running) == pytest.approx(3.5, rel=1e-3)
+    running.set_param("hole_mm", 0.0)
+    assert flow_after(running) == pytest.approx(0.0, abs=1e-3)
+
+
+def test_a_drive_slips_in_a_clog_and_less_in_a_hotter_one(running):
+    running.set_param("hole_mm", 0.1)
+    assert flow_after(running) == pytest.approx(5.0, rel=1e-3), (
+        "without a limit of force the drive never slips"
+    )
+    running.set_param("drive_force_n", 60.0)
+    hot = flow_after(running)
+    cold = Plant(start_c=200, hole_mm=0.1, drive_force_n=60.0)
+    assert 0.0 < flow_after(cold) < hot < 5.0

@@ -1,64 +1,48 @@
-"""The control laws in closed loop with the C plants: figures of scripts/bench/bench_control.py on some of them.
+"""The control laws in closed loop with the C plants: what the studies config/studies/control*.toml do not show.
 
-Limits are the product's promises; what is measured stands in docs/theory/Control.md and is a good deal better.
+Limits are the product's promises; docs/theory/Control.md has what is measured.
 """
 
 from __future__ import annotations
 
 import math
-from functools import cache
 
 import numpy as np
 import pytest
 
-import control_bench as bench
 import hotend_bench as hotend
+import peers
 from induction_rig import PERIOD_S, Plant, Rig, default_parameters, true_law
-from thermal.control.control_api import Reference
+from thermal.control.control_api import Reference, Schedule
 from thermal.sensing.features import FeatureParameters
 
 
-@cache
-def measured(controller: str, plant: str, link: bench.Link = bench.GOOD) -> bench.Result:
-    return bench.run(controller, plant, link)
+@pytest.mark.parametrize("peer", list(peers.PEERS))
+def test_the_designs_the_field_ships_miss_what_ours_has_to_reach(peer: str) -> None:
+    """The limits of strong_model in config/studies/control.toml, the true temperature and no link notwithstanding."""
+    theirs = peers.run(peer, "strong")
+    assert theirs.settle_ratio > 1.15
+    assert max(theirs.overshoot_c, theirs.hold_c) > 3.0
+    assert theirs.flow_steady_c > 0.1
+    assert theirs.step_over_s > 0.1
 
 
-@pytest.mark.parametrize(
-    ("plant", "overshoot_c"),
-    [("reference", 1.0), ("strong", 3.0), ("strong efficiency x1.3", 3.0), ("heavy, weak, lossy", 3.0)],
-)
-def test_model_reaches_every_promised_figure(plant: str, overshoot_c: float) -> None:
-    r = measured("model", plant)
-    assert r.settle_ratio < 1.15  # of full power with perfect knowledge
-    assert r.overshoot_c < overshoot_c
-    assert r.step_over_s < 0.10
-    assert r.flow_deviation_c < 0.6
-    assert r.flow_steady_c < 0.1
-    assert r.ripple_c < 0.3
-    assert (r.late, r.trips, r.fault) == (0, 0, "")
-
-
-@pytest.mark.parametrize("other", ["pid", "two_period", "watermark"])
-def test_model_beats_the_other_laws_in_every_figure(other: str) -> None:
-    ours, theirs = measured("model", "reference"), measured(other, "reference")
-    for figure in (
-        *("settle_s", "overshoot_c", "hold_c", "ripple_c", "flow_deviation_c", "flow_steady_c", "step_s"),
-    ):
-        assert getattr(ours, figure) < getattr(theirs, figure), figure
-
-
-@pytest.mark.parametrize("peer", ["indx-like", "mpc-like"])
-def test_model_beats_the_designs_the_field_ships(peer: str) -> None:
-    ours, theirs = measured("model", "strong"), measured(peer, "strong")
-    for figure in ("settle_s", "hold_c", "flow_deviation_c", "flow_steady_c", "step_s"):
-        assert 2.0 * getattr(ours, figure) < getattr(theirs, figure) or figure == "flow_steady_c", figure
-    assert ours.flow_steady_c < theirs.flow_steady_c
+def flow_deviation_c(planned: bool) -> float:
+    rig = nozzle()
+    start_s = rig.now_s + 0.25  # moves stand in the queue this long before they happen
+    if planned:
+        rig.loop.flow = Schedule((start_s,), (25.0,), 0.0)
+    rig.run(0.25)
+    rig.plant.set_inputs(25.0, 0.0)
+    rig.run(1.0)
+    trace = rig.trace.arrays()
+    return float(np.abs(trace["skin_c"][trace["t_s"] > start_s] - 220.0).max())
 
 
 def test_the_planned_flow_is_what_makes_the_difference_in_flow() -> None:
-    planned, unplanned = measured("model", "reference"), bench.run("model", "reference", planned=False)
-    assert planned.flow_deviation_c < 0.5 * unplanned.flow_deviation_c
-    assert unplanned.flow_deviation_c < 1.0  # 4.8 W unknown: 10 K/s until the filter has seen it
+    planned, unplanned = flow_deviation_c(True), flow_deviation_c(False)
+    assert planned < 0.5 * unplanned
+    assert unplanned < 1.0  # 4.8 W unknown: 10 K/s until the filter has seen it
 
 
 @pytest.mark.parametrize("plant", ["hotend", "hotend mass x0.8", "hotend sensor x1.3"])

@@ -25,7 +25,7 @@ WRONG = {
     "G1 E5": "below minimum temp",
     "G1 X30 E900": "below minimum temp",
     "G4 P-1": "P must have minimum",
-    "G92 Xnan": "is not a number",
+    "G92 Xnan": "X needs a number",
     "M204 S0": "S must have minimum of 0.001",
     "M220 S-10": "S must have minimum of 0.1",
     "SET_VELOCITY_LIMIT VELOCITY=0": "VELOCITY must have minimum of 0.001",

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from printer_data import PrinterData
 from simulation import world
+from simulation.printer_data import PrinterData
 from system.conftest import ROOT, Simulate
 
 TARGET_C = 210.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,11 @@ def test_a_part_is_printed_where_the_file_says_and_hot(simulate: Simulate) -> No
     rows = run.column("t_s")
     assert len(rows) == pytest.approx(100 * facts["simulated_s"], abs=2)
     assert max(run.column("estimate_c")) == pytest.approx(max(run.column("true_c")), abs=5.0)
+    sigmas_c = run.column("sigma_c")  # from the first estimate on
+    assert 0.0 < sigmas_c[-1] < 3.0
+    assert run.column("supply")[-1] == pytest.approx(1.0, abs=0.05)
+    assert facts["gcode_sha256"] == hashlib.sha256(Path(facts["gcode"]).read_bytes()).hexdigest()
+    assert facts["command"].startswith("scripts/simulate.py ")
 
 
 def test_the_same_seed_gives_the_same_trace_and_another_seed_other_noise(simulate: Simulate) -> None:

@@ -17,6 +17,8 @@ from typing import Any
 
 from roles import Printer
 
+from . import messages
+
 STATUS_S = 0.1
 POINTS_MAX = 256  # of the line
 MAX_QUERY_S = 0.001  # a count that took longer to read says little about when
@@ -59,14 +61,9 @@ class BulkReader:
         self._clock = SampleClock(1.0)
         mcu.register_response(self._messages.append, "sensor_bulk_data", oid)
 
-    def build(self, status_command: str, cmd_queue: Any) -> None:
+    def build(self, chip: str, cmd_queue: Any) -> None:
         """Called when the MCU's commands are known."""
-        self._status = self._mcu.lookup_query_command(
-            f"{status_command} oid=%c",
-            "sensor_bulk_status oid=%c clock=%u query_ticks=%u next_sequence=%hu buffered=%u possible_overflows=%hu",
-            oid=self._oid,
-            cq=cmd_queue,
-        )
+        self._status = messages.status(self._mcu, chip, self._oid, cmd_queue)
 
     def start(self, rate_hz: float) -> None:
         """The firmware has begun anew."""

@@ -37,7 +37,7 @@ class Chip:
     address: int = 0
     wake: Writes = ()  # before the identity can be read
     spi_wakes_by_reading: bool = False
-    config_values: Mapping[str, str] = field(default_factory=dict)
+    message_values: Mapping[str, str] = field(default_factory=dict)
     max_register: int = 0x7F
 
     @property
@@ -92,12 +92,12 @@ CHIPS: dict[str, Chip] = {
         ),
         Chip(
             "lis2dw", "lis2dw", (0x44,), 0x0F, (1600,), 1600, GRAVITY_MM_S2 * 0.244e-3 * 8 / 4.0, 16.0, 90.0, _lis2dw,
-            ((0x20, 0x94),), ((0x20, 0x00),), ("spi", "i2c"), address=0x19, config_values={"lis_chip_type": "LIS2DW"},
+            ((0x20, 0x94),), ((0x20, 0x00),), ("spi", "i2c"), address=0x19, message_values={"lis_chip_type": "LIS2DW"},
             max_register=0x3F,
         ),
         Chip(
             "lis3dh", "lis2dw", (0x33,), 0x0F, (1344,), 1344, GRAVITY_MM_S2 * 12e-3 / 16.0, 16.0, 220.0, _lis3dh,
-            ((0x20, 0x97),), ((0x20, 0x00),), ("spi", "i2c"), address=0x19, config_values={"lis_chip_type": "LIS3DH"},
+            ((0x20, 0x97),), ((0x20, 0x00),), ("spi", "i2c"), address=0x19, message_values={"lis_chip_type": "LIS3DH"},
             max_register=0x3F,
         ),
         Chip(

@@ -49,14 +49,18 @@ class AccelerometerCommands:
     def register(self, chip: str | None) -> None:
         gcode = self.printer.lookup_object("gcode")
         for name, function, text in (
-            ("ACCELEROMETER_MEASURE", self.cmd_MEASURE, "Start/stop accelerometer"),
-            ("ACCELEROMETER_QUERY", self.cmd_QUERY, "Query accelerometer for the current values"),
-            ("ACCELEROMETER_DEBUG_READ", self.cmd_DEBUG_READ, "Query register (for debugging)"),
-            ("ACCELEROMETER_DEBUG_WRITE", self.cmd_DEBUG_WRITE, "Set register (for debugging)"),
+            ("ACCELEROMETER_MEASURE", self.cmd_ACCELEROMETER_MEASURE, "Start/stop accelerometer"),
+            (
+                "ACCELEROMETER_QUERY",
+                self.cmd_ACCELEROMETER_QUERY,
+                "Query accelerometer for the current values",
+            ),
+            ("ACCELEROMETER_DEBUG_READ", self.cmd_ACCELEROMETER_DEBUG_READ, "Query register (for debugging)"),
+            ("ACCELEROMETER_DEBUG_WRITE", self.cmd_ACCELEROMETER_DEBUG_WRITE, "Set register (for debugging)"),
         ):
             gcode.register_mux_command(name, "CHIP", chip, function, desc=text)
 
-    def cmd_MEASURE(self, gcmd: GCodeCommand) -> None:
+    def cmd_ACCELEROMETER_MEASURE(self, gcmd: GCodeCommand) -> None:
         """ACCELEROMETER_MEASURE [CHIP=] [NAME=]: starts; the next one stops and writes a file."""
         if self._recording is None:
             self._recording = self.sensor.start_internal_client()
@@ -71,7 +75,7 @@ class AccelerometerCommands:
         gcmd.respond_info(f"Writing raw accelerometer data to {stream.name} file")
         report_quality(gcmd, recording)
 
-    def cmd_QUERY(self, gcmd: GCodeCommand) -> None:
+    def cmd_ACCELEROMETER_QUERY(self, gcmd: GCodeCommand) -> None:
         """ACCELEROMETER_QUERY [CHIP=]: the mean over half a second."""
         recording = self.sensor.start_internal_client()
         self.printer.lookup_object("toolhead").dwell(QUERY_S)
@@ -86,13 +90,13 @@ class AccelerometerCommands:
     def _register_of(self, gcmd: GCodeCommand) -> int:
         return _byte(gcmd, "REG", self.sensor.chip.max_register)
 
-    def cmd_DEBUG_READ(self, gcmd: GCodeCommand) -> None:
+    def cmd_ACCELEROMETER_DEBUG_READ(self, gcmd: GCodeCommand) -> None:
         """ACCELEROMETER_DEBUG_READ [CHIP=] REG="""
         register = self._register_of(gcmd)
         value = self.sensor.registers.read(register)
         gcmd.respond_info(f"Accelerometer REG[0x{register:x}] = 0x{value:x}")
 
-    def cmd_DEBUG_WRITE(self, gcmd: GCodeCommand) -> None:
+    def cmd_ACCELEROMETER_DEBUG_WRITE(self, gcmd: GCodeCommand) -> None:
         """ACCELEROMETER_DEBUG_WRITE [CHIP=] REG= VAL="""
         register = self._register_of(gcmd)
         self.sensor.registers.write(register, _byte(gcmd, "VAL", 255))
@@ -120,5 +124,6 @@ def register(printer: Printer, sensor: Any) -> None:
     """A chip answers to its name; the first section also to no name."""
     own = AccelerometerCommands(printer, sensor)
     own.register(sensor.name)
-    if sensor.name == sensor.section:
+    others = [thing for _, thing in printer.lookup_objects() if isinstance(thing, type(sensor))]
+    if sensor.name == sensor.section and not any(other.name == other.section for other in others):
         own.register(None)

@@ -11,7 +11,7 @@ from configfile import ConfigWrapper
 from roles import Printer
 
 from .. import bus
-from . import commands
+from . import commands, messages
 from .axes import AxesMap, read_axes_map
 from .bulk import Batches, BulkReader, Params
 from .chips import CHIPS, Chip, Write, Writes
@@ -104,17 +104,12 @@ class Accelerometer:
     def _build_config(self) -> None:
         mcu, chip = self._mcu, self.chip
         bus_oid = self._device.get_oid()
-        values = dict(chip.config_values)
-        if len(chip.buses) > 1:
-            given = {"bus_oid": bus_oid, "bus_oid_type": self._bus_name, **values}
-        else:
-            given = {f"{chip.buses[0]}_oid": bus_oid}
-        text = " ".join(f"{name}={self._of_enumeration(name, value)}" for name, value in given.items())
-        mcu.add_config_cmd(f"config_{chip.command} oid={self._oid} {text}")
-        mcu.add_config_cmd(f"query_{chip.command} oid={self._oid} rest_ticks=0", on_restart=True)
+        kind = self._of_enumeration("lis_chip_type", chip.message_values.get("lis_chip_type"))
+        bus_type = self._of_enumeration("bus_oid_type", self._bus_name)
+        messages.configure(mcu, chip.command, self._oid, bus_oid, bus_type, kind)
         queue = self._device.get_command_queue()
-        self._query = mcu.lookup_command(f"query_{chip.command} oid=%c rest_ticks=%u", cq=queue)
-        self._bulk.build(f"query_{chip.command}_status", queue)
+        self._query = messages.query(mcu, chip.command, queue)
+        self._bulk.build(chip.command, queue)
 
     def _of_enumeration(self, name: str, value: Any) -> Any:
         """The firmware's spelling of a choice."""

@@ -159,6 +159,10 @@ class TemperaturePlanner(PathEvents):
         reference = self.session.lead.reference
         return reference is not None and self.heater.loop.reference is reference
 
+    def melt_target_c(self) -> float:
+        """The requested melt temperature of this moment; NaN without extrusion."""
+        return self.session.plan.melt_at(self.heater.now_s())
+
     def user_target_c(self) -> float:
         """The target of M104/M109, on which the plan lies."""
         return self.session.target.base_c if self.heater.loop.state.target_c else 0.0

@@ -5,6 +5,7 @@
 //   C2 dT2/dt    = k01 (T - T2) - g1 (T2 - Ta)                                                     second mass
 //   tau dTb/dt   = T - Tb                                                                          bore (no heat of its own)
 //   Q            = mc (Tb - Tin) (1 - exp(-UA/mc)),  mc = rho c flow                               melt
+//   flow         = fed share, but no more than the drive's force brings through the hole        passed_flow
 //   melt outlet  = Tin + (Tb - Tin)(1 - exp(-UA/mc))
 //   C(T)         = m cp (1 + s (T - 25))
 //   P            = heat (sin(phi/2) Vdc/Vnom)^1.5,  phi = pi ticks/45000                           drive
@@ -23,6 +24,7 @@
 
 static const double pi = 3.14159265358979323846, phase_full_ticks = 45000.0;
 static const double one_leg_ticks = 15000; // half the voltage of both: sin(phi/2) = 1/2
+static const double force_at_hole_mm = 0.4, force_at_mm3_s = 5, force_at_c = 210; // where melt_force_n holds
 static const double sigma_sb = 5.670374e-8, kelvin = 273.15, cp_reference_c = 25.0;
 static const double max_step_s = 2e-3, emptying_step_s = 1e-4, unsampled_settled_s = 5e-3;
 static const double decay_done = 1e-7; // below this the tank counts as settled (error < 1e-4 units)
@@ -97,7 +99,7 @@ static double metal_power(const struct plant *p)
         power *= 1 - p->v.curie_drop / (1 + exp((p->v.curie_c - p->skin_c) / p->v.curie_width_k));
     if (p->v.dead_time_ns > 0 && power > 0)
         power *= exp(p->v.heat_exponent *
-                     bridge_dead_time(p->v.dead_time_ns, plant_phase_in_force(p), p->skin_c).log_current);
+                     bridge_dead_time(p->v.dead_time_ns, plant_phase_in_force(p), p->skin_c, 1).log_current);
     return power;
 }
 
@@ -274,6 +276,20 @@ static struct heat_flows heat_flows(const struct plant *p, double power_w, doubl
                                nozzle_air_w + second_air_w, nozzle_air_w};
 }
 
+// Flow that the drive brings through the hole. Power law of the melt: where the force would be more, the drive slips.
+static double passed_flow(const struct plant *p)
+{
+    const struct plant_values *v = &p->v;
+    const double fed = p->flow_in * v->flow_share;
+    if (v->hole_mm <= 0)
+        return 0;
+    if (v->drive_force_n <= 0 || v->melt_force_n <= 0 || fed <= 0)
+        return fed;
+    const double thin = exp(v->force_arrhenius_k * (1 / (p->bore_c + kelvin) - 1 / (force_at_c + kelvin)));
+    const double force_n = v->melt_force_n * thin * pow(force_at_hole_mm / v->hole_mm, v->force_hole_exponent);
+    return fmin(fed, force_at_mm3_s * pow(v->drive_force_n / force_n, 1 / v->force_flow_exponent));
+}
+
 static void update_lags(struct plant *p, double dt_s)
 {
     if (p->lags.dt_s == dt_s)
@@ -286,7 +302,8 @@ static void update_lags(struct plant *p, double dt_s)
 static void thermal_step(struct plant *p, double dt_s)
 {
     update_lags(p, dt_s);
-    p->flow = p->flow_in + (p->flow - p->flow_in) * p->lags.flow;
+    const double passed = passed_flow(p);
+    p->flow = passed + (p->flow - passed) * p->lags.flow;
     if (p->flow < 1e-9)
         p->flow = 0;
     p->melt_w =

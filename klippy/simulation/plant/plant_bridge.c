@@ -38,12 +38,15 @@ static double over_drive_and_temperature(const double table[BRIDGE_TEMPS][BRIDGE
     return cubic(column, BRIDGE_TEMPS, temp_u);
 }
 
-struct bridge_shift bridge_dead_time(double dead_ns, double phase_ticks, double steel_c)
+struct bridge_shift bridge_dead_time(double dead_ns, double phase_ticks, double steel_c, double supply)
 {
+    const double log_supply = log(fmin(fmax(supply, 0.9), 1.1)); // the table has 0.95, 1 and 1.05
     const double drive_u = fmax(phase_ticks / bridge_drive_step_ticks - 1, 0);
     const double temp_u = (steel_c - bridge_temp_low_c) / bridge_temp_step_k;
     // Between 0 (no effect) and the dead times of the table, a line.
-    const int upper = dead_ns > bridge_dead_ns[1];
+    int upper = 0;
+    while (upper < BRIDGE_DEADS - 2 && dead_ns > bridge_dead_ns[upper + 1])
+        upper++;
     const double span_ns = bridge_dead_ns[upper + 1] - bridge_dead_ns[upper];
     const double share = (dead_ns - bridge_dead_ns[upper]) / span_ns;
     struct bridge_shift out = {0, 0};
@@ -53,6 +56,8 @@ struct bridge_shift bridge_dead_time(double dead_ns, double phase_ticks, double 
         if (row < 0)
             continue;
         out.psi_deg += weight * over_drive_and_temperature(bridge_psi_deg[row], drive_u, temp_u);
+        out.psi_deg += weight * log_supply *
+                       over_drive_and_temperature(bridge_psi_deg_per_supply[row], drive_u, temp_u);
         out.log_current += weight * over_drive_and_temperature(bridge_log_current[row], drive_u, temp_u);
     }
     return out;

@@ -6,7 +6,8 @@
 struct bridge_shift {
     double psi_deg, log_current;
 };
-struct bridge_shift bridge_dead_time(double dead_ns, double phase_ticks, double steel_c);
+// supply: over its nominal value.
+struct bridge_shift bridge_dead_time(double dead_ns, double phase_ticks, double steel_c, double supply);
 // Effect of temperature on L1 at coil current x (of l1_saturation_a), 1 at small current.
 double coil_saturation_at(double x);
 // Relative change of the tank's resistance with the steel's temperature and x, for a rise of 3e-4/K.

@@ -30,6 +30,13 @@
   X(melt_heat_mj_m3k,     "MJ/(m^3 K)", 2.1,      2.1,      2.1,      0.1,  10,   "volumetric heat capacity of the filament")  \
   X(melt_in_c,            "degC",   25.0,     25.0,     25.0,     -40,  300,  "filament temperature where it enters")          \
   X(flow_tau_s,           "s",      0.020,    0.020,    0.020,    0,    1,    "flow at the nozzle behind the motor (compliance) [assumed]") \
+  X(flow_share,           "",       1.0,      1.0,      1.0,      0,    1,    "share of the fed filament that passes: grinding, runout") \
+  X(hole_mm,              "mm",     0.4,      0.4,      0.4,      0,    2,    "effective diameter of the hole; 0: closed")     \
+  X(drive_force_n,        "N",      0.0,      0.0,      0.0,      0,    1e3,  "force at which the extruder's drive slips; 0: never") \
+  X(melt_force_n,         "N",      8.0,      8.0,      8.0,      0,    1e3,  "force against the filament at 0.4 mm, 5 mm^3/s, 210 degC [assumed]") \
+  X(force_flow_exponent,  "",       0.4,      0.4,      0.4,      0.1,  2,    "that force over the flow [assumed]")            \
+  X(force_hole_exponent,  "",       2.2,      2.2,      2.2,      0.5,  8,    "that force over 1/hole_mm [assumed]")           \
+  X(force_arrhenius_k,    "K",      5000,     5000,     5000,     0,    3e4,  "that force over the bore's temperature [assumed]") \
   X(fan_w_k,              "W/K",    5e-3,     5e-3,     12e-3,    0,    1,    "added nozzle loss with the part fan at full speed [assumed]") \
   X(wall_k_w,             "K/W",    0.0,      0.0,      0.072,    0,    1,    "skin above the wall's mean, q w/3k: 6 K at 81 W [0.8 mm, k = 25 W/mK]") \
   X(wall_s,               "s",      0.098,    0.098,    0.098,    1e-3, 10,   "diffusion time of the wall, w^2/alpha [0.8 mm]") \
@@ -50,7 +57,7 @@
   X(vdc_gain,             "",       1.0,      1.0,      1.004,    0.5,  2,    "what the divider of vdc_pin reads of the bus voltage: 1 % resistors [assumed]") \
   X(vdc_noise_lsb,        "LSB",    0.0,      0.0,      1.0,      0,    100,  "noise at vdc_pin, rms [assumed]")               \
   X(switch_ohm,           "ohm",    0.0,      0.0,      0.02,     0,    1,    "two switches of the bridge in series with the tank: 10 mohm each [assumed]") \
-  X(dead_time_ns,         "ns",     0.0,      0.0,      60.0,     0,    200,  "dead time of the legs: table of the circuit simulation [bridge]") \
+  X(dead_time_ns,         "ns",     0.0,      0.0,      60.0,     0,    300,  "dead time of the legs: table of the circuit simulation [bridge]") \
   X(curie_c,              "degC",   665.0,    665.0,    665.0,    100,  1200, "Curie point of AISI 430")                       \
   X(curie_width_k,        "K",      15.0,     15.0,     15.0,     1,    200,  "width of the transition at the Curie point [assumed]") \
   X(curie_drop,           "",       0.0,      0.0,      0.0,      0,    1,    "share of the heating lost above it (0: as fitted)") \

@@ -93,7 +93,7 @@ static struct tank_point solve(const struct tank_drive *d, const struct plant_va
     out.i_re = re * inverse;
     out.i_im = -im * inverse;
     if (v->dead_time_ns > 0)
-        turn_current(&out, bridge_dead_time(v->dead_time_ns, d->phase_ticks, skin_c));
+        turn_current(&out, bridge_dead_time(v->dead_time_ns, d->phase_ticks, skin_c, d->supply_v / v->supply_nominal_v));
     return out;
 }
 

@@ -12,14 +12,14 @@ from __future__ import annotations
 import base64
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import jinja2
 import numpy as np
 
-from .data import SETTLED_BAND_C, Floats, Layer, Path2D, ReportError, Trace, envelope, read_trace, thin_path
+from .charts import CHARTS, Chart, Line, lines
+from .data import SETTLED_BAND_C, SETTLED_HOLD_S, Floats, Layer, Path2D, ReportError, read_trace, thin_path
 from .figures import Figure, PrintRun
 from .png import draw_png
 
@@ -27,67 +27,11 @@ __all__ = ["ReportError", "render_page", "write_report"]
 
 PAGE_FOLDER = Path(__file__).parent / "page"
 
-# Sizes for a page under 5 MB, in base64 (4/3): a bucket takes 8 bytes for each of 10 series: 2.2 MB;
+# Sizes for a page under 5 MB, in base64 (4/3): a bucket takes 8 bytes for each of 18 series and the time: 2.4 MB;
 # a point of the path takes 8 bytes: 1.6 MB.
-MAX_BUCKETS = 20_000
+MAX_BUCKETS = 12_000
 MAX_PATH_POINTS = 150_000
 PATH_ERROR_SPAN_C = 5.0  # path colours hold errors to ±this in 127 steps
-
-
-@dataclass(frozen=True, slots=True)
-class Series:
-    """One line of a chart: `column` of the trace, or `column` minus `minus`."""
-
-    column: str
-    label: str
-    colour: str  # name of a colour in page.css
-    minus: str = ""
-    shown: bool = True
-    dashed: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Chart:
-    """One panel, its series in the order of drawing.
-
-    `limit` bounds the scale of a quantity whose peaks would flatten the rest.
-    """
-
-    title: str
-    unit: str
-    height_px: int
-    series: tuple[Series, ...]
-    limit: float | None = None
-    from_zero: bool = False
-
-
-CHARTS = (
-    Chart(
-        "Temperature",
-        "°C",
-        260,
-        (
-            Series("estimate_c", "estimate", "estimate"),
-            Series("true_c", "true (nozzle skin)", "true"),
-            Series("target_c", "target (the plan)", "target", dashed=True),
-            Series("bore_c", "bore", "bore", shown=False),
-            Series("melt_c", "melt at the outlet", "melt", shown=False),
-        ),
-    ),
-    Chart(
-        "Temperature error",
-        "°C",
-        190,
-        (
-            Series("estimate_c", "estimate − target", "estimate", minus="target_c"),
-            Series("true_c", "true − target", "true", minus="target_c"),
-        ),
-        limit=2.0 * SETTLED_BAND_C,
-    ),
-    Chart("Power into the nozzle", "W", 150, (Series("power_w", "power", "power"),), from_zero=True),
-    Chart("Bridge phase", "ticks", 150, (Series("phase_ticks", "phase", "phase"),), from_zero=True),
-    Chart("Flow", "mm³/s", 150, (Series("flow_mm3_s", "flow", "flow"),), from_zero=True),
-)
 
 
 def write_report(
@@ -133,10 +77,11 @@ def _summary(summary: Mapping[str, object] | Path | str) -> Mapping[str, object]
 def render_page(title: str, run: PrintRun) -> str:
     """The page as text."""
     trace = run.trace
+    panels = [(chart, lines(chart, trace, MAX_BUCKETS)) for chart in CHARTS]
     data = {
         "band_c": SETTLED_BAND_C,
-        "time": _float32(envelope(trace.t_s, trace.true_c, MAX_BUCKETS).t_s),
-        "charts": [_chart(chart, trace) for chart in CHARTS],
+        "time": _float32(panels[0][1][0].t_s),
+        "charts": [_chart(chart, drawn) for chart, drawn in panels if drawn],
         "views": _views(run),
         "layers": [_layer(layer) for layer in run.layers],
         "path": _path(thin_path(trace, run.layers, run.masks.extrudes, MAX_PATH_POINTS)),
@@ -150,11 +95,18 @@ def render_page(title: str, run: PrintRun) -> str:
     return environment.get_template("page.html").render(
         title=title,
         figures=run.table,
+        provenance=run.provenance,
+        band_c=SETTLED_BAND_C,
+        hold_s=SETTLED_HOLD_S,
         layers=run.layers,
-        css=(PAGE_FOLDER / "page.css").read_text(encoding="utf-8"),
-        script=(PAGE_FOLDER / "page.js").read_text(encoding="utf-8"),
+        css=_read("uplot/uPlot.min.css", "page.css"),
+        script=_read("uplot/uPlot.iife.min.js", "page.js"),
         data=_inline_json(data),
     )
+
+
+def _read(*names: str) -> str:
+    return "\n".join((PAGE_FOLDER / name).read_text(encoding="utf-8") for name in names)
 
 
 def _inline_json(data: object) -> str:
@@ -175,29 +127,24 @@ def _views(run: PrintRun) -> list[dict[str, object]]:
     return views
 
 
-def _chart(chart: Chart, trace: Trace) -> dict[str, object]:
+def _chart(chart: Chart, drawn: Sequence[Line]) -> dict[str, object]:
     return {
         "title": chart.title,
         "unit": chart.unit,
         "height": chart.height_px,
         "limit": chart.limit,
         "fromZero": chart.from_zero,
-        "series": [_series(series, trace) for series in chart.series],
-    }
-
-
-def _series(series: Series, trace: Trace) -> dict[str, object]:
-    values = getattr(trace, series.column)
-    if series.minus:
-        values = values - getattr(trace, series.minus)
-    thinned = envelope(trace.t_s, values, MAX_BUCKETS)
-    return {
-        "label": series.label,
-        "colour": series.colour,
-        "shown": series.shown,
-        "dashed": series.dashed,
-        "low": _float32(thinned.low),
-        "high": _float32(thinned.high) if thinned.high is not thinned.low else None,
+        "series": [
+            {
+                "label": line.series.label,
+                "colour": line.series.colour,
+                "shown": line.series.shown,
+                "dashed": line.series.dashed,
+                "values": _float32(line.values),
+                "cuts": line.cuts,
+            }
+            for line in drawn
+        ],
     }
 
 

@@ -37,6 +37,7 @@ COLUMNS = (
     "z_mm",
     "e_mm",
 )
+OPTIONAL = ("bed_c", "bed_target_c", "fan", "sigma_c", "drift_c", "supply")  # a trace may be without them
 CHUNK_ROWS = 50_000  # 5 MB as float64: keeps the peak of reading small
 
 SETTLED_BAND_C = 3.0  # the accuracy promised while printing
@@ -45,6 +46,7 @@ EXTRUDING_FLOW_MM3_S = 0.02  # a 0.1 mm line 0.05 mm high at 4 mm/s; below that 
 MOVING_MM_S = 0.5
 LAYER_STEP_MM = 0.04  # thinner layers than this are not printed with a 0.4 mm nozzle
 LAYER_MIN_S = 0.1
+SPEED_ROWS = 5  # a speed is taken over so many: one row is too coarse for single steps
 
 
 class ReportError(Exception):
@@ -68,6 +70,12 @@ class Trace:
     y_mm: Floats
     z_mm: Floats
     e_mm: Floats
+    bed_c: Floats | None = None
+    bed_target_c: Floats | None = None
+    fan: Floats | None = None
+    sigma_c: Floats | None = None
+    drift_c: Floats | None = None
+    supply: Floats | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,6 +103,14 @@ class Envelope:
     low: Floats
     high: Floats
 
+    def line(self) -> tuple[Times, Floats]:
+        """One line through the extremes, with time rising from point to point."""
+        if self.high is self.low:
+            return self.t_s, self.low
+        half_s = np.diff(self.t_s, append=2.0 * self.t_s[-1] - self.t_s[-2]) / 2.0
+        t_s = np.column_stack((self.t_s, self.t_s + half_s)).ravel()
+        return t_s, np.column_stack((self.low, self.high)).ravel()
+
 
 @dataclass(frozen=True, slots=True)
 class Path2D:
@@ -110,14 +126,15 @@ class Path2D:
 
 
 def read_trace(path: Path) -> Trace:
-    """Reads a trace. Columns beyond COLUMNS are ignored. Raises ReportError on anything else amiss."""
+    """Reads a trace. Columns beyond COLUMNS and OPTIONAL are ignored. Raises ReportError on anything else amiss."""
     try:
         with path.open(newline="") as f:
             names = next(csv.reader(f), [])
             missing = [c for c in COLUMNS if c not in names]
             if missing:
                 raise ReportError(f"the trace {path} has no column {', '.join(missing)}")
-            parts = list(_chunks(f, [names.index(c) for c in COLUMNS]))
+            optional = [c for c in OPTIONAL if c in names]
+            parts = list(_chunks(f, [names.index(c) for c in (*COLUMNS, *optional)]))
     except OSError as e:
         raise ReportError(f"cannot read the trace {path}: {e.strerror}") from None
     except ValueError as e:
@@ -126,7 +143,8 @@ def read_trace(path: Path) -> Trace:
         raise ReportError(f"the trace {path} has no rows: the print ended before it began")
     t_s = np.concatenate([t for t, _ in parts])
     columns = np.concatenate([rest for _, rest in parts], axis=1)
-    return Trace(t_s, *columns)
+    needed = len(COLUMNS) - 1
+    return Trace(t_s, *columns[:needed], **dict(zip(optional, columns[needed:], strict=True)))
 
 
 def _chunks(f: TextIO, usecols: Sequence[int]) -> Iterator[tuple[Times, Floats]]:
@@ -145,6 +163,15 @@ def extruding(trace: Trace) -> Mask:
     speed = np.hypot(np.diff(trace.x_mm), np.diff(trace.y_mm)) / dt
     moving = np.concatenate(([False], speed > MOVING_MM_S))
     return moving & (trace.flow_mm3_s > EXTRUDING_FLOW_MM3_S)
+
+
+def head_speed(trace: Trace) -> Floats:
+    """Speed of the nozzle along its path, mm/s, mean of SPEED_ROWS rows."""
+    steps = [np.diff(axis.astype(np.float64)) for axis in (trace.x_mm, trace.y_mm, trace.z_mm)]
+    way_mm = np.concatenate(([0.0], np.cumsum(np.sqrt(sum(np.square(step) for step in steps)))))
+    rows = np.arange(len(way_mm))
+    first, last = np.maximum(rows - SPEED_ROWS // 2, 0), np.minimum(rows + SPEED_ROWS // 2 + 1, rows[-1])
+    return ((way_mm[last] - way_mm[first]) / (trace.t_s[last] - trace.t_s[first])).astype(np.float32)
 
 
 def settled(trace: Trace) -> Mask:

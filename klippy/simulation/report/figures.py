@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -41,12 +42,13 @@ class PrintRun:
     masks: Masks
     layers: Sequence[Layer]
     table: Sequence[Figure]
+    provenance: Sequence[Figure]
 
     @classmethod
     def of(cls, trace: Trace, summary: Mapping[str, object]) -> PrintRun:
         masks = Masks.of(trace)
         layers = find_layers(trace, masks.extrudes)
-        return cls(trace, masks, layers, figures(trace, masks, layers, summary))
+        return cls(trace, masks, layers, figures(trace, masks, layers, summary), provenance(summary))
 
 
 def figures(
@@ -62,6 +64,26 @@ def figures(
     ]
 
 
+PROVENANCE = {
+    "version": "Version",
+    "config": "Config",
+    "gcode": "G-code file",
+    "gcode_sha256": "SHA-256 of the file",
+    "seed": "Seed of the noise",
+    "date": "Date",
+    "command": "Command",
+}
+
+
+def provenance(summary: Mapping[str, object]) -> list[Figure]:
+    """What one needs to repeat the run, as far as the summary says."""
+    facts = dict(summary)
+    for key in ("config", "gcode"):
+        if facts.get(key) is not None:
+            facts[key] = Path(str(facts[key])).name
+    return [Figure(label, str(facts[key])) for key, label in PROVENANCE.items() if facts.get(key) is not None]
+
+
 def _run(trace: Trace, summary: Mapping[str, object]) -> list[Figure]:
     simulated_s = float(trace.t_s[-1] - trace.t_s[0])
     result = [Figure("Simulated time", duration(simulated_s))]
@@ -73,9 +95,6 @@ def _run(trace: Trace, summary: Mapping[str, object]) -> list[Figure]:
     moves = _number(summary, "moves")
     if moves is not None:
         result.append(Figure("Moves", f"{moves:,.0f}"))
-    seed = _number(summary, "seed")
-    if seed is not None:
-        result.append(Figure("Seed of the noise", f"{seed:.0f}"))
     return result
 
 

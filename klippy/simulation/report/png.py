@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,48 +14,51 @@ from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure as Sheet
 from matplotlib.gridspec import GridSpec
 
-from .data import SETTLED_BAND_C, Floats, Layer, Trace, envelope, thin_path
+from .charts import CHARTS, Chart, Line, lines
+from .data import SETTLED_BAND_C, Layer, thin_path
 from .figures import Figure, PrintRun
 
 BUCKETS = 2_000  # about one a pixel
 PATH_POINTS = 60_000
-COLOURS = {
-    "target_c": "#3a4552",
-    "estimate_c": "#2f6fde",
-    "true_c": "#d4380d",
-    "power_w": "#c2410c",
-    "phase_ticks": "#6d4fc4",
-    "flow_mm3_s": "#1b8a5a",
+COLOURS = {  # as in page.css
+    "target": "#3a4552",
+    "estimate": "#2f6fde",
+    "true": "#d4380d",
+    "bore": "#b7791f",
+    "melt": "#0f8a7e",
+    "power": "#c2410c",
+    "phase": "#6d4fc4",
+    "flow": "#1b8a5a",
 }
+INCHES_A_PIXEL = 1.0 / 115.0  # of a chart's height on the page
+TABLE_INCHES, LAYER_INCHES = 2.6, 4.6
 SOFT = "#66717f"
 ERROR_MAP = LinearSegmentedColormap.from_list("error", ["#2166ac", "#b9c0c8", "#c62a2a"])
 
 
 def draw_png(path: Path, title: str, run: PrintRun) -> None:
     """Draws the sheet to `path`. Raises OSError if it cannot be written."""
-    trace = run.trace
-    sheet = Sheet(figsize=(13.0, 16.0), layout="constrained")
+    panels = [(chart, drawn) for chart in CHARTS if (drawn := lines(chart, run.trace, BUCKETS))]
+    heights = [TABLE_INCHES, *(chart.height_px * INCHES_A_PIXEL for chart, _ in panels), LAYER_INCHES]
+    sheet = Sheet(figsize=(13.0, sum(heights) + 0.4 * len(heights)), layout="constrained")
     FigureCanvasAgg(sheet)
-    grid = GridSpec(
-        7, 2, figure=sheet, height_ratios=(1.9, 2.6, 1.6, 1.2, 1.2, 1.2, 3.4), width_ratios=(3, 2)
-    )
+    grid = GridSpec(len(heights), 2, figure=sheet, height_ratios=heights, width_ratios=(3, 2))
     sheet.suptitle(f"{title} on the simulated printer", fontsize=17, fontweight="bold", x=0.01, ha="left")
     _draw_table(sheet.add_subplot(grid[0, :]), run.table)
-    first = sheet.add_subplot(grid[1, :])
-    _draw_temperature(first, trace)
-    _draw_error(sheet.add_subplot(grid[2, :], sharex=first), trace)
-    _draw_plain(sheet.add_subplot(grid[3, :], sharex=first), trace, trace.power_w, "power_w", "power, W")
-    _draw_plain(
-        sheet.add_subplot(grid[4, :], sharex=first), trace, trace.phase_ticks, "phase_ticks", "phase, ticks"
-    )
-    _draw_plain(
-        sheet.add_subplot(grid[5, :], sharex=first), trace, trace.flow_mm3_s, "flow_mm3_s", "flow, mm³/s"
-    )
-    sheet.axes[-1].set_xlabel("time, s")
-    _draw_layers(sheet.add_subplot(grid[6, 0]), run.layers)
-    _draw_path(sheet.add_subplot(grid[6, 1]), run)
+    first: Axes | None = None
+    for row, (chart, drawn) in enumerate(panels, 1):
+        axes = sheet.add_subplot(grid[row, :], sharex=first)
+        first = first or axes
+        _draw_chart(axes, chart, drawn)
+    _draw_layers(sheet.add_subplot(grid[-1, 0]), run.layers)
+    _draw_path(sheet.add_subplot(grid[-1, 1]), run)
     sheet.align_ylabels()
+    sheet.supxlabel(_footer(run.provenance), fontsize=8, color=SOFT, x=0.01, ha="left")
     sheet.savefig(path, dpi=100, facecolor="white")
+
+
+def _footer(provenance: Sequence[Figure]) -> str:
+    return "\n".join(textwrap.wrap("   ".join(f"{fact.label}: {fact.value}" for fact in provenance), 200))
 
 
 def _draw_table(axes: Axes, table: Sequence[Figure]) -> None:
@@ -87,42 +91,45 @@ def _style(axes: Axes, label: str) -> None:
     axes.tick_params(colors=SOFT, labelcolor="#1b2430")
 
 
-def _line(axes: Axes, trace: Trace, values: Floats, colour: str, label: str, dashed: bool = False) -> None:
-    """A thinned series: the band between its extremes, which is a line where they are one."""
-    thin = envelope(trace.t_s, values, BUCKETS)
-    t_s = np.repeat(thin.t_s, 2)
-    v = np.column_stack((thin.low, thin.high)).ravel()
-    axes.plot(t_s, v, color=colour, label=label, linewidth=1.1, linestyle="--" if dashed else "-")
+def _mark_cuts(axes: Axes, at: Sequence[float] | np.ndarray, sign: int, colour: str) -> None:
+    """Marks on the edge of the scale where something goes on beyond it."""
+    if not len(at):
+        return  # an empty line upsets the layout
+    edge = np.full(len(at), max(sign, 0))  # of the height
+    marker = "^" if sign > 0 else "v"
+    axes.plot(at, edge, marker, color=colour, transform=axes.get_xaxis_transform(), clip_on=False)
 
 
-def _draw_temperature(axes: Axes, trace: Trace) -> None:
-    _style(axes, "temperature, °C")
-    _line(axes, trace, trace.estimate_c, COLOURS["estimate_c"], "estimate")
-    _line(axes, trace, trace.true_c, COLOURS["true_c"], "true (nozzle skin)")
-    _line(axes, trace, trace.target_c, COLOURS["target_c"], "target", dashed=True)
-    axes.legend(loc="lower right", frameon=False, ncols=3)
-    axes.set_xlim(float(trace.t_s[0]), float(trace.t_s[-1]))
-
-
-def _draw_error(axes: Axes, trace: Trace) -> None:
-    _style(axes, "error, °C")
-    limit = 2.0 * SETTLED_BAND_C
-    axes.axhspan(-SETTLED_BAND_C, SETTLED_BAND_C, color="#168250", alpha=0.08, linewidth=0)
-    _line(axes, trace, trace.estimate_c - trace.target_c, COLOURS["estimate_c"], "estimate − target")
-    _line(axes, trace, trace.true_c - trace.target_c, COLOURS["true_c"], "true − target")
-    axes.set_ylim(-limit, limit)
-    axes.legend(loc="upper right", frameon=False, ncols=2)
-
-
-def _draw_plain(axes: Axes, trace: Trace, values: Floats, column: str, label: str) -> None:
-    _style(axes, label)
-    _line(axes, trace, values, COLOURS[column], label)
-    axes.set_ylim(bottom=0.0)
+def _draw_chart(axes: Axes, chart: Chart, drawn: Sequence[Line]) -> None:
+    _style(axes, chart.unit)
+    note = f" (scale to ±{chart.limit:g}, ▲ ▼ where it goes beyond)" if chart.limit else ""
+    axes.set_title(chart.title + note, fontsize=11, loc="left")
+    axes.set_xlabel("simulated time, s", fontsize=8.5, color=SOFT, labelpad=1.0)
+    shown = [line for line in drawn if line.series.shown]
+    for line in shown:
+        colour, style = COLOURS[line.series.colour], "--" if line.series.dashed else "-"
+        axes.plot(
+            line.t_s, line.values, color=colour, label=line.series.label, linewidth=1.1, linestyle=style
+        )
+        for sign in (1, -1):
+            _mark_cuts(axes, [(a + b) / 2.0 for a, b, side in line.cuts if side == sign], sign, colour)
+    if chart.limit:
+        axes.axhspan(-SETTLED_BAND_C, SETTLED_BAND_C, color="#168250", alpha=0.08, linewidth=0)
+        axes.set_ylim(-chart.limit, chart.limit)
+    if chart.from_zero:
+        axes.set_ylim(bottom=0.0)
+    if len(shown) > 1:
+        axes.legend(
+            loc="lower right", bbox_to_anchor=(1.0, 1.0), frameon=False, ncols=len(shown), borderpad=0.0
+        )
+    axes.set_xlim(float(drawn[0].t_s[0]), float(drawn[0].t_s[-1]))
 
 
 def _draw_layers(axes: Axes, layers: Sequence[Layer]) -> None:
     _style(axes, "true − target, °C")
-    axes.set_title("By layer, extruding moves: mean, min and max", fontsize=11, loc="left")
+    axes.set_title(
+        "By layer, extruding moves: mean, min and max (▲ ▼ beyond the scale)", fontsize=11, loc="left"
+    )
     axes.set_xlabel("layer")
     if not layers:
         return
@@ -132,21 +139,24 @@ def _draw_layers(axes: Axes, layers: Sequence[Layer]) -> None:
     high = np.array([layer.error_max_c for layer in layers])
     axes.axhspan(-SETTLED_BAND_C, SETTLED_BAND_C, color="#168250", alpha=0.08, linewidth=0)
     axes.vlines(
-        number, low, high, color=COLOURS["estimate_c"], alpha=0.35, linewidth=min(6.0, 300.0 / len(layers))
+        number, low, high, color=COLOURS["estimate"], alpha=0.35, linewidth=min(6.0, 300.0 / len(layers))
     )
-    axes.plot(number, mean, ".", color=COLOURS["estimate_c"], markersize=4)
-    limit = SETTLED_BAND_C * 1.2
-    axes.set_ylim(
-        max(-2.0 * SETTLED_BAND_C, min(-limit, low.min())), min(2.0 * SETTLED_BAND_C, max(limit, high.max()))
-    )
+    axes.plot(number, mean, ".", color=COLOURS["estimate"], markersize=4)
+    room, limit = SETTLED_BAND_C * 1.2, SETTLED_BAND_C * 2.0
+    axes.set_xlim(0.5, len(layers) + 0.5)
+    axes.set_ylim(max(-limit, min(-room, low.min())), min(limit, max(room, high.max())))
+    _mark_cuts(axes, number[high > limit], 1, COLOURS["estimate"])
+    _mark_cuts(axes, number[low < -limit], -1, COLOURS["estimate"])
 
 
 def _draw_path(axes: Axes, run: PrintRun) -> None:
     layers = run.layers
     axes.set_aspect("equal")
-    axes.axis("off")
     if not layers:
+        axes.axis("off")
         return
+    _style(axes, "y, mm")
+    axes.set_xlabel("x, mm")
     index = len(layers) // 2
     path = thin_path(run.trace, layers[index : index + 1], run.masks.extrudes, PATH_POINTS)
     axes.set_title(f"Layer {index + 1}, z = {layers[index].z_mm:.2f} mm", fontsize=11, loc="left")

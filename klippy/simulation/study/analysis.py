@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from .prepare import Prepared
 from .results import Rows
-from .studyfile import PRINTED, Limit
+from .studyfile import ENDINGS, PRINTED, VARIANT, Limit
 
 MIN_ROWS = 5  # below, a rank correlation says nothing
 
@@ -49,21 +50,35 @@ def excess(limit: Limit, value: float | None) -> float:
     return max(above, below)
 
 
-def judge(limits: Sequence[Limit], rows: Rows) -> list[Verdict]:
-    """Limits of figures are for the prints that ended well; how many those are has a limit of its own."""
-    good = [key for key in sorted(rows) if rows[key]["status"] == "printed"]
+def judge(limits: Sequence[Limit], rows: Rows, prepared: Prepared | None = None) -> list[Verdict]:
+    """Limits of figures are for the prints that ended well; how many those are has a limit of its own. `prepared`: for
+    limits of a variant.
+    """
     verdicts = []
     for limit in limits:
-        if limit.figure == PRINTED:
-            share = len(good) / max(1, len(rows))
-            worst = tuple(key for key in sorted(rows) if rows[key]["status"] != "printed")
-            verdicts.append(Verdict(limit, share, excess(limit, share) <= 0.0, worst))
+        keys = sorted(rows)
+        if limit.variant and prepared:
+            keys = [key for key in keys if prepared.points[key][VARIANT] == limit.variant]
+        if limit.figure in ENDINGS:
+            ended = [key for key in keys if rows[key]["status"] in ENDINGS[limit.figure]]
+            share = len(ended) / max(1, len(keys))
+            worst = set(keys) - set(ended) if limit.figure == PRINTED else ended
+            verdicts.append(Verdict(limit, share, excess(limit, share) <= 0.0, tuple(sorted(worst))))
             continue
-        over = {key: excess(limit, rows[key]["figures"].get(limit.figure)) for key in good}
+        good = [key for key in keys if rows[key]["status"] == "printed"]
+        over = {key: excess(limit, _value(limit, key, rows, prepared)) for key in good}
         share = sum(value <= 0.0 for value in over.values()) / max(1, len(over))
         ranked = sorted(over, key=lambda key: (-over[key], key))
         verdicts.append(Verdict(limit, share, bool(over) and share >= limit.share, tuple(ranked)))
     return verdicts
+
+
+def _value(limit: Limit, key: str, rows: Rows, prepared: Prepared | None) -> float | None:
+    value: float | None = rows[key]["figures"].get(limit.figure)
+    if not limit.of or prepared is None:
+        return value
+    other = rows.get(prepared.twins[key][limit.of], {}).get("figures", {}).get(limit.figure)
+    return value / other if value is not None and other else None
 
 
 def values_of(rows: Rows, figure: str) -> list[float]:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import operator
+import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+_NAME = re.compile(r"[a-z]\w*")
 _COMPARE = {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
 
 
@@ -17,10 +19,14 @@ def collect(
 ) -> dict[str, float | None]:
     """Name → value; None where the print has none: no row meets the condition, or the summary's field is null."""
     columns = read_columns(trace, columns_of(figures)) if trace is not None and trace.exists() else {}
-    return {
-        name: _of_summary(summary, figure["summary"]) if "summary" in figure else _of_trace(columns, figure)
-        for name, figure in figures.items()
-    }
+    found: dict[str, float | None] = {}
+    for name, figure in figures.items():
+        value = _of_summary(summary, figure["summary"]) if "summary" in figure else _of_trace(columns, figure)
+        less = found.get(figure["less"]) if figure.get("less") else 0.0
+        if value is not None:
+            value = None if less is None else float(f"{value - less + (figure.get('add') or 0.0):.9g}")
+        found[name] = value
+    return found
 
 
 def columns_of(figures: Mapping[str, Mapping[str, Any]]) -> list[str]:
@@ -28,8 +34,12 @@ def columns_of(figures: Mapping[str, Mapping[str, Any]]) -> list[str]:
     names: dict[str, None] = {}
     for figure in figures.values():
         if "trace" in figure:
-            used = [figure["trace"], figure["minus"], *(name for name, _, _ in figure["where"])]
-            names.update(dict.fromkeys(name for name in used if name))
+            terms = [figure["trace"], figure["minus"], figure.get("weight") or ""]
+            terms += [term for term, _, _ in figure["where"]]
+            used = [name for term in terms for name in _NAME.findall(term) if name != "abs"]
+            if figure["take"] == "seconds" or figure.get("average_s"):
+                used.append("t_s")
+            names.update(dict.fromkeys(used))
     return list(names)
 
 
@@ -64,23 +74,55 @@ def _of_trace(columns: Mapping[str, Any], figure: Mapping[str, Any]) -> float | 
     values = columns[figure["trace"]]
     if figure["minus"]:
         values = values - columns[figure["minus"]]
-    keep = np.ones(len(values), dtype=bool)
-    for name, sign, bound in figure["where"]:
-        keep &= _COMPARE[sign](columns[name], bound)
-    values = values[keep]
-    if not len(values):
+    keep = np.isfinite(values)
+    for term, sign, bound in figure["where"]:
+        keep &= _COMPARE[sign](_term(columns, term), bound)
+    if figure["take"] == "seconds":
+        times = columns["t_s"]
+        return float(f"{np.sum(keep) * (times[-1] - times[0]) / max(1, len(times) - 1):.9g}")
+    if not keep.any():
         return None
-    return float(f"{_reduce(values, figure['take']):.9g}")
+    weights = columns[figure["weight"]][keep] if figure.get("weight") else np.ones(np.sum(keep))
+    values = values[keep]
+    if figure.get("average_s"):
+        values, weights = _averages(values, weights, columns["t_s"][keep], figure["average_s"])
+    return float(f"{_reduce(values, weights, figure['take']):.9g}")
 
 
-def _reduce(values: Any, take: str) -> float:
-    if take.startswith("p") and take[1:].isdecimal():
-        return float(np.percentile(values, int(take[1:])))
+def _term(columns: Mapping[str, Any], text: str) -> Any:
+    """A column, a difference of two, or abs(...) of either."""
+    names = [name for name in _NAME.findall(text) if name != "abs"]
+    value = columns[names[0]] if len(names) == 1 else columns[names[0]] - columns[names[1]]
+    return np.abs(value) if text.startswith("abs(") else value
+
+
+def _averages(values: Any, weights: Any, times: Any, span_s: float) -> tuple[Any, Any]:
+    """Means over intervals of so long, and the weight of each."""
+    slot = np.floor((times - times[0]) / span_s).astype(int)
+    total = np.bincount(slot, weights)
+    held = total > 0.0
+    return np.bincount(slot, weights * values)[held] / total[held], total[held]
+
+
+def _percentile(values: Any, weights: Any, percent: int) -> float:
+    """The value below which this share of the weight lies."""
+    order = np.argsort(values)
+    middle = np.cumsum(weights[order]) - 0.5 * weights[order]
+    if np.all(weights == weights[0]):
+        return float(np.percentile(values, percent))
+    return float(np.interp(0.01 * percent * np.sum(weights), middle, values[order]))
+
+
+def _reduce(values: Any, weights: Any, take: str) -> float:
+    percent, _, absolute = take.removeprefix("p").partition("_")
+    if percent.isdecimal():
+        return _percentile(np.abs(values) if absolute else values, weights, int(percent))
     reductions: dict[str, Callable[[Any], Any]] = {
         "min": np.min,
         "max": np.max,
-        "mean": np.mean,
-        "rms": lambda v: np.sqrt(np.mean(np.square(v))),
+        "range": np.ptp,
+        "mean": lambda v: np.average(v, weights=weights),
+        "rms": lambda v: np.sqrt(np.average(np.square(v), weights=weights)),
         "max_abs": lambda v: np.max(np.abs(v)),
         "last": lambda v: v[-1],
     }

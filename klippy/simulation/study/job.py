@@ -6,6 +6,7 @@ worker runs each session (calibrations first) in a process of its own and takes 
 
 from __future__ import annotations
 
+import glob
 import hashlib
 import json
 import os
@@ -32,7 +33,7 @@ POLL_S = 0.5  # how often a worker looks whether its print is still wanted
 CRASHED = "crashed"
 STEP_FAILED = "calibration failed"
 _SOURCES = frozenset((".py", ".c", ".h", ".mk"))
-_INCLUDE = re.compile(r"^(\s*\[include\s+)([^]]+)(\].*)$", re.MULTILINE)
+_INCLUDE = re.compile(r"^\s*\[include\s+([^]]+)\].*$", re.MULTILINE)
 
 
 class WrongWorker(Exception):
@@ -139,12 +140,21 @@ def _row(status: str, reason: str, figures: Mapping[str, Any], folder: Path) -> 
 
 
 def copy_config(config: Path, folder: Path) -> Path:
-    """A copy that SAVE_CONFIG may write to; what it includes stays where it is."""
-    text = config.read_text(encoding="utf-8")
-    base = config.resolve().parent
+    """A copy that SAVE_CONFIG may write to, which it would not do to options of an included file: all in one file."""
+
+    def text_of(path: Path) -> str:
+        return _INCLUDE.sub(
+            lambda match: "\n".join(text_of(path.parent / name) for name in _named(path.parent, match[1])),
+            path.read_text(encoding="utf-8"),
+        )
+
     copy = folder / config.name
-    copy.write_text(_INCLUDE.sub(lambda m: f"{m[1]}{base / m[2].strip()}{m[3]}", text), encoding="utf-8")
+    copy.write_text(text_of(config.resolve()), encoding="utf-8")
     return copy
+
+
+def _named(folder: Path, pattern: str) -> list[str]:
+    return sorted(glob.glob(pattern.strip(), root_dir=folder))
 
 
 def _split_sessions(lines: Sequence[str]) -> list[list[str]]:

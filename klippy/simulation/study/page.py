@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +14,11 @@ import numpy as np
 
 from .analysis import Influence, Verdict, values_of
 from .results import Rows
-from .studyfile import Limit
+from .studyfile import ENDINGS, VARIANT, Limit
 
 WIDTH, HEIGHT, BINS = 360, 110, 30
 WORST_SHOWN = 5
+_NUMBER = re.compile(r"-?\d+(\.\d+)?")  # in reasons, which are counted without their figures
 TEMPLATE = Path(__file__).with_name("page.html")
 
 
@@ -37,19 +40,31 @@ def render(content: Content) -> str:
     environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True)
     environment.filters["figure"] = _text
     environment.filters["short"] = _short_names(next(iter(content.points.values()), {})).__getitem__
-    statuses: dict[str, int] = {}
-    for key in sorted(content.rows):
-        status = content.rows[key]["status"]
-        statuses[status] = statuses.get(status, 0) + 1
-    limits = {verdict.limit.figure: verdict.limit for verdict in content.verdicts}
-    distributions = [
-        (name, _statistics(values), histogram(values, limits.get(name)))
-        for name, values in ((name, values_of(content.rows, name)) for name in content.figures)
-        if values
-    ]
+    statuses = Counter(row["status"] for _, row in sorted(content.rows.items()))
+    bad = [row for _, row in sorted(content.rows.items()) if row["status"] != "printed"]
+    endings = Counter((row["status"], _NUMBER.sub("…", row["reason"])) for row in bad).most_common()
     return environment.from_string(TEMPLATE.read_text(encoding="utf-8")).render(
-        c=content, statuses=statuses, distributions=distributions, shown=WORST_SHOWN
+        c=content,
+        statuses=statuses,
+        reasons=endings,
+        distributions=list(_distributions(content)),
+        shown=WORST_SHOWN,
+        endings=ENDINGS,
     )
+
+
+def _distributions(content: Content) -> Iterator[tuple[str, dict[str, float], str]]:
+    """Name, statistics and picture of each figure, by variant."""
+    limits = {(verdict.limit.figure, verdict.limit.variant): verdict.limit for verdict in content.verdicts}
+    variants = sorted({str(point.get(VARIANT, "")) for point in content.points.values()})
+    for figure in content.figures:
+        for variant in variants:
+            own = {k: r for k, r in content.rows.items() if content.points[k].get(VARIANT, "") == variant}
+            values = values_of(own, figure)
+            if values:
+                limit = limits.get((figure, variant)) or limits.get((figure, ""))
+                name = f"{figure} ({variant})" if variant else figure
+                yield name, _statistics(values), histogram(values, limit)
 
 
 def _text(value: Any) -> str:
@@ -63,8 +78,8 @@ def _short_names(names: Iterable[str]) -> dict[str, str]:
 
 
 def _statistics(values: Sequence[float]) -> dict[str, float]:
-    quantiles = np.percentile(values, (0, 5, 50, 95, 100))
-    return dict(zip(("min", "5 %", "median", "95 %", "max"), map(float, quantiles), strict=True))
+    quantiles = np.percentile(values, (0, 5, 50, 95, 99, 100))
+    return dict(zip(("min", "5 %", "median", "95 %", "99 %", "max"), map(float, quantiles), strict=True))
 
 
 def histogram(values: Sequence[float], limit: Limit | None) -> str:

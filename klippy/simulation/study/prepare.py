@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +13,10 @@ from configtext import ConfigError, read_main
 
 from ..world import parameter_tables
 from .figures import columns_of
+from .formula import FormulaError, evaluate
 from .job import Job, WrongWorker, input_hashes, portable, run_child, version
-from .sampling import Parameter, points
-from .studyfile import Study, near
+from .sampling import Parameter, draws_of, points
+from .studyfile import VARIANT, Study, near
 
 PLANTS = {"simulator nozzle": "nozzle", "simulator load": "load"}
 SAMPLE = "sample:"
@@ -24,11 +25,14 @@ Options = Mapping[str, Mapping[str, str]]  # section → option → value
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """`order`: keys in the order of the plan, once for each file and seed; `points`: key → parameters."""
+    """`order`: keys in the order of the plan, once for each file, seed and variant; `points`: key → parameters;
+    `twins`: key → the same point, file and seed with each variant.
+    """
 
     jobs: dict[str, Job]
     points: dict[str, dict[str, Any]]
     order: list[str]
+    twins: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
 def prepare(study: Study, sample: Callable[[str], Path]) -> Prepared:
@@ -39,32 +43,51 @@ def prepare(study: Study, sample: Callable[[str], Path]) -> Prepared:
     options = _with_plants(description["settings"])
     _check_figures(study, description)
     base = {p.name: _base(study, p, options) for p in study.parameters if p.relative}
-    all_points = list(points(study.plan, study.parameters, base))
+    try:
+        all_points = list(points(study.plan, study.parameters, base))
+        figures = {name: dict(figure) for name, figure in study.figures.items()}
+        _with_draws(figures, all_points[0])
+    except FormulaError as e:
+        raise study.error(("parameters",), f"{e}.") from None
     _check_names(study, options, all_points[0])
     _check_ranges(study, all_points)
     files = [_file(study, name, sample) for name in study.files]
     prepared = Prepared({}, {}, [])
-    figures = {name: dict(figure) for name, figure in study.figures.items()}
     sources = version()
     for path in files:
         config, file = portable(study.config), portable(path)
         inputs = _hashes(study, config, file)
-        for seed, point in itertools.product(study.seeds, all_points):
-            job = Job(
-                config,
-                file,
-                seed,
-                _overrides(study, point),
-                study.before,
-                study.until_s,
-                figures,
-                sources,
-                inputs,
-            )
-            prepared.jobs[job.key] = job
-            prepared.points[job.key] = point
-            prepared.order.append(job.key)
+        for seed in study.seeds:
+            twins: list[dict[str, str]] = [{} for _ in all_points]
+            for variant, (number, point) in itertools.product(study.variants or [""], enumerate(all_points)):
+                overrides = _overrides(study, {**point, **study.variants.get(variant, {})})
+                before = study.befores.get(variant, study.before)
+                job = Job(
+                    config,
+                    file,
+                    seed,
+                    overrides,
+                    before,
+                    study.until_s,
+                    _with_draws(figures, point),
+                    sources,
+                    inputs,
+                )
+                prepared.jobs[job.key] = job
+                prepared.points[job.key] = {VARIANT: variant, **point} if variant else point
+                prepared.order.append(job.key)
+                twins[number][variant] = job.key
+                prepared.twins[job.key] = twins[number]
     return prepared
+
+
+def _with_draws(figures: Mapping[str, dict[str, Any]], point: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
+    """Figures with what a formula of this point adds to them."""
+    draws = draws_of(point)
+    return {
+        name: {**figure, "add": evaluate(figure["add"], draws)} if figure.get("add") else figure
+        for name, figure in figures.items()
+    }
 
 
 def _describe(study: Study, point: Mapping[str, Any]) -> dict[str, Any]:
@@ -83,6 +106,8 @@ def _overrides(study: Study, point: Mapping[str, Any]) -> tuple[tuple[str, str, 
     options = [pair for name, value in point.items() for pair in _options(sets, name, value)]
     for name, value in options:
         section, _, option = name.rpartition(".")
+        if not section:  # a draw
+            continue
         text = f"{value:.9g}" if isinstance(value, float) else str(value)
         found.append((section.strip(), option.strip().lower(), text))
     return tuple(found)
@@ -144,31 +169,38 @@ def _base(study: Study, parameter: Parameter, options: Options) -> float:
         raise study.error(("parameters", parameter.name), text) from None
 
 
-def _unknown(study: Study, name: str, options: Options) -> Exception:
+def _unknown(study: Study, name: str, options: Options, keys: tuple[str, ...] = ()) -> Exception:
     section, _, option = name.rpartition(".")
     known = options.get(section.strip().lower())
     if known is None:
         text = f"the config {study.config.name} has no section [{section}].{near(section, options)}"
     else:
         text = f"section [{section}] has no option '{option}'.{near(option, known)}"
-    return study.error(("parameters", name), text)
+    return study.error(keys or ("parameters", name), text)
 
 
 def _check_names(study: Study, options: Options, point: Mapping[str, Any]) -> None:
     """An option that the config of the file did not read may be one with these parameters: the host decides."""
     config_sections = _sections(study)
-    for parameter in study.parameters:
-        names = [name for options_of in parameter.sets.values() for name in options_of] or [parameter.name]
-        if missing := [name for name in names if name.rpartition(".")[0].strip() not in config_sections]:
-            raise _unknown(study, missing[0], options)
-    answer = _describe(study, point)
-    if answer["exit_status"] == 0:
-        return
-    for parameter in study.parameters:
-        section, _, option = parameter.name.rpartition(".")
-        if not parameter.sets and option.strip().lower() not in options.get(section.strip().lower(), {}):
-            raise _unknown(study, parameter.name, options)
-    raise study.error(("parameters",), f"with the first point: {answer['reason']}")
+    for name, changes in (study.variants or {"": {}}).items():
+        names = [p.name for p in study.parameters if "." in p.name]
+        keys: dict[str, tuple[str, ...]] = {parameter: ("parameters", parameter) for parameter in names}
+        in_sets = {
+            option for p in study.parameters for options_of in p.sets.values() for option in options_of
+        }
+        keys |= {parameter: ("variants", name, parameter) for parameter in changes}
+        for parameter in (*keys, *in_sets):
+            if parameter.rpartition(".")[0].strip() not in config_sections:
+                raise _unknown(study, parameter, options, keys.get(parameter, ()))
+        answer = _describe(study, {**point, **changes})
+        if answer["exit_status"] == 0:
+            continue
+        for parameter, place in keys.items():
+            section, _, option = parameter.rpartition(".")
+            if option.strip().lower() not in options.get(section.strip().lower(), {}):
+                raise _unknown(study, parameter, options, place)
+        where = ("variants", name) if name else ("parameters",)
+        raise study.error(where, f"with the first point: {answer['reason']}")
 
 
 def _sections(study: Study) -> set[str]:

@@ -12,7 +12,7 @@ from .job import execute, version
 from .page import Content, render
 from .prepare import Prepared
 from .results import Journal, Rows, write_failures, write_table
-from .studyfile import PRINTED, Study
+from .studyfile import ENDINGS, Study
 
 MET, NOT_MET = 0, 1
 REPORT, NO_REPORT = "report.html", "no_report.txt"  # what repeating a print leaves last
@@ -68,7 +68,7 @@ def run_study(
             failed = write_failures(folder / "failures.txt", prepared.jobs, rows, command)
     finally:
         journal.close()
-    verdicts = judge(study.limits, rows)
+    verdicts = judge(study.limits, rows, prepared)
     reports = _write_reports(study, prepared, folder, verdicts)
     _write_page(study, prepared, folder, rows, verdicts, reports)
     return Finished(rows, verdicts, failed)
@@ -108,7 +108,7 @@ def _write_page(
     verdicts: Sequence[Verdict],
     reports: frozenset[str],
 ) -> None:
-    varied = [p.name for p in study.parameters if p.kind != "constant"]
+    varied = [p.name for p in study.parameters if p.varies]
     base = study.plan.runs if study.plan.kind == "saltelli" else 0
     found = influences(prepared.order, prepared.points, rows, list(study.figures), varied, base)
     content = Content(
@@ -124,9 +124,9 @@ def summary_lines(finished: Finished) -> list[str]:
         limit = verdict.limit
         bounds = [f"min {limit.min:g}"] if limit.min is not None else []
         bounds += [f"max {limit.max:g}"] if limit.max is not None else []
-        need = "" if limit.figure == PRINTED else f" of {100 * limit.share:g} % required"
+        need = "" if limit.figure in ENDINGS else f" of {100 * limit.share:g} % required"
+        name = limit.figure + (f" ({limit.variant})" if limit.variant else "")
+        name += f" over that of {limit.of}" if limit.of else ""
         state = "met" if verdict.met else "NOT MET"
-        lines.append(
-            f"{limit.figure}: {', '.join(bounds)}: {state}, {100 * verdict.share:.4g} % of the prints{need}"
-        )
+        lines.append(f"{name}: {', '.join(bounds)}: {state}, {100 * verdict.share:.4g} % of the prints{need}")
     return lines

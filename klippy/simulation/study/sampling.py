@@ -12,6 +12,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from .formula import evaluate
+
 KINDS = ("grid", "lhs", "sobol", "saltelli")
 # Distribution → arguments it needs, arguments it may have
 DISTRIBUTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
@@ -34,7 +36,8 @@ class Plan:
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """`section.option`. `relative`: the value is times that of the config; `steps`: points in a grid.
+    """`section.option`, or the name of a draw. `relative`: the value is times that of the config; `steps`: points in a
+    grid; a `formula` has the draws of its point.
 
     With `sets` the name has no section, and a value is the name of a set: option → value.
     """
@@ -49,7 +52,13 @@ class Parameter:
     @property
     def levels(self) -> int:
         """How many values it has in a grid."""
+        if self.kind == "formula":
+            return 1
         return len(self.arguments["values"]) if self.kind in ("choice", "constant") else self.steps
+
+    @property
+    def varies(self) -> bool:
+        return self.kind not in ("constant", "formula")
 
     def value(self, share: float) -> float | str:
         """The value below which this share of the distribution lies."""
@@ -77,13 +86,13 @@ def shares(plan: Plan, parameters: Sequence[Parameter]) -> Iterator[tuple[float,
         levels = [parameter.levels for parameter in parameters]
         for steps in itertools.product(*(range(count) for count in levels)):
             yield tuple(
-                (i + 0.5) / count if p.kind in ("choice", "constant") else i / (count - 1)
+                (i + 0.5) / count if p.kind in ("choice", "constant", "formula") else i / (count - 1)
                 for i, count, p in zip(steps, levels, parameters, strict=True)
             )
         return
     from scipy.stats import qmc
 
-    varied = [number for number, p in enumerate(parameters) if p.kind != "constant"]
+    varied = [number for number, p in enumerate(parameters) if p.varies]
     count = len(varied)
     if plan.kind == "lhs":
         rows = qmc.LatinHypercube(count, rng=plan.seed).random(plan.runs)
@@ -116,8 +125,17 @@ def points(
     for row in shares(plan, parameters):
         point: dict[str, float | str] = {}
         for parameter, share in zip(parameters, row, strict=True):
-            value = parameter.value(share)
+            if parameter.kind == "formula":
+                value = evaluate(parameter.arguments["formula"], draws_of(point))
+            else:
+                value = parameter.value(share)
             if parameter.relative:
                 value = base[parameter.name] * float(value)
             point[parameter.name] = float(f"{value:.9g}") if isinstance(value, float) else value
         yield point
+
+
+def draws_of(point: Mapping[str, float | str]) -> dict[str, float]:
+    """The draws of a point: numbers with names without a section."""
+    numbers = {name: value for name, value in point.items() if not isinstance(value, str)}
+    return {name: float(value) for name, value in numbers.items() if "." not in name}

@@ -5,18 +5,28 @@ from __future__ import annotations
 import difflib
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from .sampling import DISTRIBUTIONS, KINDS, Parameter, Plan
 
 FIGURE_NAME = re.compile(r"[a-z][a-z0-9_]*")
-TAKES = ("min", "max", "mean", "rms", "max_abs", "last")
-PERCENTILE = re.compile(r"p\d{1,2}")
-CONDITION = re.compile(r"\s*(\w+)\s*(<=|>=|<|>)\s*(-?[\d.]+(?:e-?\d+)?)\s*")
+TAKES = ("min", "max", "range", "mean", "rms", "max_abs", "last", "seconds")
+PERCENTILE = re.compile(r"p\d{1,2}(_abs)?")
+CONDITION = re.compile(
+    r"\s*(\w+(?:\s*-\s*\w+)?|abs\(\w+(?:\s*-\s*\w+)?\))\s*(<=|>=|<|>)\s*(-?[\d.]+(?:e-?\d+)?)\s*"
+)
 PRINTED = "printed"  # the limit on the share of prints that end well
+# Limits on the share of prints that ended in a way; all prints count.
+ENDINGS = {
+    PRINTED: ("printed",),
+    "tripped": ("printer shut down",),
+    "refused": ("calibration failed", "bad input"),  # also a config with what a calibration saved
+}
+VARIANT = "variant"
+SMALL = ("runs", "seeds", "files", "variants", "until_s", "reports")
 
 _KEY = r"""(?:"[^"]*"|'[^']*'|[\w-]+)"""
 _DOTTED = rf"{_KEY}(?:\s*\.\s*{_KEY})*"
@@ -30,17 +40,24 @@ class StudyError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Limit:
-    """Bounds of a figure, and the share of the prints that has to be within them."""
+    """Bounds of a figure, and the share of the prints that has to be within them. `variant`: "" counts all; `of`: the
+    figure is divided by that of this variant at the same point.
+    """
 
     figure: str
     min: float | None = None
     max: float | None = None
     share: float = 1.0
+    variant: str = ""
+    of: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Study:
-    """What a study file asks for. `figures`: name → specification, as simulation.study.figures reads it."""
+    """What a study file asks for. `figures`: name → specification, as simulation.study.figures reads it; `variants`:
+    name → parameters with one value each, every point of the plan is printed with each; `befores`: their own steps
+    before the print.
+    """
 
     path: Path
     title: str
@@ -52,6 +69,8 @@ class Study:
     reports: int
     plan: Plan
     parameters: tuple[Parameter, ...]
+    variants: Mapping[str, Mapping[str, Any]]
+    befores: Mapping[str, tuple[str, ...]]
     figures: Mapping[str, Mapping[str, Any]]
     limits: tuple[Limit, ...]
     lines: Mapping[tuple[str, ...], int] = field(default_factory=dict)
@@ -147,14 +166,22 @@ class _Table:
             raise self.error(key, f"this has to be a list of {what} in brackets, not {value!r}.")
         return list(value)
 
-    def finish(self) -> None:
+    def before(self, default: tuple[str, ...]) -> tuple[str, ...]:
+        lines = tuple(self.list_of("before", str, "lines of G-code", list(default)))
+        if lines and lines[-1].strip().upper() != "SAVE_CONFIG":
+            raise self.error(
+                "before", "the last line has to be SAVE_CONFIG: the print starts from what it saved."
+            )
+        return lines
+
+    def finish(self, known: Sequence[str] = ()) -> None:
         for key in self.values:
-            hint = near(key, self._known) or f" Known here: {', '.join(self._known)}."
+            hint = near(key, known or self._known) or f" Known here: {', '.join(known or self._known)}."
             raise self.error(key, f"there is no such key.{hint}")
 
 
-def read_study(path: Path) -> Study:
-    """Raises StudyError."""
+def read_study(path: Path, small: bool = False, runs: int | None = None) -> Study:
+    """`small`: with what [small] changes; `runs`: so many points. Raises StudyError."""
     try:
         text = path.read_text(encoding="utf-8")
         values = tomllib.loads(text)
@@ -164,6 +191,7 @@ def read_study(path: Path) -> Study:
         raise StudyError(f"{path.name} is no TOML file: {e}.") from None
     lines = find_lines(text)
     top = _Table(path, lines, (), values)
+    chosen = _make_smaller(top, small, runs)
     written = top.text("config", top.need("config", "the printer.cfg with simulator sections"))
     config = (path.parent / written).resolve()
     if not config.is_file():
@@ -173,28 +201,74 @@ def read_study(path: Path) -> Study:
     files = top.list_of("files", str, "G-code files", [])
     if not files:
         raise top.error("files", "this names no G-code file.")
-    before = top.list_of("before", str, "lines of G-code", [])
-    if before and before[-1].strip().upper() != "SAVE_CONFIG":
-        raise top.error("before", "the last line has to be SAVE_CONFIG: the print starts from what it saved.")
+    before = top.before(())
     figures = _read_figures(top.table("figures"))
+    variants, befores = _read_variants(top.table("variants"), before)
     study = Study(
         path=path,
         title=top.text("title", top.take("title", path.stem)),
         config=config,
         files=tuple(files),
-        before=tuple(before),
+        before=before,
         seeds=tuple(top.list_of("seeds", int, "whole numbers", [1])) or (1,),
         until_s=top.number("until_s"),
         reports=top.whole("reports", 1),
         plan=_read_plan(top.table("plan")),
-        parameters=tuple(_read_parameters(top.table("parameters"))),
+        parameters=(*_read_draws(top.table("draws")), *_read_parameters(top.table("parameters"))),
+        variants=variants,
+        befores=befores,
         figures=figures,
-        limits=tuple(_read_limits(top.table("limits"), figures)),
+        limits=tuple(_read_limits(top.table("limits"), figures, variants)),
         lines=lines,
     )
     top.finish()
     _check_plan(study)
-    return study
+    if chosen is None:
+        return study
+    limits = tuple(limit for limit in study.limits if {limit.variant, limit.of} <= {"", *chosen})
+    return replace(study, variants={name: variants[name] for name in chosen}, limits=limits)
+
+
+def _make_smaller(top: _Table, small: bool, runs: int | None) -> list[str] | None:
+    """Replace what [small] and the command line say of the study's size; the variants of a small one, None: all."""
+    less = top.table("small")
+    changes = {key: less.take(key) for key in SMALL if key in less.values}
+    less.finish(SMALL)
+    known = top.values.get("variants", {})
+    for name in changes.get("variants") or []:
+        if name not in known:
+            raise less.error("variants", f"there is no variant {name!r}.{near(name, known)}")
+    changes = changes if small else {}
+    if runs is not None:
+        changes["runs"] = runs
+    if "runs" in changes:
+        top.values.setdefault("plan", {})["runs"] = changes.pop("runs")
+    chosen: list[str] | None = changes.pop("variants", None)
+    top.values.update(changes)
+    return chosen
+
+
+def _read_variants(
+    table: _Table, before: tuple[str, ...]
+) -> tuple[dict[str, dict[str, Any]], dict[str, tuple[str, ...]]]:
+    variants: dict[str, dict[str, Any]] = {}
+    befores: dict[str, tuple[str, ...]] = {}
+    for name in list(table.values):
+        one = table.table(name)
+        variants[name] = {}
+        befores[name] = one.before(before)
+        for key in list(one.values):
+            _need_option(one, key)
+            variants[name][key] = one.take(key)
+            if isinstance(variants[name][key], list | dict):
+                raise one.error(key, "a variant has one value for each of its parameters.")
+    return variants, befores
+
+
+def _need_option(table: _Table, name: str) -> None:
+    section, dot, option = name.rpartition(".")
+    if not dot or not section.strip() or not option.strip():
+        raise table.error(name, 'a parameter is "section.option", in quotes, as "extruder.pressure_advance".')
 
 
 def _read_plan(table: _Table) -> Plan:
@@ -221,19 +295,33 @@ def _read_parameters(table: _Table) -> Iterable[Parameter]:
         if "." not in name and isinstance(value, dict) and all(isinstance(v, dict) for v in value.values()):
             yield _read_sets(name, table.table(name))
             continue
-        section, dot, option = name.rpartition(".")
-        if not dot or not section.strip() or not option.strip():
-            raise table.error(
-                name, 'a parameter is "section.option", in quotes, as "extruder.pressure_advance".'
-            )
+        _need_option(table, name)
         value = table.values[name]
         if isinstance(value, list):
             value = table.values[name] = {"dist": "choice", "values": value}
+        if isinstance(value, str) and "{" in value:
+            table.take(name)
+            yield Parameter(name, "formula", {"formula": value})
+            continue
         if not isinstance(value, dict):
             table.take(name)
             yield Parameter(name, "constant", {"values": [value]})
             continue
         yield _read_distribution(name, table.table(name))
+
+
+def _read_draws(table: _Table) -> Iterable[Parameter]:
+    for name in list(table.values):
+        if not name.isidentifier():
+            raise table.error(name, "a draw has a name of letters, digits and _.")
+        if isinstance(table.values[name], list):
+            table.values[name] = {"dist": "choice", "values": table.values[name]}
+        if not isinstance(table.values[name], dict):
+            raise table.error(name, "a draw is a distribution or a list of values.")
+        draw = _read_distribution(name, table.table(name))
+        if draw.relative:
+            raise table.error(name, "a draw has no value in the config that 'scale' could multiply.")
+        yield draw
 
 
 def _read_sets(name: str, table: _Table) -> Parameter:
@@ -289,7 +377,7 @@ def _check_plan(study: Study) -> None:
     """What a parameter needs or may not have in this kind of plan."""
     for parameter in study.parameters:
         keys = ("parameters", parameter.name)
-        if parameter.kind in ("choice", "constant"):
+        if parameter.kind in ("choice", "constant", "formula"):
             if parameter.steps:
                 raise study.error(keys, "a choice has the steps of its values; leave 'steps' out.")
         elif study.plan.kind == "grid" and parameter.steps < 2:
@@ -300,16 +388,17 @@ def _check_plan(study: Study) -> None:
             )
         elif study.plan.kind != "grid" and parameter.steps:
             raise study.error(keys, f"'steps' is for a grid; the plan is {study.plan.kind!r}.")
-    if study.plan.kind != "grid" and not any(p.kind != "constant" for p in study.parameters):
+    if study.plan.kind != "grid" and not any(p.varies for p in study.parameters):
         raise study.error(("plan", "kind"), f"{study.plan.kind!r} needs a parameter with a distribution.")
 
 
 def _read_figures(table: _Table) -> dict[str, dict[str, Any]]:
     figures: dict[str, dict[str, Any]] = {}
     for name in list(table.values):
-        if not FIGURE_NAME.fullmatch(name) or name == PRINTED:
+        if not FIGURE_NAME.fullmatch(name) or name in ENDINGS:
+            taken = ", ".join(ENDINGS)
             raise table.error(
-                name, f"a figure has a name of small letters, digits and _, and not '{PRINTED}'."
+                name, f"a figure has a name of small letters, digits and _, and not of {taken}."
             )
         if isinstance(table.values[name], str):
             figures[name] = {"summary": table.take(name)}
@@ -318,8 +407,17 @@ def _read_figures(table: _Table) -> dict[str, dict[str, Any]]:
         column = one.text("trace", one.need("trace", "the column of the trace the figure is made of"))
         take = one.need("take", f"one of {', '.join(TAKES)}, or a percentile as p95")
         if take not in TAKES and not PERCENTILE.fullmatch(str(take)):
-            raise one.error("take", f"{take!r} is not known; there are {', '.join(TAKES)} and p01 to p99.")
+            known = ", ".join(TAKES)
+            raise one.error(
+                "take", f"{take!r} is not known; there are {known}, p01 to p99 and p01_abs to p99_abs."
+            )
+        average_s, weight = one.number("average_s"), one.take("weight", "")
         figures[name] = {"trace": column, "take": take, "minus": one.take("minus", ""), "where": []}
+        figures[name] |= {"average_s": average_s, "weight": weight}
+        less = one.take("less", "")
+        if less and less not in figures:
+            raise one.error("less", f"no figure before this one is {less!r}.{near(str(less), figures)}")
+        figures[name] |= {"less": less, "add": one.take("add", "")}
         where = one.take("where", "")
         for condition in str(where).split(" and ") if where else ():
             match = CONDITION.fullmatch(condition)
@@ -332,17 +430,28 @@ def _read_figures(table: _Table) -> dict[str, dict[str, Any]]:
     return figures
 
 
-def _read_limits(table: _Table, figures: Mapping[str, Any]) -> Iterable[Limit]:
+def _read_limits(table: _Table, figures: Mapping[str, Any], variants: Mapping[str, Any]) -> Iterable[Limit]:
     if PRINTED not in table.values:
         yield Limit(PRINTED, min=1.0)
     for name in list(table.values):
-        if name not in figures and name != PRINTED:
-            raise table.error(name, f"[figures] has no such figure.{near(name, [*figures, PRINTED])}")
-        one = table.table(name)
-        limit = Limit(name, one.number("min"), one.number("max"), one.number("share", 1.0) or 0.0)
-        one.finish()
-        if limit.min is None and limit.max is None:
-            raise table.error(name, "a limit has min, max or both, as { max = 1.0 }.")
-        if not 0.0 < limit.share <= 1.0:
-            raise table.error(name, "share is the part of the prints within the limit, above 0 and up to 1.")
-        yield limit
+        if name not in figures and name not in ENDINGS:
+            raise table.error(name, f"[figures] has no such figure.{near(name, [*figures, *ENDINGS])}")
+        several = table.values[name] if isinstance(table.values[name], list) else [table.values[name]]
+        for value in several:
+            table.values[name] = value
+            yield _read_limit(table, name, variants)
+
+
+def _read_limit(table: _Table, name: str, variants: Mapping[str, Any]) -> Limit:
+    one = table.table(name)
+    bounds = one.number("min"), one.number("max"), one.number("share", 1.0) or 0.0
+    limit = Limit(name, *bounds, one.take(VARIANT, ""), one.take("of", ""))
+    one.finish()
+    for variant in (limit.variant, limit.of):
+        if variant and variant not in variants:
+            raise table.error(name, f"there is no variant {variant!r}.{near(variant, variants)}")
+    if limit.min is None and limit.max is None:
+        raise table.error(name, "a limit has min, max or both, as { max = 1.0 }.")
+    if not 0.0 < limit.share <= 1.0:
+        raise table.error(name, "share is the part of the prints within the limit, above 0 and up to 1.")
+    return limit

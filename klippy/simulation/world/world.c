@@ -36,7 +36,10 @@ struct world *world_new(double start_s, uint64_t seed)
     w->seed = seed;
     w->tick = 1;
     w->lookahead_s = WORLD_LOOKAHEAD_MAX_S;
+    for (int i = WORLD_SIGMA_C; i < WORLD_CHANNELS; i++)
+        w->channels[i] = NAN;
     machine_init(&w->machine);
+    w->channels[WORLD_MELT_TARGET_C] = NAN;
     world_trace_open(w, NULL, 100.0);
     return w;
 }

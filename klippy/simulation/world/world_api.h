@@ -125,7 +125,9 @@ struct world_target_epoch {
     double start_s;                 /* after world start */
     double from_c, target_c;
     double reach_s;                 /* until within band of the target, -1 never */
+    double bound_s;                 /* the same at full phase all the time, from the nozzle's state; 0: no climb */
     double settle_s;                /* until within band for 2 s on end, -1 never */
+    double shown_settle_s;          /* the same of the host's estimate */
     double overshoot_c;             /* beyond the target in the direction of travel, within 15 s of reaching it */
     double settled_seconds;         /* time observed after settling */
     double max_error_c;             /* |true - target| after settling */
@@ -139,7 +141,11 @@ struct world_figures {
     uint64_t rows;
 };
 
-enum world_channel { WORLD_TARGET_C, WORLD_ESTIMATE_C, WORLD_BED_TARGET_C, WORLD_CHANNELS };
+/* What the host says; sigma, drift and supply are NaN until it does. */
+enum world_channel {
+    WORLD_TARGET_C, WORLD_ESTIMATE_C, WORLD_BED_TARGET_C, WORLD_MELT_TARGET_C, WORLD_WARNING, WORLD_SIGMA_C,
+    WORLD_DRIFT_C, WORLD_SUPPLY, WORLD_CHANNELS
+};
 
 struct world *world_new(double start_s, uint64_t seed);
 void world_free(struct world *w);

@@ -62,6 +62,7 @@ struct world_trace {
     struct world_target_epoch epochs[WORLD_EPOCHS];
     int epoch_count;
     double band_since_s; /* within band without a break since then, < 0: not in band */
+    double shown_since_s; /* the same of the host's estimate */
     double last_target_c;
 };
 

@@ -13,6 +13,8 @@ static const double SETTLE_S = 2.0;         /* time in band without a break */
 static const double OVERSHOOT_SPAN_S = 15.0;
 static const double TARGET_CHANGE_C = 0.05; /* smaller moves of the target are no new task */
 static const double TARGET_OFF_C = 1.0;
+static const double CLIMB_C = 5.0;          /* a target that much above the nozzle is a climb */
+static const double CLIMB_MAX_S = 120.0;    /* a nozzle that cannot reach its target */
 
 /* What one row holds about the heater and the machine, apart from axes. */
 struct observation {
@@ -26,7 +28,7 @@ int world_trace_open(struct world *w, const char *path, double rate_hz)
     struct world_trace *t = &w->trace;
     if (!(rate_hz > 0.0 && rate_hz <= 1.0 / WORLD_TICK_S))
         return world_fail(w, "trace rate %g: from above 0 to %g rows a second", rate_hz, 1.0 / WORLD_TICK_S);
-    *t = (struct world_trace){ .period_s = 1.0 / rate_hz, .next_s = w->start_s, .band_since_s = -1.0 };
+    *t = (struct world_trace){ .period_s = 1.0 / rate_hz, .next_s = w->start_s, .band_since_s = -1.0, .shown_since_s = -1.0 };
     if (!path)
         return 0;
     t->file = fopen(path, "w");
@@ -34,7 +36,8 @@ int world_trace_open(struct world *w, const char *path, double rate_hz)
         return world_fail(w, "cannot write the trace %s: %s", path, strerror(errno));
     setvbuf(t->file, NULL, _IOFBF, 1 << 16);
     fputs("t_s,target_c,estimate_c,true_c,bore_c,melt_c,phase_ticks,power_w,flow_mm3_s,"
-          "x_mm,y_mm,z_mm,e_mm,bed_c,bed_target_c,fan,mean_c,tip_c\n", t->file);
+          "x_mm,y_mm,z_mm,e_mm,bed_c,bed_target_c,fan,mean_c,tip_c,melt_target_c,warning,"
+          "sigma_c,drift_c,supply\n", t->file);
     return 0;
 }
 
@@ -82,6 +85,19 @@ static void observe(const struct world *w, struct observation *o)
         o->fan = m->fans[0].speed;
 }
 
+/* Time of the first nozzle to the band at full phase, from its state of now: no control can be faster. */
+static double climb_bound_s(const struct world *w, double target_c)
+{
+    if (!w->machine.nozzle_count)
+        return 0.0;
+    struct plant copy = w->machine.nozzles[0].plant;
+    double elapsed_s = 0.0;
+    plant_set_phase(&copy, INFINITY);
+    for (; copy.skin_c < target_c - BAND_C && elapsed_s < CLIMB_MAX_S; elapsed_s += WORLD_TICK_S)
+        plant_advance(&copy, WORLD_TICK_S);
+    return elapsed_s;
+}
+
 static struct world_target_epoch *begin_epoch(struct world_trace *t, double t_s, double from_c, double target_c)
 {
     if (t->epoch_count < WORLD_EPOCHS)
@@ -89,27 +105,41 @@ static struct world_target_epoch *begin_epoch(struct world_trace *t, double t_s,
     struct world_target_epoch *e = &t->epochs[t->epoch_count - 1];
     *e = (struct world_target_epoch){
         .start_s = t_s, .from_c = from_c, .target_c = target_c, .reach_s = -1.0, .settle_s = -1.0,
+        .shown_settle_s = -1.0,
     };
-    t->band_since_s = -1.0;
+    t->band_since_s = t->shown_since_s = -1.0;
     t->last_target_c = target_c;
     return e;
 }
 
-static void epoch_row(struct world_trace *t, double t_s, double true_c, double target_c, double estimate_c)
+static void follow_band(double *since_s, double t_s, int in_band)
 {
+    if (!in_band)
+        *since_s = -1.0;
+    else if (*since_s < 0.0)
+        *since_s = t_s;
+}
+
+static void epoch_row(struct world *w, double t_s, double true_c)
+{
+    struct world_trace *t = &w->trace;
+    const double target_c = w->channels[WORLD_TARGET_C], estimate_c = w->channels[WORLD_ESTIMATE_C];
     if (target_c < TARGET_OFF_C) {
         t->last_target_c = 0.0;
         return;
     }
     struct world_target_epoch *e = t->epoch_count ? &t->epochs[t->epoch_count - 1] : NULL;
-    if (!e || fabs(target_c - t->last_target_c) > TARGET_CHANGE_C)
+    if (!e || fabs(target_c - t->last_target_c) > TARGET_CHANGE_C) {
         e = begin_epoch(t, t_s, true_c, target_c);
+        if (target_c > true_c + CLIMB_C)
+            e->bound_s = climb_bound_s(w, target_c);
+    }
     double error_c = true_c - target_c, age_s = t_s - e->start_s;
     int in_band = fabs(error_c) <= BAND_C;
-    if (!in_band)
-        t->band_since_s = -1.0;
-    else if (t->band_since_s < 0.0)
-        t->band_since_s = t_s;
+    follow_band(&t->band_since_s, t_s, in_band);
+    follow_band(&t->shown_since_s, t_s, fabs(estimate_c - target_c) <= BAND_C);
+    if (e->shown_settle_s < 0.0 && t->shown_since_s >= 0.0 && t_s - t->shown_since_s >= SETTLE_S)
+        e->shown_settle_s = age_s;
     double beyond_c = e->from_c < target_c ? error_c : -error_c;
     if (e->reach_s < 0.0 && (in_band || beyond_c > 0.0))
         e->reach_s = age_s;
@@ -139,11 +169,13 @@ static double role_position_mm(const struct world *w, int role)
 static void write_row(const struct world *w, double t_s, const struct observation *o)
 {
     const double *c = w->channels;
-    fprintf(w->trace.file, "%.3f,%.2f,%.3f,%.3f,%.3f,%.3f,%u,%.3f,%.3f,%.4f,%.4f,%.4f,%.4f,%.2f,%.1f,%.3f,%.3f,%.3f\n", t_s,
+    fprintf(w->trace.file, "%.3f,%.2f,%.3f,%.3f,%.3f,%.3f,%u,%.3f,%.3f,%.4f,%.4f,%.4f,%.4f,%.2f,%.1f,%.3f,%.3f,%.3f,", t_s,
             c[WORLD_TARGET_C], c[WORLD_ESTIMATE_C], o->true_c, o->bore_c, o->melt_c, o->phase, o->power_w,
             o->flow_mm3_s, role_position_mm(w, WORLD_AXIS_X), role_position_mm(w, WORLD_AXIS_Y),
             role_position_mm(w, WORLD_AXIS_Z), role_position_mm(w, WORLD_AXIS_E), o->bed_c, c[WORLD_BED_TARGET_C],
             o->fan, o->mean_c, o->tip_c);
+    fprintf(w->trace.file, "%.2f,%.0f,%.3f,%.3f,%.4f\n", c[WORLD_MELT_TARGET_C], c[WORLD_WARNING], c[WORLD_SIGMA_C],
+            c[WORLD_DRIFT_C], c[WORLD_SUPPLY]);
 }
 
 void world_trace_row(struct world *w)
@@ -160,7 +192,7 @@ void world_trace_row(struct world *w)
     f->peak_power_w = fmax(f->peak_power_w, o.power_w);
     f->peak_flow_mm3_s = fmax(f->peak_flow_mm3_s, o.flow_mm3_s);
     f->energy_j += o.power_w * t->period_s;
-    epoch_row(t, t_s, o.true_c, w->channels[WORLD_TARGET_C], w->channels[WORLD_ESTIMATE_C]);
+    epoch_row(w, t_s, o.true_c);
     if (t->file)
         write_row(w, t_s, &o);
 }

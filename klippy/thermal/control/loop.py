@@ -49,7 +49,7 @@ __all__ = [
     "Timing",
 ]
 
-FAN_W_K = 0.02  # most that a part fan takes
+FAN_W_K = 0.02  # max of what a part fan takes
 BALANCE_S = 0.1  # ten times a second is enough for a balance over half a minute
 
 # (block, its filtered estimate or None, print time of its arrival)
@@ -69,6 +69,9 @@ class InductionLoop:
         self.story = Story()
         self.listeners: list[BlockListener] = []  # given every block, in order
         self.on_listener_error: Callable[[Exception], None] = lambda problem: None
+        self.on_balance: Callable[[TempEstimate, float], None] | None = (
+            None  # with the heat (J) since its last call
+        )
         self.quiet = True  # set from outside: neither melt nor fan takes heat
         self.flow = control_api.IDLE  # set from outside: planned extrusion, mm^3/s
         self.fan = control_api.IDLE  # set from outside: part fan, 0..1
@@ -248,6 +251,8 @@ class InductionLoop:
         heat_balance_monitor.observe(
             p.heat_balance, state.heat_balance, news.time_s, news.temp_c, heat_j, self.quiet
         )
+        if self.on_balance is not None:
+            self.on_balance(news, heat_j)
         self._inform_witness(news)
         state.balanced_s = news.time_s
         state.warning = heat_balance_monitor.warning(p.heat_balance, state.heat_balance)

@@ -48,6 +48,7 @@ class RelayPlan(OutputPlan):
     swing_s: float = 300.0  # longest half of a cycle
 
 
+GAIN_SIGMA, DELAY_SIGMA = 0.14, 0.2  # of the value: standard errors of the medians that make no useful tuning
 HEAT, SWING = "heating", "swinging"
 
 
@@ -166,7 +167,9 @@ def evaluate(run: RelayRun) -> RelayResult:
         raise CalibrationError("too few swings")
     gains, delays, periods = (list(column) for column in zip(*cycles, strict=True))
     (gain, gain_scatter), (delay_s, delay_scatter_s) = _middle(gains), _middle(delays)
-    if not (gain > 0.0 and delay_s > 0.0) or gain_scatter > 0.25 * gain or delay_scatter_s > 0.35 * delay_s:
+    root = math.sqrt(len(cycles) / (0.5 * math.pi))  # of a median
+    sure = gain_scatter < GAIN_SIGMA * root * gain and delay_scatter_s < DELAY_SIGMA * root * delay_s
+    if not (gain > 0.0 and delay_s > 0.0 and sure):
         raise CalibrationError(
             f"the swings differ too much for a tuning (gain {gain:.3g} +- {gain_scatter:.2g}, delay {delay_s:.3g} +-"
             f" {delay_scatter_s:.2g} s), as with a running fan or extruder, or a line to the board that loses messages"
@@ -175,7 +178,6 @@ def evaluate(run: RelayRun) -> RelayResult:
     swing_c = max(p.temp_c for p in measured) - min(p.temp_c for p in measured)
     ultimate, ultimate_s = math.pi / (2.0 * gain * delay_s), 4.0 * delay_s
     kp = ultimate / 2.2
-    root = math.sqrt(len(cycles) / (0.5 * math.pi))  # of a median
     return RelayResult(
         gain,
         gain_scatter / root,

@@ -259,6 +259,14 @@ int tempplan_finish(struct tempplan *tp, double until_s, double *done, int capac
     return rows;
 }
 
+double tempplan_melt_at(const struct tempplan *tp, double time_s)
+{
+    int i = 0;
+    while (i < tp->count && tp->pieces[i].end_s <= time_s)
+        i++;
+    return i < tp->count && tp->pieces[i].start_s <= time_s ? tp->pieces[i].melt_c : NAN;
+}
+
 void tempplan_shift(struct tempplan *tp, double from_s, double delta_c)
 {
     if (tp->usual_mm > 0.0)

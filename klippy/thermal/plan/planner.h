@@ -90,6 +90,8 @@ double tempplan_led(const struct tempplan *tp, double time_s);
 /* Nozzle temperature at which its holder is in balance then, where the nozzle is at nozzle_c. In order of time. */
 double tempplan_holder(struct tempplan *tp, double time_s, double nozzle_c);
 double tempplan_at(const struct tempplan *tp, double time_s, double otherwise_c);
+/* Melt temperature wanted then; NaN: no extrusion is planned, or it is recorded already. */
+double tempplan_melt_at(const struct tempplan *tp, double time_s);
 /* Pieces that end before until_s have been deposited: record them and let them go. Returns the rows of `done`, if given. */
 int tempplan_finish(struct tempplan *tp, double until_s, double *done, int capacity);
 /* The user's own target moves by delta_c: what is not asked for by name from from_s on moves with it, and so does the

@@ -267,6 +267,10 @@ class TemperaturePlan:
         """Planned nozzle temperature; `otherwise_c` if nothing is planned."""
         return float(self._lib.tempplan_at(self._plan, time_s, otherwise_c))
 
+    def melt_at(self, time_s: float) -> float:
+        """Melt temperature wanted then, NaN without extrusion; of the pieces not yet finished."""
+        return float(self._lib.tempplan_melt_at(self._plan, time_s))
+
     def finish(self, until_s: float, rows: int = 0) -> list[Deposited]:
         """Add what has been deposited by now to the statistics; returns up to `rows` of it."""
         if not rows:

@@ -6,6 +6,7 @@
 
 #define MEMORY_S 3.0        // a slow drift is the heat-balance monitor's
 #define GAP_S 5.0           // longer without a reading: begin anew
+#define LOST_S 0.010        // longer between two blocks: some were lost
 #define SIGMA_MAX_C 3.0     // a reading in more doubt does not count
 #define SHARE_MAX 0.05      // of (phase/max)^2: 1 % of supply is below 0.2 degC there
 // Before the first heat-up: 30 % each way of heat and mass, and a coil that couples 3.5 times as well as the published one;
@@ -29,7 +30,7 @@ void
 witness_reset(struct witness_state *s)
 {
     struct witness_inputs in = s->inputs;
-    *s = (struct witness_state){.inputs = in, .end_s = NAN, .beyond_s = NAN, .base_c = INFINITY};
+    *s = (struct witness_state){.inputs = in, .block_s = NAN, .end_s = NAN, .beyond_s = NAN, .base_c = INFINITY};
 }
 
 static int
@@ -39,9 +40,9 @@ is_exact(const struct witness_state *s, double phase_max, const struct coil_bloc
     return s->inputs.is_on && b->fault == BLOCK_GOOD && b->sigma_c <= SIGMA_MAX_C && share * share <= SHARE_MAX;
 }
 
-// Rise since the block used last, at least.
+// Min rise since the block used last.
 static double
-least_rise(const struct witness_state *s, double c_j_k, double over_k, double dt_s)
+min_rise(const struct witness_state *s, double c_j_k, double over_k, double dt_s)
 {
     const struct witness_inputs *in = &s->inputs;
     double ratio = s->ratio > 0.0 ? KNOWN_LOW * s->ratio : RATIO_LOW;
@@ -65,7 +66,7 @@ watch_ceiling(struct witness_state *s, const struct filter_params *p, int exact,
     if (exact)
         s->base_c = fmin(s->base_c, b->temp_c);
     else if (dt_s > 0.0 && dt_s < GAP_S)
-        sure_c = s->temp_c + least_rise(s, capacity(p, s->temp_c), fmax(s->temp_c - p->ambient_c, 0.0), dt_s);
+        sure_c = s->temp_c + min_rise(s, capacity(p, s->temp_c), fmax(s->temp_c - p->ambient_c, 0.0), dt_s);
     else
         return;
     s->base_c = fmax(s->base_c, in->target_c);
@@ -110,10 +111,11 @@ compare(struct witness_state *s, const struct filter_params *p, double dt_s, con
     const struct witness_inputs *in = &s->inputs;
     double c_j_k = capacity(p, b->temp_c), over_k = fmax(b->temp_c - p->ambient_c, 0.0);
     double rise_c = b->temp_c - s->temp_c, keep = exp(-dt_s / MEMORY_S);
-    double low_c = least_rise(s, c_j_k, over_k, dt_s);
+    double low_c = min_rise(s, c_j_k, over_k, dt_s);
     double ratio = s->ratio > 0.0 ? KNOWN_HIGH * s->ratio : RATIO_HIGH;
     double high_c = (ratio * s->heat_j - in->loss_low_w_k * over_k * dt_s) / c_j_k;
-    s->missing_c = fmax(0.0, keep * s->missing_c + low_c - rise_c);
+    // A nozzle that is off may be wiped, changed or cooled.
+    s->missing_c = in->target_c > 0.0 ? fmax(0.0, keep * s->missing_c + low_c - rise_c) : 0.0;
     s->surplus_c = fmax(0.0, keep * s->surplus_c + rise_c - high_c);
     s->allowed_c = in->slack_c + SIGMAS * hypot(b->sigma_c, s->sigma_c) + WALL_K_W * s->peak_w;
     learn(s, dt_s, c_j_k, over_k, rise_c);
@@ -124,6 +126,9 @@ void
 witness_block(struct witness_state *s, const struct filter_params *p, double phase_max, const struct coil_block *b)
 {
     double lasts_s = b->duration_s + b->discarded * b->duration_s / b->count;
+    if (!(b->end_s - lasts_s - s->block_s < LOST_S)) // what went in meanwhile is not known
+        s->end_s = NAN;
+    s->block_s = b->end_s;
     s->heat_j += b->heat_w * lasts_s;
     s->peak_w = fmax(b->heat_w, s->peak_w * exp(-lasts_s / WALL_S));
     if (s->is_tripped)

@@ -19,7 +19,7 @@ struct filter_params;
 // Filled by Python; what changes while a nozzle is in use.
 struct witness_inputs {
     double loss_low_w_k, loss_high_w_k;     // into everything but filament and fan
-    double taken_w;                         // most that filament and fan may take
+    double taken_w;                         // max of what filament and fan take
     double slack_c;                         // beyond noise: disturbances of the signal, errors of the law
     double target_c, room_c;                // the nozzle may be so far above the highest of target and way down to it
     int32_t is_on;
@@ -27,6 +27,7 @@ struct witness_inputs {
 
 struct witness_state {
     struct witness_inputs inputs;
+    double block_s;                         // end of the newest block
     double end_s, temp_c, sigma_c;          // of the block used last; NaN: none
     double heat_j, peak_w;                  // since then; highest of late
     double ratio;                           // of heat over heat capacity, true over set up; 0: not measured yet

@@ -136,7 +136,7 @@ def inform(
     taken_w: float,
     exact: bool,
 ) -> None:
-    """What the heat witness may assume. `inputs`: C's struct witness_inputs; `taken_w`: the most that filament and fan
+    """What the heat witness may assume. `inputs`: C's struct witness_inputs; `taken_w`: max of what filament and fan
     take."""
     loss, temp_c = balance.loss, seen.temp_c
     over_k = max(20.0, temp_c - loss.ambient_c)
@@ -169,7 +169,7 @@ def _doubt(
     temp_c: float,
     loss_w: float,
 ) -> str:
-    """What is plausible but not certain holds the power back; what stays so, or is gross, is a fault."""
+    """A doubt holds the power back; one that stays, or is gross, is a fault."""
     state.limit_w = math.inf if math.isnan(witness.beyond_s) else loss_w
     if not witness.is_tripped or seen.beyond:  # beyond a limit: that says more
         return ""

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from control_bench import Result
+from control_figures import BAND_C, Programme, Result, settled_s
 from induction_rig import plant_library
 from thermal.control import pid, predictive, two_period
 from thermal.control.control_api import ControlInput, Schedule
@@ -21,7 +21,7 @@ from thermal.models.heater_model import ModelParameters
 
 REPORT_S, DELAY_S, STEP_S = 0.3, 0.6, 0.05
 SAMPLES = 8
-TARGET_C, MORE_C, FLOW_MM3_S, BAND_C = 220.0, 20.0, 10.0, 3.0
+TARGET_C, MORE_C, FLOW_MM3_S = 220.0, 20.0, 10.0
 FLOW_KNOWN_S = 0.5
 HOLD_S, FLOW_S, STEP_AFTER_S = 90.0, 60.0, 60.0
 REPORTS_S = 0.9  # three readings: the law knows where it stands
@@ -131,9 +131,7 @@ def step_time_s(law: Any, parameters: Any, changes: Mapping[str, float], seed: i
     begun_s, rig.target_c = rig.now_s, TARGET_C + MORE_C
     rig.run(STEP_AFTER_S)
     t_s, body_c = np.asarray(rig.t_s), np.asarray(rig.body_c)
-    after = t_s > begun_s
-    outside = t_s[after][np.abs(body_c[after] - TARGET_C - MORE_C) > BAND_C]
-    return float(outside[-1] - begun_s)
+    return settled_s(t_s, body_c, begun_s, rig.now_s, TARGET_C + MORE_C)
 
 
 def min_s(changes: Mapping[str, float], start_c: float, target_c: float) -> float:
@@ -164,31 +162,17 @@ def run(controller: str, plant_name: str, seed: int = 3, parameters: Any = None)
         rig.set_flow(flow)
         rig.run(FLOW_S)
         ends.append(rig.now_s)
-    t_s, body_c = np.asarray(rig.t_s), np.asarray(rig.body_c)
-
-    def part(start_s: float, end_s: float) -> np.ndarray:
-        return body_c[(t_s > start_s) & (t_s <= end_s)] - TARGET_C
-
-    def settled(start_s: float, end_s: float, target_c: float) -> float:
-        select = (t_s > start_s) & (t_s <= end_s)
-        outside = t_s[select][np.abs(body_c[select] - target_c) > BAND_C]
-        return float(outside[-1] - start_s) if len(outside) else 0.0
-
-    return Result(
-        controller,
-        plant_name,
-        "report 0.3 s",
-        settled(heat_s, held_s, TARGET_C),
-        optimal_s,
-        max(0.0, float(part(heat_s, held_s).max())),
-        float(np.abs(part(held_s - 20.0, held_s)).max()),
-        float(np.ptp(part(held_s - 20.0, held_s))),
-        float(np.abs(part(held_s, ends[1])).max()),
-        float(abs(part(ends[0] - 20.0, ends[0]).mean())),
-        step_time_s(law, parameters or own, changes, seed),
-        min_s(changes, TARGET_C, TARGET_C + MORE_C),
-        0,
-        0,
-        "",
-        (t_s - heat_s, body_c),
+    programme = Programme(
+        TARGET_C,
+        heat_s,
+        held_s,
+        ends[0],
+        ends[1],
+        watched_s=(20.0, 20.0),
+        t_s=np.asarray(rig.t_s),
+        temp_c=np.asarray(rig.body_c),
+    )
+    step_s = step_time_s(law, parameters or own, changes, seed)
+    return programme.result(
+        controller, plant_name, optimal_s, step_s, min_s(changes, TARGET_C, TARGET_C + MORE_C)
     )

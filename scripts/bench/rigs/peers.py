@@ -20,6 +20,7 @@ from typing import Protocol
 
 import numpy as np
 
+from control_figures import BAND_C, Programme, Result, settled_s
 from induction_rig import CHUNK, PERIOD_S, Plant
 from thermal.models import heat_loss
 from thermal.models.drive_law import DriveLaw
@@ -97,7 +98,7 @@ class MpcLike:
 
 
 class PeerRig:
-    """A peer at the plant; the same verbs and trace as induction_rig.Rig, as far as the bench needs them."""
+    """A peer at the plant."""
 
     def __init__(self, plant: Plant, peer: Peer, power_full_w: float, seed: int = 0) -> None:
         self.plant, self.peer = plant, peer
@@ -106,8 +107,6 @@ class PeerRig:
         self.period, self.next_s, self.target_c, self.flow = 0, 0.0, 0.0, 0.0
         self.t_s: list[float] = []
         self.skin_c: list[float] = []
-        self.late = self.watchdog_trips = 0
-        self.fault = ""
 
     @property
     def now_s(self) -> float:
@@ -118,7 +117,7 @@ class PeerRig:
         self.run(COMMAND_S)
         self.target_c = target_c
 
-    def set_flow(self, flow_mm3_s: float, planned: bool = True) -> None:
+    def set_flow(self, flow_mm3_s: float) -> None:
         self.flow = flow_mm3_s
         self.plant.set_inputs(flow_mm3_s, 0.0)
 
@@ -137,5 +136,41 @@ class PeerRig:
             self.t_s.append(self.now_s)
             self.skin_c.append(self.plant.read().skin_c)
 
-    def skin(self) -> tuple[np.ndarray, np.ndarray]:
-        return np.asarray(self.t_s), np.asarray(self.skin_c)
+
+PEERS = {"indx-like": IndxLike, "mpc-like": MpcLike}
+POWER_W = {"reference": 81.3, "strong": 282.0}
+START_C, TARGET_C, STEP_C, FLOW_MM3_S = 25.0, 250.0, 25.0, 25.0
+HOLD_S, FLOW_S, STEP_S = 3.0, 1.0, 1.0
+
+
+def min_s(preset: str, start_c: float, target_c: float) -> float:
+    """Full power with perfect knowledge, from the command on until the band is reached."""
+    plant = Plant(1, preset, start_c=start_c)
+    plant.set_phase(45000)
+    step_s, n = 0.5e-3, 0
+    while plant.read().skin_c < target_c - BAND_C:
+        plant.lib.plant_advance(plant._p, step_s)
+        n += 1
+    return n * step_s
+
+
+def run(name: str, preset: str, seed: int = 5) -> Result:
+    """The programme of config/studies/control.gcode with a peer."""
+    power_w = POWER_W[preset]
+    rig = PeerRig(Plant(seed, preset, start_c=START_C), PEERS[name](power_w), power_w, seed)
+    rig.set_target(TARGET_C)
+    optimal_s = min_s(preset, START_C, TARGET_C)
+    rig.run(optimal_s + HOLD_S)
+    ends = [rig.now_s]
+    for flow in (FLOW_MM3_S, 0.0):
+        rig.set_flow(flow)
+        rig.run(FLOW_S)
+        ends.append(rig.now_s)
+    rig.set_target(TARGET_C + STEP_C)
+    rig.run(STEP_S)
+    t_s, skin_c = np.asarray(rig.t_s), np.asarray(rig.skin_c)
+    programme = Programme(
+        TARGET_C, 0.0, ends[0], ends[1], ends[2], watched_s=(1.0, 0.3), t_s=t_s, temp_c=skin_c
+    )
+    step_s = settled_s(t_s, skin_c, ends[-1], rig.now_s, TARGET_C + STEP_C)
+    return programme.result(name, preset, optimal_s, step_s, min_s(preset, TARGET_C, TARGET_C + STEP_C))

@@ -12,7 +12,7 @@ import pytest
 from console import ConsoleError, evaluate
 from log_extract import extract, read_stats, story
 from moonraker_rig import ROOT, SimulatedPrinter
-from printer_data import PrinterData
+from simulation.printer_data import PrinterData
 
 
 def run(script: str, *arguments: str | Path, text: str = "") -> subprocess.CompletedProcess[str]:

@@ -306,6 +306,7 @@ def test_more_clients_than_there_may_be_are_refused_and_the_first_ones_stay(tmp_
 
 def test_without_a_descriptor_a_client_is_refused_and_the_host_does_not_spin(tmp_path: Path) -> None:
     def body(client: Client) -> None:
+        assert alive(client)  # accepted, not only connected
         path = client.sock.getpeername()
         limits = resource.getrlimit(resource.RLIMIT_NOFILE)
         sockets = [socket.socket(socket.AF_UNIX) for _ in range(3)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ def test_ten_minutes_of_misdeeds_cost_a_print_nothing(tmp_path: Path) -> None:
 
 
 def test_a_host_that_does_not_refuse_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(soak_api, "SCRIPTS", (("M114", "must be refused"),))
-    _, _, wrong = soak_api.soak(120.0, tmp_path)
+    misdeed = functools.partial(soak_api.run_script, "M114", "must be refused")
+    monkeypatch.setattr(soak_api, "misdeeds", lambda: [misdeed])
+    _, _, wrong = soak_api.soak(300.0, tmp_path)
     assert "not answered with an error: M114" in wrong

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import bench_plan
 from plan_rig import SECTION
 from system.conftest import Simulate, machine, square
 
@@ -29,14 +28,11 @@ def steps(count: int = 14) -> str:
     return "\n".join([*lines, "M400", ""])
 
 
-def melt_error(run, rows, offset_s: float) -> float:  # type: ignore[no-untyped-def]
-    """Rms of extruded against wanted melt, middle lines only, degC. `offset_s`: print time less trace time."""
+def melt_error(run) -> float:  # type: ignore[no-untyped-def]
+    """Rms of extruded against requested melt, lines but the first two, degC."""
     trace = np.genfromtxt(run.trace, delimiter=",", names=True)
-    times = trace["t_s"] + offset_s
-    row = np.clip(np.searchsorted(rows["start_s"], times, side="right") - 1, 0, None)
-    deposited = (trace["flow_mm3_s"] > 1.0) & (times < rows["end_s"][row])
-    deposited &= (times > rows["start_s"][0] + 3.0) & (times < rows["end_s"][-1] - 1.5)
-    return float(np.sqrt(np.mean((trace["melt_c"] - rows["wanted_melt_c"][row])[deposited] ** 2)))
+    deposited = (trace["flow_mm3_s"] > 1.0) & (trace["x_mm"] > 30.0) & np.isfinite(trace["melt_target_c"])
+    return float(np.sqrt(np.mean((trace["melt_c"] - trace["melt_target_c"])[deposited] ** 2)))
 
 
 def test_preview_halves_the_melts_error_at_steps(simulate: Simulate, tmp_path: Path) -> None:
@@ -45,15 +41,24 @@ def test_preview_halves_the_melts_error_at_steps(simulate: Simulate, tmp_path: P
     errors = {}
     other = "[simulator nozzle nozzle]\nsecond_j_k: 0.744\nloss_factor: 1.1\n"
     for preview in ("yes", "no"):
-        record = tmp_path / f"{preview}.csv"
-        run = simulate(steps(), config=config(tmp_path, f"preview: {preview}\nrecord: {record}\n{other}"))
+        run = simulate(steps(), config=config(tmp_path, f"preview: {preview}\n{other}"))
         assert run.status == 0, run.stderr
-        rows = np.genfromtxt(record, delimiter=",", names=True)
-        if preview == "yes":
-            trace = np.genfromtxt(run.trace, delimiter=",", names=True)
-            offset_s = bench_plan.clock_offset_s({"trace": trace, "plan": rows})
-        errors[preview] = melt_error(run, rows, offset_s)
+        errors[preview] = melt_error(run)
     assert errors["yes"] < 0.5 * errors["no"], errors
+
+
+def test_the_trace_has_the_requested_melt_temperature_while_filament_flows(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    record = tmp_path / "rows.csv"
+    run = simulate(steps(4), config=config(tmp_path, f"record: {record}\n"))
+    trace = np.genfromtxt(run.trace, delimiter=",", names=True)
+    requested = trace["melt_target_c"][(trace["flow_mm3_s"] > 4.0)]
+    assert set(requested[np.isfinite(requested)]) == {200.0, 215.0}
+    assert np.mean(np.isfinite(requested)) > 0.98  # the flow lags behind the plan by 20 ms
+    assert not np.isfinite(trace["melt_target_c"][trace["x_mm"] < 5.0]).any()
+    rows = np.genfromtxt(record, delimiter=",", names=True)
+    assert set(rows["wanted_melt_c"]) == {200.0, 215.0}
 
 
 def test_a_disabled_plan_changes_no_byte(simulate: Simulate, tmp_path: Path) -> None:

@@ -30,20 +30,15 @@ type: list
 type: command
 gcode: M117 hello
 """
-ACCELEROMETERS = """\
-[adxl345]
-cs_pin: PA2
-[adxl345 hotend]
+SENSORS = """\
+[hall_filament_width_sensor]
+adc1: PA2
+[angle hotend]
 cs_pin: PA3
-[lis2dw bed]
-cs_pin: PA4
-[lis3dh]
-[mpu9250]
-[icm20948]
-[bmi160]
-[resonance_tester]
-accel_chip: adxl345
-probe_points: 100, 100, 20
+[tsl1401cl_filament_width_sensor]
+pin: PA4
+[load_cell]
+sensor_type: hx711
 """
 DISPENSABLE = frozenset().union(*(group.kinds for group in configabsent.DISPENSABLE))
 # Sections that the toolhead reads, not a module of their name.
@@ -57,16 +52,19 @@ def notices(session: Session) -> list[str]:
     return [line for line in session.lines if "Ferrite does not yet" in line]
 
 
-def test_a_printer_starts_without_display_and_accelerometer_and_says_so_once(tmp_path: Path) -> None:
-    session = Session(tmp_path, DISPLAY + ACCELEROMETERS)
+def test_a_printer_starts_without_display_and_sensors_and_says_so_once(tmp_path: Path) -> None:
+    session = Session(tmp_path, DISPLAY + SENSORS)
     session.run(lambda s: s.sleep(5.0))
     assert session.state[1] == "ready"
     (notice,) = notices(session)
-    display, resonance = notice.splitlines()[1:]
+    display, width, other = notice.splitlines()[1:]
     assert display.startswith("// [display] (printer.cfg, line 1), [display_data] (printer.cfg, line 4), ")
     assert "[menu] (printer.cfg, line 9): the display stays dark" in display
-    assert resonance.startswith("// [adxl345] (printer.cfg, line 14), [lis2dw] (printer.cfg, line 18), ")
-    assert "[resonance_tester] (printer.cfg, line 24): resonances can not be measured" in resonance
+    assert width.startswith("// [hall_filament_width_sensor] (printer.cfg, line 14), [tsl1401cl_")
+    assert "(printer.cfg, line 18): the filament's width is not measured" in width
+    assert other.startswith(
+        "// [angle] (printer.cfg, line 16), [load_cell] (printer.cfg, line 20): the sensor"
+    )
     (warning,) = session.status("configfile")["warnings"]
     assert warning["type"] == "runtime_warning"
     assert warning["message"] == notice.replace("// ", "")
@@ -93,15 +91,15 @@ def test_the_commands_that_come_with_a_display_are_there(tmp_path: Path) -> None
 def test_pins_of_a_section_that_is_left_out_stay_free(tmp_path: Path) -> None:
     config = (
         "[mcu]\nserial: x\n[printer]\nkinematics: none\nmax_velocity: 1\nmax_accel: 1\n"
-        f"{DISPLAY}{ACCELEROMETERS}[output_pin light]\npin: PA1\n[output_pin beeper]\npin: !PA3\n"
+        f"{DISPLAY}{SENSORS}[output_pin light]\npin: PA1\n[output_pin beeper]\npin: !PA3\n"
     )
     assert load(tmp_path, config).message == "Printer is ready"
 
 
 def test_save_config_keeps_what_is_left_out(tmp_path: Path) -> None:
     """Both what the user wrote and what a calibration had saved."""
-    saved = "\n#*# <---------------------- SAVE_CONFIG ---------------------->\n#*#\n#*# [adxl345]\n#*# rate = 1600\n"
-    session = Session(tmp_path, DISPLAY + ACCELEROMETERS + saved)
+    saved = "\n#*# <---------------------- SAVE_CONFIG ---------------------->\n#*#\n#*# [angle]\n#*# rate = 1600\n"
+    session = Session(tmp_path, DISPLAY + SENSORS + saved)
 
     def body(s: Session) -> None:
         assert s.state[1] == "ready", s.state[0]
@@ -110,8 +108,8 @@ def test_save_config_keeps_what_is_left_out(tmp_path: Path) -> None:
 
     session.run(body)
     text = session.config_path.read_text()
-    assert text.startswith(DISPLAY + ACCELEROMETERS)
-    assert "#*# [adxl345]\n#*# rate = 1600\n" in text
+    assert text.startswith(DISPLAY + SENSORS)
+    assert "#*# [angle]\n#*# rate = 1600\n" in text
     assert "#*# [pause_resume]\n#*# recover_velocity = 7\n" in text
 
 
@@ -196,14 +194,14 @@ def test_a_module_that_breaks_over_another_ones_problem_does_not_hide_it(
 def test_a_plugin_may_bring_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "__path__", list(extras.__path__))
     (tmp_path / "plugins").mkdir()
-    for name in ("lis3dh", "palette2"):
+    for name in ("load_cell", "palette2"):
         (tmp_path / "plugins" / f"{name}.py").write_text(
             "def load_config(config):\n    return config.get('x')\n"
         )
-    config = f"[lis3dh]\nx: 1\n[palette2]\nx: 2\n[plugins]\npath: {tmp_path / 'plugins'}\n"
+    config = f"[load_cell]\nx: 1\n[palette2]\nx: 2\n[plugins]\npath: {tmp_path / 'plugins'}\n"
     session = Session(tmp_path, config).run(lambda s: None)
     assert session.state[1] == "ready", session.state[0]
-    assert session.printer.lookup_object("lis3dh") == "1"
+    assert session.printer.lookup_object("load_cell") == "1"
     assert session.printer.lookup_object("palette2") == "2"
     assert not notices(session)
 

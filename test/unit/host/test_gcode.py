@@ -179,7 +179,7 @@ def test_free_text_arrives_as_typed(line: str, rest: str) -> None:
 @pytest.mark.parametrize(
     ("line", "getter", "kwargs", "message"),
     [
-        ("G1 Xabc", "get_float", {}, "G1: X: '' is not a number"),
+        ("G1 Xabc", "get_float", {}, "G1: X needs a number: 'G1 Xabc'"),
         ("G1 X1.2.3", "get_float", {}, "G1: X: '1.2.3' is not a number"),
         ("G1 X" + "9" * 400, "get_float", {}, "is not a number"),
         ("SET_X X=abc", "get_float", {}, "SET_X: X: 'abc' is not a number"),

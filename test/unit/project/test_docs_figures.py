@@ -174,8 +174,6 @@ def plan_claims() -> Iterator[str]:
     yield f"ABS at {bench_plan.NOZZLE_C} °C on a bed of {bed} °C in a chamber of {chamber} °C"
     bed, chamber = (bench_plan.HARD_SECTION[name] for name in ("bed_temp", "chamber_temp"))
     yield f"PC at {bench_plan.HARD_NOZZLE_C} °C on {bed} °C without an enclosure ({chamber} °C)"
-    yield f"Steps of {bench_plan.STEP_C:g} °C every {bench_plan.STEP_S:g} s at constant flow"
-    yield f"averaged over {bench_plan.AVERAGE_S:g} s"
     yield f"over the first {bench_plan_cost.INSTRUCTION_MOVES} moves"
 
 

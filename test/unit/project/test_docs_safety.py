@@ -161,6 +161,7 @@ def supervision_claims() -> Iterator[str]:
     assert p.demand_fraction == 0.5
     yield f"half of full power or more is requested {p.demand_c:g} °C or more below the target"
     yield f"does not warm by {p.gain_c:g} °C (no nozzle, broken coil, no supply) | {p.gain_s:g} s |"
+    yield f"the nozzle is more than {p.above_target_c:g} °C above its target"
     yield f"(bridge stuck on) | {p.warming_c:g} °C within {p.warming_s:g} s |"
 
 

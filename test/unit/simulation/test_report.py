@@ -15,12 +15,14 @@ import numpy as np
 import pytest
 
 from simulation.report import ReportError, render_page, write_report
+from simulation.report.charts import cuts
 from simulation.report.data import (
     COLUMNS,
     Trace,
     envelope,
     extruding,
     find_layers,
+    head_speed,
     read_trace,
     settled,
     thin_path,
@@ -181,6 +183,69 @@ def test_thinning_keeps_a_spike_of_one_row() -> None:
     assert thin.t_s[at] <= t[123_457] < thin.t_s[at + 1]
 
 
+def test_a_thinned_series_is_one_line_through_its_extremes() -> None:
+    t = np.arange(1000) / ROWS_PER_S
+    values = np.zeros(len(t), dtype=np.float32)
+    values[500] = 9.0
+    t_s, line = envelope(t, values, 100).line()
+    assert (np.diff(t_s) > 0.0).all()
+    assert line.max() == 9.0
+    assert t_s[int(np.argmax(line))] == pytest.approx(t[500], abs=0.1)  # within its bucket
+
+
+def test_peaks_beyond_the_scale_are_marked_once_each() -> None:
+    t = np.arange(0.0, 20.0, 0.01)
+    values = np.zeros(len(t), dtype=np.float32)
+    values[300:350], values[360] = 7.0, 8.0  # the second is too near for a mark of its own
+    values[1200] = -6.5
+    values[1500] = 5.9
+    found = [(round(start, 2), round(end, 2), sign) for start, end, sign in cuts(t, values, 6.0)]
+    assert found == [(3.0, 3.6, 1), (12.0, 12.0, -1)]
+    assert cuts(t, values, None) == []
+
+
+def test_the_head_speed_is_that_of_its_path() -> None:
+    speed = head_speed(made_up_print())
+    # five times round a square of 20 mm a side in the 12 s of a layer
+    assert np.median(speed[1100:1500]) == pytest.approx(5 * 80.0 / 12.0, rel=0.01)
+
+
+def test_columns_a_trace_may_lack_are_drawn_when_it_has_them(trace: Trace, tmp_path: Path) -> None:
+    path = write_csv(trace, tmp_path / "t.csv")
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0] + ",bed_c,sigma_c", *(line + ",60.0,nan" for line in lines[1:])]))
+    charts = data_of(render_page("part.gcode", PrintRun.of(read_trace(path), SUMMARY)))["charts"]
+    assert isinstance(charts, list)
+    bed = next(chart for chart in charts if chart["title"] == "Bed")
+    assert [series["label"] for series in bed["series"]] == ["bed"]
+    assert not any(
+        "error" in chart["title"] and "host" in chart["title"] for chart in charts
+    )  # nothing but nan
+
+
+def test_the_page_says_how_to_repeat_the_run(trace: Trace) -> None:
+    facts = {
+        "version": "0.2.0-abc",
+        "config": "config/sim.cfg",
+        "gcode": "folder/part.gcode",
+        "gcode_sha256": "0123abcd",
+        "date": "2026-01-02 03:04:05+00:00",
+        "command": "scripts/simulate.py config/sim.cfg",
+    }
+    page = render_page("part.gcode", PrintRun.of(trace, {**SUMMARY, **facts}))
+    made = page[page.index("How it was made") :]
+    for text in ("0.2.0-abc", "sim.cfg", "0123abcd", "<dd>7</dd>", "03:04:05", "scripts/simulate.py"):
+        assert text in made
+    assert "folder/" not in made  # of a file its hash says more than its place
+
+
+def test_the_figures_follow_the_first_chart_and_settled_is_explained(run: PrintRun) -> None:
+    page = render_page("part.gcode", run)
+    places = [page.index(f'id="{name}"') for name in ("first-chart", "figures", "charts", "layers")]
+    assert places == sorted(places)
+    assert "has kept within 3 °C of the target\n    for 2 s" in page
+
+
 def test_a_short_series_is_not_thinned() -> None:
     t, values = np.arange(10.0), np.arange(10, dtype=np.float32)
     thin = envelope(t, values, 10)
@@ -203,6 +268,7 @@ def test_the_thinned_path_keeps_its_corners_and_lifts_the_pen_over_travel(trace:
 
 def test_the_page_needs_nothing_but_itself(run: PrintRun) -> None:
     page = render_page("part.gcode", run)
+    page = page.replace("/*! https://github.com/leeoniya/uPlot", "")  # a comment of the library
     assert not re.search(r"https?:|@import|url\(|<link|<img|\bsrc=|\bhref=|\bfetch\(|XMLHttpRequest", page)
     for figure in run.table:
         assert figure.label in page
@@ -214,7 +280,7 @@ def test_the_page_carries_the_series(run: PrintRun) -> None:
     charts = data["charts"]
     assert isinstance(charts, list)
     shown = {series["label"]: series for chart in charts for series in chart["series"]}
-    flow = np.frombuffer(base64.b64decode(shown["flow"]["low"]), dtype="<f4")
+    flow = np.frombuffer(base64.b64decode(shown["flow"]["values"]), dtype="<f4")
     assert np.array_equal(flow, run.trace.flow_mm3_s)
 
 
@@ -309,7 +375,15 @@ def page(run: PrintRun) -> str:
 def test_the_page_comes_alive_in_a_browser(page: str, tmp_path: Path) -> None:
     dom = browse(page, tmp_path, "--dump-dom")
     assert "3 of 4, z = 0.60 mm" in dom  # the script opens the page at the middle layer
-    assert len(re.findall(r'<div class="chart"><div class="legend">', dom)) == 5
+    assert re.findall(r'<div class="u-title">(.*?)</div>', dom) == [
+        "Temperature, °C",
+        "Temperature error, °C (scale to ±6, ▲ ▼ where it goes beyond)",
+        "Power into the nozzle, W",
+        "Bridge phase, 45000 ticks = 180°, ticks",
+        "Flow, mm³/s",
+        "Speed of the head, mm/s",
+        "True minus target over the extruding moves of a layer, °C (scale to ±6, ▲ ▼ where it goes beyond)",
+    ]
     assert "true minus target" in dom
 
 
@@ -338,7 +412,7 @@ def test_the_layers_path_is_drawn_in_the_colours_of_its_temperature(page: str, t
             page,
             tmp_path,
             f"--screenshot={file}",
-            "--window-size=1200,2600",
+            "--window-size=1200,3600",
             link=f"#layer=2&colour={colour}",
         )
         shots[colour] = plt.imread(file)[..., :3]
@@ -348,3 +422,28 @@ def test_the_layers_path_is_drawn_in_the_colours_of_its_temperature(page: str, t
     assert rows.min() > 1000
     assert changed.sum() > 2000
     assert len(np.unique(shots["temp"][rows, columns].round(2), axis=0)) > 10, "a ramp of colours"
+
+
+DRAG = """<script>
+addEventListener("load", () => setTimeout(() => {
+  const over = document.querySelector(".u-over"), box = over.getBoundingClientRect();
+  const send = (type, part) => over.dispatchEvent(new MouseEvent(type, {
+    clientX: box.left + part * box.width, clientY: box.top + 50, movementX: 1, bubbles: true, button: 0,
+  }));
+  const release = () => document.dispatchEvent(new MouseEvent("mouseup", {
+    clientX: box.left + 0.5 * box.width, clientY: box.top + 50, bubbles: true, button: 0,
+  }));
+  const steps = [() => send("mouseenter", 0.25), () => send("mousemove", 0.25), () => send("mousedown", 0.25),
+    () => send("mousemove", 0.5), release, () => send("mousemove", 0.0)];
+  steps.forEach((step, i) => setTimeout(step, 100 * i));
+}, 100));
+</script></body>"""
+
+
+@pytest.mark.browser
+def test_a_drag_in_one_chart_zooms_all(page: str, tmp_path: Path) -> None:
+    dom = browse(page.replace("</body>", DRAG), tmp_path, "--dump-dom")
+    at_s = [float(text) for text in re.findall(r'at</div></th><td class="u-value">([\d.]+)</td>', dom)]
+    # of 60 s the quarter from 15 s; the pointer is at the left edge of one chart, and followed by the others
+    assert len(at_s) == 6
+    assert at_s == pytest.approx([15.0] * 6, abs=0.2)

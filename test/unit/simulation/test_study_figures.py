@@ -11,6 +11,7 @@ import pytest
 from simulation.study.analysis import influences, judge
 from simulation.study.figures import collect
 from simulation.study.job import Job, WrongWorker, copy_config, execute, input_hashes, version
+from simulation.study.prepare import Prepared
 from simulation.study.results import Rows
 from simulation.study.sampling import Parameter, Plan, points
 from simulation.study.studyfile import Limit
@@ -32,6 +33,10 @@ def row(status: str = "printed", **figures: float | None) -> dict[str, Any]:
         ("p50", [], 0.5),
         ("last", [["flow_mm3_s", ">", 0.5]], 3.0),
         ("mean", [["t_s", ">", 9.0]], None),
+        ("range", [], 7.0),
+        ("p75_abs", [], 3.25),
+        ("seconds", [["abs(true_c - target_c)", ">=", 3.0]], 2.0),
+        ("seconds", [["true_c - target_c", ">=", 3.0]], 1.0),
     ],
 )
 def test_a_figure_of_the_trace(tmp_path: Path, take: str, where: list[Any], value: float | None) -> None:
@@ -40,6 +45,24 @@ def test_a_figure_of_the_trace(tmp_path: Path, take: str, where: list[Any], valu
     figure = {"trace": "true_c", "minus": "target_c", "take": take, "where": where}
     found = collect({"f": figure}, {}, trace)["f"]
     assert found == (None if value is None else pytest.approx(value, rel=1e-8))
+
+
+@pytest.mark.parametrize(
+    ("take", "average_s", "value"),
+    [
+        ("mean", None, (1 * 1 + 3 * 3) / 4),
+        ("rms", 2.0, math.sqrt(((1 * 1 + 3 * 3) / 4) ** 2)),  # one interval has all weight, the other none
+        ("p50", None, 3.0 - 2.0 * 0.5 / 2.0),  # weights 1 and 3: middles at 0.5 and 2.5 of 4
+    ],
+)
+def test_means_and_percentiles_may_be_weighted(
+    tmp_path: Path, take: str, average_s: float | None, value: float
+) -> None:
+    trace = tmp_path / "trace.csv"
+    trace.write_text("t_s,true_c,flow_mm3_s\n0,1,1\n1,3,3\n2,9,0\n3,nan,5\n")
+    figure = {"trace": "true_c", "minus": "", "take": take, "where": [], "weight": "flow_mm3_s"}
+    found = collect({"f": {**figure, "average_s": average_s}}, {}, trace)["f"]
+    assert found == pytest.approx(value, rel=1e-8)
 
 
 def test_a_figure_of_the_summary_is_a_number_a_count_or_nothing() -> None:
@@ -67,6 +90,23 @@ def test_limits_are_for_the_share_of_the_prints_they_name() -> None:
     assert second.worst == ("z",)
     assert (third.share, third.met, third.worst[0]) == (0.9, True, "9")
     assert (fourth.met, fourth.worst[0]) == (False, "0")
+
+
+def test_a_limit_may_be_for_a_variant_or_its_ratio_to_another() -> None:
+    twins = [{"ours": "a", "theirs": "b"}, {"ours": "c", "theirs": "d"}]
+    points = {key: {"variant": name} for twin in twins for name, key in twin.items()}
+    prepared = Prepared({}, points, [], {key: twin for twin in twins for key in twin.values()})
+    rows: Rows = {"a": row(x=1.0), "b": row(x=4.0), "c": row(x=3.0), "d": row("calibration failed", x=None)}
+    limits = [
+        Limit("x", max=3.0, variant="ours"),
+        Limit("x", max=3.0, variant="theirs"),
+        Limit("x", max=0.3, share=0.5, variant="ours", of="theirs"),
+        Limit("x", max=0.2, share=0.5, variant="ours", of="theirs"),
+        Limit("refused", max=0.25),
+        Limit("tripped", max=0.0),
+        Limit("refused", max=0.25, variant="theirs"),
+    ]
+    assert [v.met for v in judge(limits, rows, prepared)] == [True, False, True, False, True, True, False]
 
 
 def test_a_printed_print_without_the_figure_is_not_within_its_limit() -> None:
@@ -138,9 +178,15 @@ def test_a_worker_with_other_sources_or_files_refuses(changes: dict[str, Any], m
         execute(Job(*files, 1, (), (), None, {}, **facts))
 
 
-def test_a_copied_config_still_includes_what_stays_behind(tmp_path: Path) -> None:
+def test_a_copied_config_has_what_the_config_includes(tmp_path: Path) -> None:
+    """SAVE_CONFIG does not write to options of included files."""
+    (tmp_path / "parts").mkdir()
     config = tmp_path / "printer.cfg"
-    config.write_text("[include more.cfg]\n[printer]\nkinematics: none\n")
+    config.write_text("[include parts/*.cfg]  # all\n[printer]\nkinematics: none\n")
+    (tmp_path / "parts" / "b.cfg").write_text("[fan]\npin: PA1\n")
+    (tmp_path / "parts" / "a.cfg").write_text("[include ../rest.inc]\n")
+    (tmp_path / "rest.inc").write_text("[mcu]\nserial: x\n")
     (tmp_path / "copy").mkdir()
-    copy = copy_config(config, tmp_path / "copy")
-    assert copy.read_text() == f"[include {tmp_path}/more.cfg]\n[printer]\nkinematics: none\n"
+    copy = copy_config(config, tmp_path / "copy").read_text()
+    lines = [line for line in copy.splitlines() if line]
+    assert lines == ["[mcu]", "serial: x", "[fan]", "pin: PA1", "[printer]", "kinematics: none"]

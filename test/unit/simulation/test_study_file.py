@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from simulation.study.formula import FormulaError, evaluate
 from simulation.study.sampling import Parameter, Plan, points, shares
 from simulation.study.studyfile import Study, StudyError, read_study
 
@@ -66,6 +67,11 @@ def read(folder: Path, text: str) -> Study:
         (RMS, '{ trace = "true_c", take = "worst" }', "'worst' is not known; there are min, max"),
         (RMS, '{ trace = "true_c", take = "max", where = "t_s = 3" }', "'t_s = 3' is no condition"),
         ("files =", 'before = ["G28"]\nfiles =', "line 3: before: the last line has to be SAVE_CONFIG"),
+        ("max = 1.0", 'max = 1.0, variant = "b"', "line 17: limits.rms_c: there is no variant 'b'."),
+        ("[limits]", "[variants.a]\nspeed = 1\n[limits]", 'line 17: variants.a.speed: a parameter is "section.option"'),
+        ("[limits]", '[variants.a]\n"b.c" = [1]\n[limits]', "a variant has one value for each of its parameters."),
+        ("[limits]", '[small]\nvariants = ["a"]\n[limits]', "small.variants: there is no variant 'a'."),
+        ("[limits]", "[small]\nrun = 1\n[limits]", "small.run: there is no such key. Did you mean 'runs'?"),
     ],
 )  # fmt: skip
 def test_a_wrong_file_is_refused_with_line_and_what_would_be_right(
@@ -75,6 +81,18 @@ def test_a_wrong_file_is_refused_with_line_and_what_would_be_right(
     with pytest.raises(StudyError) as caught:
         read(tmp_path, GOOD.replace(old, new, 1))
     assert message in str(caught.value)
+
+
+def test_a_small_form_replaces_the_size_and_drops_limits_of_what_it_leaves_out(tmp_path: Path) -> None:
+    text = GOOD.replace(
+        "rms_c = { max = 1.0 }", 'rms_c = [{ max = 1.0, variant = "a" }, { max = 2.0, variant = "b" }]'
+    )
+    text += '[small]\nruns = 2\nvariants = ["b"]\n[variants.a]\n"b.c" = 1\n[variants.b]\n"b.c" = 2\n'
+    assert len(read(tmp_path, text).limits) == 3
+    small = read_study(tmp_path / "try.toml", small=True)
+    assert (small.plan.runs, list(small.variants)) == (2, ["b"])
+    assert [(limit.figure, limit.variant) for limit in small.limits] == [("printed", ""), ("rms_c", "b")]
+    assert read_study(tmp_path / "try.toml", runs=5).plan.runs == 5
 
 
 def test_printed_has_a_limit_though_the_file_has_none(tmp_path: Path) -> None:
@@ -159,6 +177,40 @@ def test_saltelli_exchanges_one_column_at_a_time() -> None:
         assert (rows[:, column] == b[:, column]).all()
         others = [other for other in range(3) if other != column]
         assert (rows[:, others] == a[:, others]).all()
+
+
+DRAWS = '[draws]\nv = { dist = "uniform", low = 20, high = 30 }\nd = [1, 2]\n[limits]'
+
+
+def test_values_are_made_of_draws(tmp_path: Path) -> None:
+    text = GOOD.replace("[limits]", DRAWS).replace("0.001", '"0:{v}, 60:{-v * (d + 1) ** 2 / 4}"')
+    study = read(tmp_path, text)
+    for point in points(study.plan, study.parameters, {}):
+        v, d = float(point["v"]), float(point["d"])
+        first, second = str(point["simulator mcu.drop"]).split(", 60:")
+        assert float(first.removeprefix("0:")) == pytest.approx(v)
+        assert float(second) == pytest.approx(-v * (d + 1.0) ** 2 / 4.0)
+        assert 20.0 <= v <= 30.0
+
+
+@pytest.mark.parametrize(
+    ("formula", "message"),
+    [
+        ("{w}", "there is no draw 'w'; there are v"),
+        ("{v +}", "'v +' is no arithmetic"),
+        ("{v / 0}", "'v / 0' has no value"),
+        ("{open('x')}", "numbers, draws, + - * / ** and parentheses"),
+        ("{v.real}", "numbers, draws, + - * / ** and parentheses"),
+    ],
+)
+def test_a_formula_is_arithmetic_of_draws_and_nothing_else(formula: str, message: str) -> None:
+    with pytest.raises(FormulaError, match=re.escape(message)):
+        evaluate(formula, {"v": 1.0})
+
+
+def test_a_formula_of_braces_alone_is_a_number() -> None:
+    assert evaluate("{2 * v}", {"v": 1.5}) == 3.0
+    assert evaluate("0:{2 * v}", {"v": 1.5}) == "0:3"
 
 
 SETS = GOOD.replace(

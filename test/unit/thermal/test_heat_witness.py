@@ -100,6 +100,24 @@ def test_a_small_jump_is_doubted_at_once_and_a_fault_after_a_tenth_of_a_second()
     assert witness.time_s - begin_s == pytest.approx(0.1, abs=0.01)
 
 
+def test_heat_of_blocks_that_were_lost_is_no_reason_for_doubt() -> None:
+    witness = Witness(target_c=250.0)
+    witness.run(0.5, 81.0)
+    witness.time_s += 0.3
+    witness.true_c += 0.3 * 81.0 / C_J_K
+    witness.run(0.5, 81.0)
+    assert witness.state.is_tripped == GOOD
+    assert np.isnan(witness.state.beyond_s)
+
+
+def test_a_nozzle_that_is_off_may_be_wiped() -> None:
+    witness = Witness(temp_c=250.0)
+    witness.run(0.5, 1.5)
+    witness.true_c -= 60.0
+    witness.run(0.5, 1.5)
+    assert witness.state.is_tripped == GOOD
+
+
 def test_interference_of_five_lsb_is_no_fault() -> None:
     witness = Witness(target_c=250.0, temp_c=250.0)
     witness.run(5.0, LOSS_W_K * 225.0, lambda true_c: true_c + 6.0 * np.sin(2 * np.pi * 5.0 * witness.time_s))

@@ -96,8 +96,8 @@ def test_the_choice_is_within_two_percent_of_an_independent_computation(samples:
     kept = (frequency >= 20.0) & (frequency <= 100.0)
     weight = density.sum(axis=0)[kept] / frequency[kept]
     over = weight > weight.max() / 20.0
-    for choice in report["shapers"][:3]:
-        grid = np.arange(choice["frequency_hz"] - 4.0, choice["frequency_hz"] + 4.1, 0.5)
+    for choice in report["shapers"][:2]:
+        grid = np.arange(choice["frequency_hz"] - 1.0, choice["frequency_hz"] + 1.1, 0.5)
         lefts = []
         for shaper_hz in grid:
             worst = 0.0
@@ -115,10 +115,10 @@ def test_the_choice_is_within_two_percent_of_an_independent_computation(samples:
 def test_smoother_shapers_are_left_out_on_request(samples: np.ndarray) -> None:
     spectrum = of_samples(samples)
     free, _ = calibrate(spectrum)
-    tight, _ = calibrate(spectrum, max_smoothing=0.08)
-    assert any(c["smoothing_mm"] > 0.08 for c in free["shapers"])
-    assert all(c["smoothing_mm"] <= 0.08 for c in tight["shapers"])
-    with pytest.raises(DataError, match=r"No shaper keeps the smoothing to 0\.001"):
+    tight, _ = calibrate(spectrum, max_smoothing=0.06)
+    assert any(c["smoothing_mm"] > 0.06 for c in free["shapers"])
+    assert all(c["smoothing_mm"] <= 0.06 for c in tight["shapers"])
+    with pytest.raises(DataError, match="No shaper keeps the smoothing"):
         calibrate(spectrum, max_smoothing=0.001)
 
 
@@ -128,10 +128,8 @@ def test_files_are_read_as_they_are_written(tmp_path: Path, samples: np.ndarray)
     again = read_spectrum([tmp_path / "a.csv"])
     assert again.psd == pytest.approx(spectrum.psd, rel=1e-3)
     assert again.shapers.keys() == spectrum.shapers.keys()
-    for text, problem in (
-        ("freq,psd_x\n1,2\n", "neither raw data"),
-        ("#time,accel_x,accel_y,accel_z\n1,2,3,4\n", "1 samp"),
-    ):
+    raw = "#time,accel_x,accel_y,accel_z\n1,2,3,4\n"
+    for text, problem in (("freq,psd_x\n1,2\n", "neither raw data"), (raw, "1 samples")):
         (tmp_path / "b.csv").write_text(text)
         with pytest.raises(DataError, match=problem):
             read(tmp_path / "b.csv")

@@ -1,6 +1,6 @@
 "use strict";
 // The page's behaviour: charts over time that zoom together, and the view of one layer.
-// The data element holds base64 arrays: per series the lowest and greatest value of each bucket of rows.
+// The data element holds base64 arrays; a thinned series alternates the lowest and the greatest value of a bucket.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const byId = (id) => document.getElementById(id);
@@ -17,271 +17,139 @@
     return made;
   }
 
-  // A canvas of the width it is given on the page, sharp on any screen; returns its context and size in CSS pixels.
-  function fitted(canvas, height) {
-    const ratio = window.devicePixelRatio || 1;
-    const width = canvas.clientWidth;
-    canvas.style.height = height + "px";
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-    const g = canvas.getContext("2d");
-    g.setTransform(ratio, 0, 0, ratio, 0, 0);
-    g.font = "12px system-ui, sans-serif";
-    return { g, width, height };
+  const number = (v, digits) => v.toFixed(digits).replace("-", "−");
+
+  // --- what all charts share ----------------------------------------------------------------------
+  const plots = [];
+
+  function axis(label, more) {
+    return {
+      label, labelSize: 20, labelFont: "12px system-ui, sans-serif", font: "12px system-ui, sans-serif", size: 56,
+      stroke: () => css("--soft"), grid: { stroke: () => css("--grid"), width: 1 },
+      ticks: { stroke: () => css("--grid"), width: 1, size: 4 }, ...more,
+    };
   }
 
-  // --- scales -----------------------------------------------------------------------------------
-  const TIME_STEPS = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200];
-
-  function timeStep(span, count) {
-    return TIME_STEPS.find((s) => span / s <= count) || 14400;
+  function plot(box, height, options, values) {
+    const made = new uPlot({ width: box.clientWidth, height, padding: [8, 14, 0, 0], ...options }, values, box);
+    plots.push({ made, box, height });
+    return made;
   }
 
-  function valueStep(span, count) {
-    const raw = span / count;
-    const power = Math.pow(10, Math.floor(Math.log10(raw)));
-    return power * [1, 2, 5, 10].find((m) => m * power >= raw);
+  function shadeBand(u) {
+    const top = u.valToPos(data.band_c, "y", true), bottom = u.valToPos(-data.band_c, "y", true);
+    u.ctx.fillStyle = css("--band");
+    u.ctx.fillRect(u.bbox.left, top, u.bbox.width, bottom - top);
   }
 
-  function timeText(t, step) {
-    if (step < 60 && view.to < 180) return t.toFixed(step < 0.1 ? 2 : step < 1 ? 1 : 0) + " s";
-    const whole = Math.round(t * 100) / 100;
-    const h = Math.floor(whole / 3600), m = Math.floor(whole / 60) % 60, s = whole - 3600 * h - 60 * m;
-    const seconds = step < 1 ? s.toFixed(2).padStart(5, "0") : String(Math.round(s)).padStart(2, "0");
-    return (h ? h + ":" + String(m).padStart(2, "0") : m) + ":" + seconds;
+  // The scale of a chart of errors: it shows the band, and ends at the limit.
+  function errorRange(lowest, greatest, limit) {
+    const bottom = Math.min(lowest, -data.band_c) - 0.3, top = Math.max(greatest, data.band_c) + 0.3;
+    return [Math.max(-limit, bottom), Math.min(limit, top)];
   }
 
-  function valueText(v, step) {
-    const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
-    return v.toFixed(digits).replace("-", "−");
-  }
+  const scaleNote = (limit) => (limit === null ? "" : " (scale to ±" + limit + ", ▲ ▼ where it goes beyond)");
 
-  // Index of the last bucket that begins at or before t.
-  function bucketAt(t) {
-    let low = 0, high = time.length - 1;
-    while (low < high) {
-      const middle = (low + high + 1) >> 1;
-      if (time[middle] <= t) low = middle; else high = middle - 1;
-    }
-    return low;
+  // A triangle at the edge of the scale where a line goes on beyond it.
+  function markCut(u, at, sign) {
+    const size = 5 * devicePixelRatio, x = u.valToPos(at, "x", true);
+    const y = sign > 0 ? u.bbox.top : u.bbox.top + u.bbox.height;
+    u.ctx.beginPath();
+    u.ctx.moveTo(x, y);
+    u.ctx.lineTo(x - size, y + sign * 1.6 * size);
+    u.ctx.lineTo(x + size, y + sign * 1.6 * size);
+    u.ctx.fill();
   }
 
   // --- charts over time ---------------------------------------------------------------------------
-  const time = decode(data.time, Float32Array);
+  const time = Array.from(decode(data.time, Float32Array));
   const whole = data.views[0];
-  const view = { from: whole.from, to: whole.to };
-  const LEFT = 52, RIGHT = 10, TOP = 8, BOTTOM = 20;
-  const charts = data.charts.map(makeChart);
-  let drawn = 0;
+  const long = whole.to > 600;
+  const TIME_STEPS = [0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10, 20, 30, 60, 120, 300, 600, 1200, 1800, 3600, 7200];
 
-  function makeChart(spec) {
-    const box = element("div", { className: "chart" }, byId("charts"));
-    const legend = element("div", { className: "legend" }, box);
-    element("strong", { textContent: spec.title + ", " + spec.unit }, legend);
-    const series = spec.series.map((s) => makeSeries(s, legend));
-    const when = element("span", { className: "time" }, legend);
-    const canvas = element("canvas", { height: spec.height }, box);
-    return { spec, series, canvas, when, range: [0, 1] };
+  function timeText(t, digits = 0) {
+    if (!long) return number(t, digits);
+    const rest = Math.round(t * 100) / 100, h = Math.floor(rest / 3600), m = Math.floor(rest / 60) % 60;
+    const s = (rest % 60).toFixed(digits).padStart(digits ? digits + 3 : 2, "0");
+    return h + ":" + String(m).padStart(2, "0") + ":" + s;
   }
 
-  function makeSeries(spec, legend) {
-    const low = decode(spec.low, Float32Array);
-    const high = spec.high === null ? low : decode(spec.high, Float32Array);
-    const label = element("label", { className: spec.shown ? "on" : "" }, legend);
-    const box = element("input", { type: "checkbox", checked: spec.shown }, label);
-    element("i", {}, label).style.background = css("--c-" + spec.colour);
-    label.append(spec.label);
-    const value = element("output", {}, label);
-    const series = { spec, low, high, value, shown: spec.shown };
-    box.addEventListener("change", () => {
-      series.shown = box.checked;
-      label.className = box.checked ? "on" : "";
-      redraw();
+  function timeAxis() {
+    const digits = (step) => (step < 0.1 ? 2 : step < 1 ? 1 : 0);
+    return axis(long ? "simulated time, h:mm:ss" : "simulated time, s", {
+      size: 30, space: 80, incrs: TIME_STEPS,
+      values: (u, marks, i, space, step) => marks.map((t) => timeText(t, digits(step))),
     });
-    return series;
   }
 
-  function visibleRange(chart, first, last) {
-    let lowest = Infinity, greatest = -Infinity;
-    for (const s of chart.series) {
-      if (!s.shown) continue;
-      for (let i = first; i <= last; i++) {
-        if (s.low[i] < lowest) lowest = s.low[i];
-        if (s.high[i] > greatest) greatest = s.high[i];
-      }
-    }
-    if (lowest > greatest) return [0, 1];
-    const limit = chart.spec.limit;
-    if (limit !== null) {
-      lowest = Math.max(-limit, Math.min(lowest, -data.band_c));
-      greatest = Math.min(limit, Math.max(greatest, data.band_c));
-    }
-    if (chart.spec.fromZero) lowest = Math.min(lowest, 0);
+  function range(spec, lowest, greatest) {
+    if (lowest === null) return [0, 1];
+    if (spec.limit !== null) return errorRange(lowest, greatest, spec.limit);
     const room = Math.max(0.05 * (greatest - lowest), 1e-3);
-    return [chart.spec.fromZero && lowest === 0 ? 0 : lowest - room, greatest + room];
+    return [spec.fromZero && lowest >= 0 ? 0 : lowest - room, greatest + room];
   }
 
-  function drawChart(chart, hover) {
-    const { g, width, height } = fitted(chart.canvas, chart.spec.height);
-    const first = bucketAt(view.from), last = Math.min(bucketAt(view.to) + 1, time.length - 1);
-    const [bottom, top] = visibleRange(chart, first, last);
-    const plot = { left: LEFT, right: width - RIGHT, top: TOP, bottom: height - BOTTOM };
-    const x = (t) => plot.left + ((t - view.from) / (view.to - view.from)) * (plot.right - plot.left);
-    const y = (v) => plot.bottom - ((v - bottom) / (top - bottom)) * (plot.bottom - plot.top);
-    drawGrid(g, chart, plot, x, y, bottom, top);
-    g.save();
-    g.beginPath();
-    g.rect(plot.left, plot.top, plot.right - plot.left, plot.bottom - plot.top);
-    g.clip();
-    if (chart.spec.limit !== null) {
-      g.fillStyle = css("--band");
-      g.fillRect(plot.left, y(data.band_c), plot.right - plot.left, y(-data.band_c) - y(data.band_c));
-    }
-    for (const s of chart.series) if (s.shown) drawSeries(g, s, first, last, x, y);
-    if (hover !== null) {
-      g.strokeStyle = css("--soft");
-      g.lineWidth = 1;
-      g.strokeRect(Math.round(x(hover)) + 0.5, plot.top - 1, 0, plot.bottom - plot.top + 2);
-    }
-    g.restore();
-  }
-
-  function drawGrid(g, chart, plot, x, y, bottom, top) {
-    g.strokeStyle = css("--grid");
-    g.fillStyle = css("--soft");
-    g.lineWidth = 1;
-    g.beginPath();
-    const dv = valueStep(top - bottom, Math.max(3, (plot.bottom - plot.top) / 36));
-    g.textAlign = "right";
-    g.textBaseline = "middle";
-    for (let v = Math.ceil(bottom / dv) * dv; v <= top; v += dv) {
-      const at = Math.round(y(v)) + 0.5;
-      g.moveTo(plot.left, at);
-      g.lineTo(plot.right, at);
-      g.fillText(valueText(Math.abs(v) < dv / 2 ? 0 : v, dv), plot.left - 7, at);
-    }
-    const dt = timeStep(view.to - view.from, (plot.right - plot.left) / 90);
-    g.textAlign = "center";
-    g.textBaseline = "top";
-    for (let t = Math.ceil(view.from / dt) * dt; t <= view.to; t += dt) {
-      const at = Math.round(x(t)) + 0.5;
-      g.moveTo(at, plot.top);
-      g.lineTo(at, plot.bottom);
-      g.fillText(timeText(t, dt), Math.min(at, plot.right - 14), plot.bottom + 5);
-    }
-    g.stroke();
-  }
-
-  // One vertical stroke a pixel column from the lowest to the greatest value in it, joined along the line.
-  function drawSeries(g, series, first, last, x, y) {
-    g.strokeStyle = css("--c-" + series.spec.colour);
-    g.lineWidth = series.spec.dashed ? 1.4 : 1.2;
-    g.lineJoin = "round";
-    g.setLineDash(series.spec.dashed ? [5, 4] : []);
-    g.beginPath();
-    let i = first;
-    while (i <= last) {
-      const column = Math.floor(x(time[i]));
-      let lowest = series.low[i], greatest = series.high[i], j = i + 1;
-      while (j <= last && Math.floor(x(time[j])) === column) {
-        if (series.low[j] < lowest) lowest = series.low[j];
-        if (series.high[j] > greatest) greatest = series.high[j];
-        j++;
+  function markCuts(u, spec) {
+    spec.series.forEach((s, i) => {
+      if (!u.series[i + 1].show) return;
+      u.ctx.fillStyle = css("--c-" + s.colour);
+      for (const [from, to, sign] of s.cuts) {
+        const first = Math.max(from, u.scales.x.min), last = Math.min(to, u.scales.x.max);
+        if (first <= last) markCut(u, (first + last) / 2, sign);
       }
-      const at = j === i + 1 ? x(time[i]) : column + 0.5;
-      g.lineTo(at, y(greatest));
-      if (lowest !== greatest) g.lineTo(at, y(lowest));
-      i = j;
-    }
-    g.stroke();
-    g.setLineDash([]);
-  }
-
-  function showValues(hover) {
-    for (const chart of charts) {
-      chart.when.textContent = hover === null ? "" : timeText(hover, 0.01);
-      for (const s of chart.series) {
-        const i = hover === null ? 0 : bucketAt(hover);
-        const digits = Math.abs(s.high[i]) >= 1000 ? 0 : 2;
-        s.value.textContent = hover === null ? "" : valueText((s.low[i] + s.high[i]) / 2, Math.pow(10, -digits));
-      }
-    }
-  }
-
-  function redraw(hover = null) {
-    const ticket = ++drawn;
-    requestAnimationFrame(() => {
-      if (ticket !== drawn) return;
-      for (const chart of charts) drawChart(chart, hover);
-      showValues(hover);
     });
   }
+
+  function timeSeries(s) {
+    return {
+      label: s.label, show: s.shown, stroke: () => css("--c-" + s.colour), width: 1.3,
+      dash: s.dashed ? [5, 4] : undefined, points: { show: false },
+      value: (u, v) => (v === null ? "–" : number(v, Math.abs(v) >= 1000 ? 0 : 2)),
+    };
+  }
+
+  const charts = data.charts.map((spec, index) => {
+    return plot(element("div", { className: "chart" }, byId(index ? "charts" : "first-chart")), spec.height, {
+      title: spec.title + ", " + spec.unit + scaleNote(spec.limit),
+      cursor: { sync: { key: "time" }, drag: { x: true, y: false, dist: 5 } },
+      scales: { x: { time: false }, y: { range: (u, lowest, greatest) => range(spec, lowest, greatest) } },
+      axes: [timeAxis(), axis(spec.unit)],
+      series: [{ label: "at", value: (u, t) => (t === null ? "–" : timeText(t, 2)) }, ...spec.series.map(timeSeries)],
+      hooks: {
+        drawClear: [(u) => { if (spec.limit !== null) shadeBand(u); }],
+        draw: [(u) => markCuts(u, spec)],
+      },
+    }, [time, ...spec.series.map((s) => Array.from(decode(s.values, Float32Array), (v) => (isNaN(v) ? null : v)))]);
+  });
 
   function setView(from, to) {
     const span = Math.max(Math.min(to - from, whole.to - whole.from), 0.2);
-    view.from = Math.min(Math.max(from, whole.from), whole.to - span);
-    view.to = view.from + span;
-    redraw();
+    const min = Math.min(Math.max(from, whole.from), whole.to - span);
+    for (const u of charts) u.setScale("x", { min, max: min + span });
   }
 
-  function bindChart(chart) {
-    const canvas = chart.canvas;
-    const timeAt = (event) => {
-      const part = (event.offsetX - LEFT) / (canvas.clientWidth - LEFT - RIGHT);
-      return view.from + Math.min(Math.max(part, 0), 1) * (view.to - view.from);
-    };
-    let held = null;
-    canvas.addEventListener("pointerdown", (event) => {
-      held = { time: timeAt(event), x: event.offsetX, from: view.from, to: view.to, moves: event.shiftKey };
-      canvas.setPointerCapture(event.pointerId);
-    });
-    canvas.addEventListener("pointermove", (event) => {
-      if (held === null) { redraw(timeAt(event)); return; }
-      if (held.moves) {
-        const shift = ((event.offsetX - held.x) / (canvas.clientWidth - LEFT - RIGHT)) * (held.to - held.from);
-        setView(held.from - shift, held.to - shift);
-      } else {
-        redraw(timeAt(event));
-        requestAnimationFrame(() => shadeSelection(chart, held, event.offsetX));
-      }
-    });
-    canvas.addEventListener("pointerup", (event) => {
-      if (held !== null && !held.moves && Math.abs(event.offsetX - held.x) > 5) {
-        const t = timeAt(event);
-        setView(Math.min(t, held.time), Math.max(t, held.time));
-      }
-      held = null;
-    });
-    canvas.addEventListener("pointerleave", () => { if (held === null) redraw(); });
-    canvas.addEventListener("dblclick", () => setView(whole.from, whole.to));
-    canvas.addEventListener("wheel", (event) => {
-      if (!event.ctrlKey) return;
-      event.preventDefault();
-      const t = timeAt(event), factor = Math.pow(1.002, event.deltaY);
-      setView(t - (t - view.from) * factor, t + (view.to - t) * factor);
-    }, { passive: false });
+  // Moves the view by `shift` of its width and makes it `factor` as wide.
+  function moveView(shift, factor) {
+    const { min, max } = charts[0].scales.x;
+    const middle = (min + max) / 2 + shift * (max - min), half = (factor * (max - min)) / 2;
+    setView(middle - half, middle + half);
   }
 
-  function shadeSelection(chart, held, x) {
-    if (held === null) return;
-    const g = chart.canvas.getContext("2d");
-    g.globalAlpha = 0.15;
-    g.fillStyle = css("--accent");
-    g.fillRect(held.x, TOP, x - held.x, chart.spec.height - TOP - BOTTOM);
-    g.globalAlpha = 1;
-  }
-
-  charts.forEach(bindChart);
+  const MOVES = [["◀", "earlier", -0.5, 1], ["▶", "later", 0.5, 1], ["+", "closer", 0, 0.5], ["−", "wider", 0, 2]];
   for (const v of data.views) {
     element("button", { textContent: v.label, onclick: () => setView(v.from, v.to) }, byId("views"));
+  }
+  for (const [textContent, title, shift, factor] of MOVES) {
+    element("button", { textContent, title, onclick: () => moveView(shift, factor) }, byId("views"));
   }
 
   // --- layers -------------------------------------------------------------------------------------
   const layers = data.layers;
   const path = data.path;
   if (path.points) {
-    path.px = decode(path.x, Uint16Array);
-    path.py = decode(path.y, Uint16Array);
+    const mm = (text, from) => Float32Array.from(decode(text, Uint16Array), (v) => from + (v / 65535) * path.side);
+    path.px = mm(path.x, path.left);
+    path.py = mm(path.y, path.front);
     path.perr = decode(path.error, Int8Array);
     path.ppen = decode(path.pen, Uint8Array);
     path.ptemp = decode(path.temp, Uint8Array);
@@ -308,6 +176,7 @@
   };
   let current = Math.floor(layers.length / 2);
   let colour = COLOURS.error;
+  let bars = null, view = null;
 
   // Errors at which the colours end: typical layers should show colour, an odd one may saturate.
   function niceSpan() {
@@ -332,65 +201,73 @@
     return 127 + 127 * Math.max(-1, Math.min(1, error / colourSpan));
   }
 
-  function drawBars() {
-    const { g, width, height } = fitted(byId("layer-bars"), 190);
-    const plot = { left: LEFT, right: width - RIGHT, top: TOP, bottom: height - BOTTOM };
-    const lowest = Math.min(-data.band_c, ...layers.map((l) => Math.max(l.min, -2 * data.band_c)));
-    const greatest = Math.max(data.band_c, ...layers.map((l) => Math.min(l.max, 2 * data.band_c)));
-    const y = (v) => plot.bottom - ((v - lowest) / (greatest - lowest)) * (plot.bottom - plot.top);
-    const step = (plot.right - plot.left) / layers.length;
-    g.fillStyle = css("--band");
-    g.fillRect(plot.left, y(data.band_c), plot.right - plot.left, y(-data.band_c) - y(data.band_c));
-    drawBarGrid(g, plot, y, lowest, greatest, step);
-    g.beginPath();
-    g.rect(plot.left, plot.top, plot.right - plot.left, plot.bottom - plot.top);
-    g.clip(); // an odd layer may go beyond the scale
-    layers.forEach((layer, i) => {
-      const x = plot.left + (i + 0.5) * step, w = Math.max(Math.min(step * 0.6, 9), 1);
-      const tall = Math.max(y(layer.min) - y(layer.max), 1);
-      g.fillStyle = i === current ? css("--accent") : css("--c-estimate");
-      g.globalAlpha = i === current ? 0.55 : 0.3;
-      g.fillRect(x - w / 2, y(layer.max), w, tall);
-      g.globalAlpha = 1;
-      g.fillRect(x - Math.max(w, 3) / 2, y(layer.mean) - 1, Math.max(w, 3), 2.5);
+  function makeBars() {
+    const series = (label, opacity, width) => ({
+      label, width, stroke: () => css("--c-estimate"), alpha: opacity, points: { show: layers.length < 120, size: 5 },
+      value: (u, v) => (v === null ? "–" : number(v, 2) + " °C"),
+    });
+    const limit = 2 * data.band_c;
+    bars = plot(byId("layer-bars"), 220, {
+      title: "True minus target over the extruding moves of a layer, °C" + scaleNote(limit),
+      cursor: { drag: { x: false, y: false } },
+      scales: {
+        x: { time: false, range: () => [0.5, layers.length + 0.5] },
+        y: { range: (u, lowest, greatest) => errorRange(lowest, greatest, limit) },
+      },
+      axes: [axis("layer", { size: 30, incrs: [1, 2, 5, 10, 20, 50, 100, 200, 500, 1000] }), axis("°C")],
+      series: [{ label: "layer" }, series("max", 0.5, 0.5), series("min", 0.5, 0.5), series("mean", 1, 1.6)],
+      bands: [{ series: [1, 2], fill: () => css("--between") }],
+      hooks: { drawClear: [shadeBand], draw: [(u) => markLayers(u, limit)] },
+    }, [layers.map((_, i) => i + 1), ...["max", "min", "mean"].map((key) => layers.map((l) => l[key]))]);
+    bars.over.addEventListener("click", () => {
+      if (bars.cursor.idx === null) return;
+      showLayer(bars.cursor.idx);
+      writeHash();
     });
   }
 
-  function drawBarGrid(g, plot, y, lowest, greatest, step) {
-    g.strokeStyle = css("--grid");
-    g.beginPath();
-    const dv = valueStep(greatest - lowest, 5);
-    for (let v = Math.ceil(lowest / dv) * dv; v <= greatest; v += dv) {
-      const at = Math.round(y(v)) + 0.5;
-      g.moveTo(plot.left, at);
-      g.lineTo(plot.right, at);
-    }
-    g.stroke();
-    g.fillStyle = css("--soft");
-    g.textAlign = "right";
-    g.textBaseline = "middle";
-    for (let v = Math.ceil(lowest / dv) * dv; v <= greatest; v += dv) g.fillText(valueText(v, dv), plot.left - 7, y(v));
-    g.textAlign = "center";
-    g.textBaseline = "top";
-    const every = Math.max(1, valueStep(layers.length, (plot.right - plot.left) / 70));
-    for (let n = every; n <= layers.length; n += every) {
-      g.fillText(String(n), plot.left + (n - 0.5) * step, plot.bottom + 5);
-    }
+  function markLayers(u, limit) {
+    u.ctx.fillStyle = css("--c-estimate");
+    layers.forEach((layer, i) => {
+      if (layer.max > limit) markCut(u, i + 1, 1);
+      if (layer.min < -limit) markCut(u, i + 1, -1);
+    });
+    u.ctx.fillStyle = css("--accent");
+    const x = u.valToPos(current + 1, "x", true);
+    u.ctx.fillRect(x - devicePixelRatio, u.bbox.top, 2 * devicePixelRatio, u.bbox.height);
   }
 
-  function drawLayer() {
-    const canvas = byId("layer-canvas");
-    const { g, width, height } = fitted(canvas, Math.min(460, Math.max(canvas.clientWidth, 200)));
+  // The frame, in mm alike in both directions, is the chart's; the path is drawn into it.
+  function makeView() {
+    const box = byId("layer-canvas");
+    const span = (u, key) => {
+      const [b, ratio] = [bounds(), devicePixelRatio];
+      const mmPerPixel = 1.06 * Math.max(b.w / u.bbox.width, b.h / u.bbox.height, 1 / u.bbox.width) * ratio;
+      const half = ((key === "x" ? u.bbox.width : u.bbox.height) / ratio) * mmPerPixel / 2;
+      const middle = key === "x" ? b.x + b.w / 2 : b.y + b.h / 2;
+      return isFinite(half) && half > 0 ? [middle - half, middle + half] : [0, 1];
+    };
+    view = plot(box, Math.min(480, Math.max(box.clientWidth, 240)), {
+      legend: { show: false }, cursor: { show: false },
+      scales: { x: { time: false, range: (u) => span(u, "x") }, y: { range: (u) => span(u, "y") } },
+      axes: [axis("x, mm", { size: 30 }), axis("y, mm")],
+      series: [{}, { stroke: "transparent", points: { show: false } }],
+      hooks: { draw: [drawPath] },
+    }, [[0, 1], [0, 1]]);
+  }
+
+  const firstPoint = () => path.starts[current];
+  const endPoint = () => (current + 1 < path.starts.length ? path.starts[current + 1] : path.points);
+
+  function drawPath(u) {
     if (!path.points) return;
-    const first = path.starts[current];
-    const end = current + 1 < path.starts.length ? path.starts[current + 1] : path.points;
-    const box = bounds(first, end);
-    const scale = Math.min((width - 30) / Math.max(box.w, 1), (height - 30) / Math.max(box.h, 1));
-    const x = (i) => width / 2 + (path.px[i] - box.x - box.w / 2) * scale;
-    const y = (i) => height / 2 - (path.py[i] - box.y - box.h / 2) * scale;
-    g.lineWidth = Math.max(1.2, Math.min(0.4 * (65535 / path.side) * scale, 7));
+    const g = u.ctx, x0 = u.valToPos(0, "x", true), y0 = u.valToPos(0, "y", true);
+    const scale = u.valToPos(1, "x", true) - x0;
+    const x = (i) => x0 + path.px[i] * scale, y = (i) => y0 - path.py[i] * scale;
+    g.save();
+    g.lineWidth = devicePixelRatio * Math.max(1.2, Math.min((0.4 * scale) / devicePixelRatio, 7));
     g.lineCap = "round";
-    for (let i = first + 1; i < end; i++) {
+    for (let i = firstPoint() + 1; i < endPoint(); i++) {
       if (!path.ppen[i]) continue;
       g.strokeStyle = colour.palette[Math.round(colour.at(i))];
       g.beginPath();
@@ -398,11 +275,12 @@
       g.lineTo(x(i), y(i));
       g.stroke();
     }
+    g.restore();
   }
 
-  function bounds(first, end) {
+  function bounds() {
     let x0 = Infinity, y0 = Infinity, x1 = -Infinity, y1 = -Infinity;
-    for (let i = first; i < end; i++) {
+    for (let i = firstPoint(); i < endPoint(); i++) {
       x0 = Math.min(x0, path.px[i]); x1 = Math.max(x1, path.px[i]);
       y0 = Math.min(y0, path.py[i]); y1 = Math.max(y1, path.py[i]);
     }
@@ -411,10 +289,10 @@
 
   function describeLayer() {
     const layer = layers[current];
-    const signed = (v) => (v > 0 ? "+" : "") + valueText(v, 0.01) + " °C";
+    const signed = (v) => (v > 0 ? "+" : "") + number(v, 2) + " °C";
     const facts = [
       ["layer", `${current + 1} of ${layers.length}, z = ${layer.z.toFixed(2)} mm`],
-      ["starts at", timeText(layer.start, 1)],
+      ["starts at", timeText(layer.start) + (long ? "" : " s")],
       ["takes", layer.duration.toFixed(1) + " s"],
       ["true temperature, mean", layer.true.toFixed(1) + " °C"],
       ["error, mean", signed(layer.mean)],
@@ -431,15 +309,15 @@
     const place = element("button", { textContent: "show over time" }, list);
     place.addEventListener("click", () => {
       setView(layer.start, layer.start + layer.duration);
-      byId("charts").scrollIntoView({ behavior: "smooth" });
+      byId("first-chart").scrollIntoView({ behavior: "smooth" });
     });
   }
 
   function showLayer(index) {
     current = Math.max(0, Math.min(layers.length - 1, index));
     byId("layer-slider").value = current;
-    drawBars();
-    drawLayer();
+    bars.redraw(false);
+    view.setData(view.data); // with the ranges of this layer
     describeLayer();
   }
 
@@ -470,25 +348,24 @@
   }
 
   function bindLayers() {
+    makeBars();
+    makeView();
     byId("layer-slider").addEventListener("input", (event) => {
       showLayer(Number(event.target.value));
       writeHash();
     });
     byId("layer-colour").addEventListener("change", (event) => {
       showColour(event.target.value);
-      drawLayer();
+      view.redraw(false);
       writeHash();
     });
     window.addEventListener("hashchange", readHash);
-    byId("layer-bars").addEventListener("click", (event) => {
-      const part = (event.offsetX - LEFT) / (event.target.clientWidth - LEFT - RIGHT);
-      showLayer(Math.floor(part * layers.length));
-      writeHash();
-    });
     readHash();
   }
 
   if (layers.length) bindLayers();
-  window.addEventListener("resize", () => { redraw(); if (layers.length) { drawBars(); drawLayer(); } });
-  redraw();
+  window.addEventListener("resize", () => {
+    for (const { made, box, height } of plots) made.setSize({ width: box.clientWidth, height });
+    if (view) view.setData(view.data);
+  });
 })();

@@ -1,8 +1,9 @@
 #!/usr/bin/env python3
 """Draw what the motors do: position, velocity, acceleration and step error over time.
 
-    scripts/motion_plot.py batch DICT OUT --config printer.cfg --out motion.png [--from S] [--to S] [--stepper NAME]
-    scripts/motion_plot.py live SOCKET --seconds 10 --out motion.png
+    scripts/bench/motion_plot.py batch DICT OUT --config printer.cfg --out motion.png [--from S] [--to S]
+            [--stepper NAME]
+    scripts/bench/motion_plot.py live SOCKET --seconds 10 --out motion.png
 
 batch reads the output of a batch run (klippy.py -i -o); the config says which motor a step pin belongs to and how far
 a step goes. live subscribes to motion_report/dump_stepper and dump_trapq of a running host.
@@ -16,7 +17,7 @@ Exit status 0 drawn, 2 bad input.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import harness  # noqa: F401  # isort: skip
 
 import argparse
 import configparser
@@ -34,7 +35,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "klippy"))
 
 import msgproto
 import parsedump

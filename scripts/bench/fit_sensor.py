@@ -1,14 +1,14 @@
 #!/usr/bin/env python3
 """Fit the eddy-current thermometer offline, from a table or a recorded sweep.
 
-    scripts/fit_sensor.py TRACE.csv [--law eq5|exp|tank] [--recipe paper|direct] [--json OUT] [--plot OUT.png]
+    scripts/bench/fit_sensor.py TRACE.csv [--law eq5|exp|tank] [--recipe paper|direct] [--json OUT] [--plot OUT.png]
 
 Exit status 0 fitted, 2 the input cannot be used (the text says why).
 """
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import harness  # noqa: F401  # isort: skip
 
 import argparse
 import json
@@ -18,8 +18,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "klippy"))
 
 from thermal.identification import fit_data, fit_sensing, fit_sweep, sweep
 

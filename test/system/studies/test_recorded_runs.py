@@ -15,7 +15,7 @@ import pytest
 from simulation import replay
 from thermal.recording import stored
 
-RUNS = Path(__file__).resolve().parents[1] / "data" / "runs"
+RUNS = Path(__file__).resolve().parents[2] / "data" / "runs"
 FILES = sorted(RUNS.glob("*.run"))
 FIGURES = json.loads((RUNS / "figures.json").read_text(encoding="utf-8"))
 # What the loop decides; how far that is from the recorded answers is for people.
