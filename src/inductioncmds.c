@@ -50,7 +50,7 @@ DECL_ENUMERATION("induction_trip", "unmoved", GUARD_TRIP_UNMOVED);
 DECL_ENUMERATION("induction_trip", "conducts", GUARD_TRIP_CONDUCTS);
 DECL_ENUMERATION("induction_trip", "jump", GUARD_TRIP_JUMP);
 
-DECL_RESPONSE(response_induction_state, "induction_state oid=%c clock=%u phase=%hu trip=%c value=%u");
+DECL_RESPONSE(response_induction_state, "induction_state oid=%c clock=%u phase=%hu trip=%c value=%u moved=%hu");
 DECL_RESPONSE(response_induction_block, "induction_block oid=%c sequence=%hu clock=%u data=%*s");
 
 static struct induction *unit;  /* the one induction heater of this MCU; induction_samples gets no object */
@@ -88,8 +88,9 @@ induction_use(struct induction *u)
 static void
 cancel_test(struct induction *u)
 {
+    uint16_t settle = u->oversample.config.settle_samples;
     sched_del_timer(&u->test_timer);
-    if (signal_test_cancel(&u->test, sync_adc_position(u->adc)) == SIGNAL_TEST_MOVE)
+    if (signal_test_cancel(&u->test, sync_adc_position(u->adc), settle) == SIGNAL_TEST_MOVE)
         sync_adc_move(u->adc, 0);
 }
 
@@ -192,7 +193,7 @@ induction_test_timer(struct timer *t)
     else
         bridge_pwm_set_phase(u->bridge, ends ? u->schedule.commanded : 0);
     if (ends) {
-        signal_test_end(&u->test, move ? from : from + u->oversample.config.settle_samples);
+        signal_test_end(&u->test, from, u->oversample.config.settle_samples);
         return SF_DONE;
     }
     signal_test_begin(&u->test, from);
@@ -200,15 +201,18 @@ induction_test_timer(struct timer *t)
     return SF_RESCHEDULE;
 }
 
-/* Irq.  A test begins where a block ends, if the drive does not step until it is over. */
+/* Irq.  A test begins where a block ends, if the samples before it are still to come and the drive does not step
+ * until it is over. */
 static void
 plan_test(struct induction *u)
 {
     const struct oversample *o = &u->oversample;
     uint32_t at = u->next_index + o->block_len - o->count;
     if (!signal_test_is_due(&u->test, u->next_index) || o->settle_left || o->phase != u->schedule.commanded ||
-        o->phase < u->test.limits.phase || (int32_t)(at - sync_adc_position(u->adc)) < TEST_AHEAD)
+        o->phase < u->test.limits.phase)
         return;
+    if (at - u->next_index < SIGNAL_TEST_LEN || (int32_t)(at - sync_adc_position(u->adc)) < TEST_AHEAD)
+        at += o->block_len;
     uint32_t over = clock_before(u, at + SIGNAL_TEST_OFF_LEN + o->config.settle_samples + SIGNAL_TEST_LEN);
     if (u->schedule.first && timer_is_before(u->schedule.first->due, over))
         return;
@@ -526,8 +530,9 @@ command_induction_query(const struct command_args *args)
     uint8_t tripped = u->guard.trip;
     uint32_t sum = tripped ? u->guard.trip_value : u->newest_sum;
     uint16_t count = tripped ? u->guard.trip_count : u->newest_count, phase = u->schedule.commanded;
+    uint16_t moved = signal_test_moved(&u->test);
     irq_restore(flag);
-    respond(&response_induction_state, u->oid, timer_read_time(), phase, tripped, scaled_mean(u, sum, count));
+    respond(&response_induction_state, u->oid, timer_read_time(), phase, tripped, scaled_mean(u, sum, count), moved);
 }
 DECL_COMMAND_FLAGS(command_induction_query, HF_IN_SHUTDOWN, "induction_query oid=%c");
 

@@ -118,6 +118,8 @@ command_config_induction_test(const struct command_args *args)
         .jump = (uint16_t)args->val[7],
         .rise = (uint16_t)args->val[8],
         .fall = (uint16_t)args->val[9],
+        .tolerance = (uint8_t)args->val[10],
+        .slack = (uint16_t)args->val[11],
     };
 #ifdef PORT_SYNC_ADC_FIXED
     limits.moved_low = limits.moved_high = 0;
@@ -127,4 +129,4 @@ command_config_induction_test(const struct command_args *args)
 }
 DECL_COMMAND(command_config_induction_test,
              "config_induction_test oid=%c moved_low=%hu moved_high=%hu off_low=%hu off_high=%hu interval=%hu phase=%hu"
-             " jump=%hu rise=%hu fall=%hu");
+             " jump=%hu rise=%hu fall=%hu tolerance=%c slack=%hu");

@@ -1,7 +1,14 @@
 /* Theory, formats and contexts: signal_test.h. */
 #include "signal_test.h"
 
-enum { COMPARABLE_SHIFT = 5, RIPPLE_SHIFT = 15, RATE_SHIFT = 6, RATE_SPAN_MAX = 1 << 15 };
+enum { COMPARABLE_SHIFT = 5, RIPPLE_SHIFT = 15, RATE_SHIFT = 6 };
+static const uint32_t RATE_SPAN_MAX = 1u << 15;
+
+static uint8_t
+is_learning(const struct signal_test *t)
+{
+    return t->limits.moved_high && t->learned_moves < SIGNAL_TEST_LEARN;
+}
 
 static uint8_t
 is_before(uint32_t a, uint32_t b)
@@ -35,7 +42,7 @@ signal_test_is_due(const struct signal_test *t, uint32_t index)
 enum signal_test_kind
 signal_test_plan(struct signal_test *t, uint32_t at)
 {
-    uint8_t move = t->bad_moves || t->before_kind != SIGNAL_TEST_MOVE;
+    uint8_t move = t->bad_moves || is_learning(t) || t->before_kind != SIGNAL_TEST_MOVE;
     if (!t->limits.moved_high || !t->limits.off_high)
         move = t->limits.moved_high != 0;
     t->kind = move ? SIGNAL_TEST_MOVE : SIGNAL_TEST_OFF;
@@ -48,7 +55,7 @@ signal_test_plan(struct signal_test *t, uint32_t at)
 uint16_t
 signal_test_length(const struct signal_test *t)
 {
-    return t->kind == SIGNAL_TEST_MOVE ? SIGNAL_TEST_LEN : SIGNAL_TEST_OFF_LEN;
+    return t->kind == SIGNAL_TEST_MOVE ? SIGNAL_TEST_EDGE + SIGNAL_TEST_LEN : SIGNAL_TEST_OFF_LEN;
 }
 
 void
@@ -59,19 +66,19 @@ signal_test_begin(struct signal_test *t, uint32_t index)
 }
 
 void
-signal_test_end(struct signal_test *t, uint32_t index)
+signal_test_end(struct signal_test *t, uint32_t index, uint16_t settle)
 {
-    t->to = index;
+    t->to = index + (t->kind == SIGNAL_TEST_MOVE ? SIGNAL_TEST_EDGE : settle);
     t->ended = 1;
 }
 
 enum signal_test_kind
-signal_test_cancel(struct signal_test *t, uint32_t index)
+signal_test_cancel(struct signal_test *t, uint32_t index, uint16_t settle)
 {
     uint8_t undo = t->begun && !t->ended ? t->kind : SIGNAL_TEST_NONE;
     if (undo) {
-        signal_test_end(t, index);
-        t->due = index;
+        signal_test_end(t, index, settle);
+        t->due = t->to;
     }
     t->kind = SIGNAL_TEST_NONE;
     return (enum signal_test_kind)undo;
@@ -98,10 +105,10 @@ signal_test_run(const struct signal_test *t, uint32_t index, uint16_t count, uin
 static uint32_t
 sum_within(const uint16_t *samples, uint32_t index, uint16_t count, uint32_t start)
 {
+    int32_t first = (int32_t)(start - index), end = first + SIGNAL_TEST_LEN;
     uint32_t sum = 0;
-    for (uint16_t i = 0; i < count; i++)
-        if (index + i - start < SIGNAL_TEST_LEN)
-            sum += samples[i];
+    for (int32_t i = first > 0 ? first : 0; i < end && i < count; i++)
+        sum += samples[i];
     return sum;
 }
 
@@ -112,8 +119,25 @@ conclude(struct signal_test *t, uint8_t good, uint8_t *bad, enum guard_trip trip
     *bad = good ? 0 : (uint8_t)(*bad + 1);
     t->before_kind = t->kind;
     t->kind = SIGNAL_TEST_NONE;
-    t->due = t->bad_moves || t->bad_offs ? index : index + t->limits.interval;
+    t->due = t->bad_moves || t->bad_offs || is_learning(t) ? index : index + t->limits.interval;
     return *bad >= SIGNAL_TEST_BAD ? trip : GUARD_TRIP_NONE;
+}
+
+/* Within the limits, and as far as those before; learned while there are too few. */
+static uint8_t
+is_move_good(struct signal_test *t, int32_t moved)
+{
+    const struct signal_test_limits *l = &t->limits;
+    if (moved < 2 * (int32_t)l->moved_low || moved > 2 * (int32_t)l->moved_high)
+        return 0;
+    if (is_learning(t)) {
+        t->learned += (uint32_t)moved;
+        t->learned_moves++;
+        return 1;
+    }
+    int32_t off = (int32_t)SIGNAL_TEST_LEARN * moved - (int32_t)t->learned;
+    uint32_t allowed = (t->learned * l->tolerance >> 8) + 2u * SIGNAL_TEST_LEARN * l->slack;
+    return (uint32_t)(off < 0 ? -off : off) <= allowed;
 }
 
 static enum guard_trip
@@ -121,15 +145,14 @@ feed_move(struct signal_test *t, const uint16_t *samples, uint32_t index, uint16
 {
     t->before += sum_within(samples, index, count, t->planned - SIGNAL_TEST_LEN);
     if (t->begun)
-        t->inside += sum_within(samples, index, count, t->from);
+        t->inside += sum_within(samples, index, count, t->from + SIGNAL_TEST_EDGE);
     if (!t->ended)
         return GUARD_TRIP_NONE;
     t->after += sum_within(samples, index, count, t->to);
     if (is_before(index + count, t->to + SIGNAL_TEST_LEN))
         return GUARD_TRIP_NONE;
     int32_t moved = (int32_t)(2 * t->inside - t->before - t->after); /* 1/32 LSB */
-    uint8_t good = moved >= 2 * t->limits.moved_low && moved <= 2 * t->limits.moved_high;
-    return conclude(t, good, &t->bad_moves, GUARD_TRIP_UNMOVED, index + count);
+    return conclude(t, is_move_good(t, moved), &t->bad_moves, GUARD_TRIP_UNMOVED, index + count);
 }
 
 static enum guard_trip
@@ -156,28 +179,34 @@ signal_test_feed(struct signal_test *t, const uint16_t *samples, uint32_t index,
 }
 
 static uint8_t
-comparable(const struct signal_test *t, uint16_t phase, uint32_t span)
+comparable(const struct signal_test *t, const struct guard_input *block, uint32_t span)
 {
+    uint16_t phase = block->phase;
     uint16_t difference = phase < t->jump_phase ? (uint16_t)(t->jump_phase - phase) : (uint16_t)(phase - t->jump_phase);
-    return t->jump_known && difference <= phase >> COMPARABLE_SHIFT && span < RATE_SPAN_MAX;
+    return t->jump_count == block->count && difference <= phase >> COMPARABLE_SHIFT && span < RATE_SPAN_MAX;
 }
 
 enum guard_trip
 signal_test_block(struct signal_test *t, const struct guard_input *block, uint32_t first)
 {
-    uint16_t mean = (uint16_t)(16 * block->sum / block->count);
     uint32_t end = first + block->count, span = end - t->jump_end;
-    uint8_t judged = t->limits.jump && block->phase >= t->limits.phase && comparable(t, block->phase, span);
-    int32_t change = (int32_t)mean - t->jump_mean;
-    int32_t limit = (int32_t)(t->limits.jump + ((uint32_t)t->limits.jump * block->phase >> RIPPLE_SHIFT));
-    uint8_t bad = judged && (change > limit + (int32_t)(t->limits.rise * span >> RATE_SHIFT) ||
-                             -change > limit + (int32_t)(t->limits.fall * span >> RATE_SHIFT));
-    if (bad)
+    uint8_t judged = t->limits.jump && block->phase >= t->limits.phase && comparable(t, block, span);
+    uint8_t fell = block->sum < t->jump_sum;
+    uint32_t change = fell ? t->jump_sum - block->sum : block->sum - t->jump_sum;
+    uint32_t limit = t->limits.jump + ((uint32_t)t->limits.jump * block->phase >> RIPPLE_SHIFT);
+    limit += (fell ? t->limits.fall : t->limits.rise) * span >> RATE_SHIFT;
+    if (judged && change > (limit < UINT16_MAX ? limit : UINT16_MAX) * block->count >> 4)
         return ++t->bad_jumps >= SIGNAL_JUMP_BLOCKS ? GUARD_TRIP_JUMP : GUARD_TRIP_NONE;
     t->bad_jumps = 0;
-    t->jump_known = 1;
-    t->jump_mean = mean;
+    t->jump_sum = block->sum;
+    t->jump_count = block->count;
     t->jump_phase = block->phase;
     t->jump_end = end;
     return GUARD_TRIP_NONE;
+}
+
+uint16_t
+signal_test_moved(const struct signal_test *t)
+{
+    return is_learning(t) ? 0 : (uint16_t)(t->learned >> SIGNAL_TEST_LEARN_SHIFT >> 1);
 }

@@ -10,8 +10,10 @@
  * delay, whatever nozzle, temperature and drive.  A signal that is frozen, also one with noise, stands still; one
  * with a wrong gain or a stuck bit moves too little or too far.  The samples on both sides remove a slope; a sine of
  * amplitude a and frequency f is left with a * (2 pi f * 16 periods)^2 / 2, 9 % of it at 500 Hz and 120 kHz.
+ * How far it moves on this board is learned: the first SIGNAL_TEST_LEARN moves, one right after the other, need only
+ * lie within the limits.  All later ones must also be as far as their mean, to tolerance/256 of it and slack.
  * off.  Without current the signal is that of no current.  A bridge that conducts all the same shows a nozzle.
- * jump.  Between whole blocks whose phases differ by less than 1/32 the mean moves by no more than a fixed limit,
+ * jump.  Between blocks as long as each other whose phases differ by less than 1/32 the mean moves by no more than a fixed limit,
  * plus what a nozzle can rise or fall in the time between them.  The limit grows with the phase, to 2.4 times at full drive: there
  * the signal follows the ripple of the supply, by 2.3 units a percent.
  *
@@ -20,12 +22,12 @@
  * a bridge that conducts.  Bad jumps trip after SIGNAL_JUMP_BLOCKS in a row.  A rule whose upper limit is 0 is off.
  *
  * The owner plans a test (signal_test_plan), begins it with the bridge or the ADC at the planned sample, ends it
- * SIGNAL_TEST_LEN or SIGNAL_TEST_OFF_LEN samples later, and says with which sample each took effect.  Samples in
- * between are no temperature: signal_test_run() says which to skip.  A step of the drive cancels a test.
+ * signal_test_length() samples later, and says for which sample each was done.  Samples in between, and until the
+ * instant or the current is what it was, are no temperature: signal_test_run() says which to skip.  A step of the drive cancels a test.
  *
- * Formats: moved, jump, rise, fall in 1/16 LSB; a sum of 16 samples is a mean in 1/16 LSB.  Indices run modulo 2^32.
+ * Formats: moved, slack, jump, rise, fall in 1/16 LSB; a sum of 16 samples is a mean in 1/16 LSB.  Indices run modulo 2^32.
  * Contexts: plan, run, feed, block in the ADC's interrupt; begin, end, cancel in the timer interrupt.  The two must not
- * preempt each other.  Costs 40 cycles a block and a division, and while a test is under way 10 a sample of it.
+ * preempt each other.  Costs 40 cycles a block, and 10 for each of the 48 samples of a test.
  */
 #ifndef SIGNAL_TEST_H
 #define SIGNAL_TEST_H
@@ -36,7 +38,10 @@
 
 enum {
     SIGNAL_TEST_LEN = 16,
+    SIGNAL_TEST_EDGE = 2,     /* a step of the instant takes effect that late after the sample it was meant for, at the latest */
     SIGNAL_TEST_OFF_LEN = 48, /* 32 for 40 A to fall below 0.02 A: 7.6 time constants of 27 us are 25 samples at 120 kHz */
+    SIGNAL_TEST_LEARN_SHIFT = 2,
+    SIGNAL_TEST_LEARN = 1 << SIGNAL_TEST_LEARN_SHIFT,
     SIGNAL_TEST_BAD = 2,      /* in a row trip */
     SIGNAL_JUMP_BLOCKS = 3,   /* in a row trip */
 };
@@ -45,6 +50,8 @@ enum signal_test_kind { SIGNAL_TEST_NONE, SIGNAL_TEST_MOVE, SIGNAL_TEST_OFF };
 
 struct signal_test_limits {
     uint16_t moved_low, moved_high; /* 1/16 LSB */
+    uint16_t slack;                 /* 1/16 LSB */
+    uint8_t tolerance;              /* 1/256 */
     uint16_t off_low, off_high;     /* LSB */
     uint16_t interval;              /* samples */
     uint16_t phase;                 /* below it nothing is tested */
@@ -58,13 +65,15 @@ struct signal_test {
     uint8_t before_kind;        /* of the test before */
     uint8_t begun, ended;
     uint8_t bad_moves, bad_offs, bad_jumps;
-    uint8_t jump_known;
+    uint8_t learned_moves;
     uint32_t due;               /* no test begins before this sample */
     uint32_t planned;
     uint32_t from, to;          /* skipped samples: from, and up to but not including to once ended */
     uint32_t before, inside, after; /* sums */
+    uint32_t learned;           /* sum of so many moves in 1/32 LSB */
     uint32_t jump_end;          /* sample after the block that the next is compared with */
-    uint16_t jump_mean, jump_phase; /* its mean in 1/16 LSB, its phase */
+    uint32_t jump_sum;
+    uint16_t jump_count, jump_phase; /* 0 samples: there is none */
 };
 
 /* No rule is on. */
@@ -77,15 +86,17 @@ uint8_t signal_test_is_due(const struct signal_test *t, uint32_t index);
 enum signal_test_kind signal_test_plan(struct signal_test *t, uint32_t at);
 /* How many samples lie between its beginning and its end. */
 uint16_t signal_test_length(const struct signal_test *t);
-/* It took effect with this sample; it ended, and from `index` on samples are good. */
+/* It begins with this sample; it ends with it, and `settle` samples after the bridge is on again samples are good. */
 void signal_test_begin(struct signal_test *t, uint32_t index);
-void signal_test_end(struct signal_test *t, uint32_t index);
-/* The drive steps, or samples were lost: no verdict.  From `index` on samples are good.  Returns the kind that must be undone. */
-enum signal_test_kind signal_test_cancel(struct signal_test *t, uint32_t index);
+void signal_test_end(struct signal_test *t, uint32_t index, uint16_t settle);
+/* The drive steps, or samples were lost: ends without a verdict.  Returns the kind that must be undone. */
+enum signal_test_kind signal_test_cancel(struct signal_test *t, uint32_t index, uint16_t settle);
 /* Are samples from `index` on to be skipped?  *run: for how many of the next `count` (>= 1) that holds. */
 uint8_t signal_test_run(const struct signal_test *t, uint32_t index, uint16_t count, uint16_t *run);
 /* All samples, skipped or not, in order.  Returns the trip they cause. */
 enum guard_trip signal_test_feed(struct signal_test *t, const uint16_t *samples, uint32_t index, uint16_t count);
+/* How far the signal moves on this board, 1/16 LSB; 0 while that is being learned. */
+uint16_t signal_test_moved(const struct signal_test *t);
 /* A finished block whose first sample is `first`.  Returns the trip it causes. */
 enum guard_trip signal_test_block(struct signal_test *t, const struct guard_input *block, uint32_t first);
 

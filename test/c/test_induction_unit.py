@@ -445,7 +445,7 @@ def test_a_stalled_reader_is_reported_what_it_missed():
 
 
 TESTS = {"moved_low": 16 * 72, "moved_high": 16 * 98, "off_low": 246, "off_high": 266, "interval": 1200}
-TESTS |= {"phase": 2012, "jump": 240, "rise": 16, "fall": 1}
+TESTS |= {"tolerance": 26, "slack": 16, "phase": 2012, "jump": 240, "rise": 16, "fall": 1}
 
 
 def answering(frozen_s: float = 9.0, stuck_s: float = 9.0, stopped_s: float = 9.0) -> Unit:
@@ -471,6 +471,9 @@ def test_tests_of_the_signal_run_while_the_bridge_is_driven_and_their_samples_re
     unit.hold(14230, 0.2)
     assert unit.state()["trip"] == 0
     moves = [clock for clock, ticks in unit.mcu.sampling_moves if ticks]
+    assert max(b - a for a, b in itertools.pairwise(moves[:4])) < 0.002 * FREQ, "these are learned from"
+    assert unit.state()["moved"] == 16 * 84
+    moves = moves[3:]
     offs = [clock for clock, phase in unit.mcu.bridge_sets[2:] if not phase]
     assert 6 <= len(moves) <= 10 and 6 <= len(offs) <= 10
     driven = [r for r in unit.records() if r.phase == 14230]

@@ -35,7 +35,7 @@ PLAN_STEP = struct.Struct("<HH")
 CEILING_FORMAT = "induction_ceiling oid=%c phase=%hu share=%hu"
 TEST_FORMAT = (
     "config_induction_test oid=%c moved_low=%hu moved_high=%hu off_low=%hu off_high=%hu interval=%hu phase=%hu"
-    " jump=%hu rise=%hu fall=%hu"
+    " jump=%hu rise=%hu fall=%hu tolerance=%c slack=%hu"
 )
 
 OnBlocks = Callable[[Blocks], None]
@@ -46,7 +46,7 @@ class TestSettings:
     """The board's tests of the signal; plain values."""
 
     interval_s: float  # from test to test; 0: none
-    gain_units_deg: float
+    gain_units_deg: float | None  # as measured
     front: FeatureParameters
 
 
@@ -153,6 +153,7 @@ class InductionUnit:
             f"config_induction_test oid={self._oid} moved_low={limits.moved_low} moved_high={limits.moved_high}"
             f" off_low={limits.off_low} off_high={limits.off_high} interval={limits.interval}"
             f" phase={limits.phase} jump={limits.jump} rise={limits.rise} fall={limits.fall}"
+            f" tolerance={limits.tolerance} slack={limits.slack}"
         )
 
     # Samples up

@@ -17,7 +17,6 @@ from thermal.sensing import (
     guard_limits,
     heat_balance_monitor,
     laws,
-    signal_limits,
     supervision,
     temperature_filter,
 )
@@ -105,7 +104,7 @@ def read_tests(config: ConfigWrapper, front: features.FeatureParameters) -> Test
             f" ({config.where('signal_test_interval')}): {interval_s:g} s leaves no time for the signal itself; 0 (no"
             f" tests) or {TEST_INTERVAL_MIN_S:g} to 0.1."
         )
-    gain = config.getfloat("signal_gain", signal_limits.GAIN_UNITS_DEG, above=0.0)
+    gain = config.getfloat("signal_gain", None, above=0.0)
     return TestSettings(interval_s, gain, front)
 
 

@@ -1,8 +1,9 @@
 """Limits of the MCU's tests of the signal (src/signal_test.h), in its units, from the front end and the coil's phase.
 
 The signal is the phase of the coil current, `gain` units a degree. Sampled later by t it reads gain * 360 * f * t units
-more, at any temperature and drive: 85 units for 7 ticks of 72 MHz at 120 kHz. A law's own gain is no better known than
-to some percent, hence the tolerance. A gain 15 % off reads 30 degC wrong at 250 degC.
+more, at any temperature and drive: 85 units for 7 ticks of 72 MHz at 120 kHz. The board learns how far its own signal
+moves; here are the bounds of what it may learn. A calibration measures the gain, and the bounds are narrow from then
+on. A gain 10 % off reads 25 degC wrong at 250 degC.
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from .block_temperature import SENSING_PHASE_TICKS
 from .features import FeatureParameters
 
 GAIN_UNITS_DEG = 20.136  # Oskolkov 2021, Table 1
-TOLERANCE = 0.15
+GAIN_RANGE = 3.0  # what an amplifier may be built with, either way
+MEASURED_TOLERANCE = 0.15  # of a gain that was measured: parts age and warm
+LEARNED_TOLERANCE = 0.10  # of what this board has learned since it was started
 SLACK_LSB = 1.0  # three sigma of 16 samples with 1 LSB of noise, and a beat of 5 LSB
 OFF_UNITS, OFF_LSB = 10.0, 6.0  # no current: this far from the zero, whichever is more
 JUMP_UNITS, JUMP_LSB = 15.0, 4.0  # from block to block, likewise
@@ -30,6 +33,8 @@ class SignalLimits:
 
     moved_low: int  # 1/16 LSB
     moved_high: int
+    tolerance: int  # 1/256 of what the board has learned
+    slack: int  # 1/16 LSB
     off_low: int  # LSB
     off_high: int
     interval: int  # samples from test to test
@@ -39,18 +44,32 @@ class SignalLimits:
     fall: int
 
 
+def moved_lsb(front: FeatureParameters, frequency_hz: float, gain_units_deg: float, moved_s: float) -> float:
+    """How far the signal moves when the sampling instant does."""
+    return gain_units_deg * 360.0 * frequency_hz * moved_s / front.units_per_lsb
+
+
 def signal_limits(
-    front: FeatureParameters, frequency_hz: float, interval_s: float, gain_units_deg: float, moved_s: float
+    front: FeatureParameters,
+    frequency_hz: float,
+    interval_s: float,
+    gain_units_deg: float | None,
+    moved_s: float,
 ) -> SignalLimits:
-    """`moved_s`: by how much the board moves its sampling instant; 0: it cannot."""
+    """`gain_units_deg`: as measured. `moved_s`: by how much the board moves its sampling instant; 0: it cannot."""
     lsb_per_unit = 1.0 / front.units_per_lsb
-    moved_lsb = gain_units_deg * 360.0 * frequency_hz * moved_s * lsb_per_unit
-    spread_lsb = TOLERANCE * moved_lsb + SLACK_LSB
+    far = moved_lsb(front, frequency_hz, gain_units_deg or GAIN_UNITS_DEG, moved_s)
+    low, high = far / GAIN_RANGE, far * GAIN_RANGE
+    if gain_units_deg is not None:
+        low = far * (1.0 - MEASURED_TOLERANCE) - SLACK_LSB
+        high = far * (1.0 + MEASURED_TOLERANCE) + SLACK_LSB
     off_lsb = max(OFF_UNITS * lsb_per_unit, OFF_LSB)
     rate_lsb = UNITS_PER_C * lsb_per_unit * RATE_SAMPLES / frequency_hz
     return SignalLimits(
-        max(0, math.floor(16.0 * (moved_lsb - spread_lsb))) if moved_s else 0,
-        min(0xFFFF, math.ceil(16.0 * (moved_lsb + spread_lsb))) if moved_s else 0,
+        max(0, math.floor(16.0 * low)),
+        min(0xFFFF, math.ceil(16.0 * high)) if moved_s else 0,
+        round(256.0 * LEARNED_TOLERANCE),
+        round(16.0 * SLACK_LSB),
         max(0, math.floor(front.adc_zero_raw - off_lsb)),
         math.ceil(front.adc_zero_raw + off_lsb),
         round(interval_s * frequency_hz),
