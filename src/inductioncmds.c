@@ -257,7 +257,8 @@ take_block(struct induction *u, const struct oversample_block *b)
     enum guard_trip tripped = guard_block(&u->guard, &seen);
     if (tripped != GUARD_TRIP_NONE)
         trip(u, tripped);
-    trip_if(u, signal_test_block(&u->test, &seen, b->first), b->sum, b->count);
+    if (u->test.limits.jump)
+        trip_if(u, signal_test_block(&u->test, &seen, b->first), b->sum, b->count);
     if (!u->reporting)
         return;
     if (b == &u->surplus)
@@ -273,8 +274,11 @@ take_samples(struct induction *u, const uint16_t *samples, uint16_t count)
     while (count) {
         uint16_t run, taken;
         uint16_t phase = phase_run(&u->schedule, u->next_index, count, &run);
-        uint8_t skip = signal_test_run(&u->test, u->next_index, run, &run);
-        trip_if(u, signal_test_feed(&u->test, samples, u->next_index, run), u->test.inside, SIGNAL_TEST_LEN);
+        uint8_t skip = 0;
+        if (u->test.kind || u->test.begun) {
+            skip = signal_test_run(&u->test, u->next_index, run, &run);
+            trip_if(u, signal_test_feed(&u->test, samples, u->next_index, run), u->test.inside, SIGNAL_TEST_LEN);
+        }
         if (oversample_step(&u->oversample, phase, b)) {
             take_block(u, b);
             b = next_block(u);

@@ -85,14 +85,16 @@ signal_test_cancel(struct signal_test *t, uint32_t index, uint16_t settle)
 }
 
 uint8_t
-signal_test_run(const struct signal_test *t, uint32_t index, uint16_t count, uint16_t *run)
+signal_test_run(struct signal_test *t, uint32_t index, uint16_t count, uint16_t *run)
 {
     *run = count;
     if (!t->begun)
         return 0;
     uint8_t skip = !is_before(index, t->from);
-    if (skip && t->ended && !is_before(index, t->to))
+    if (skip && t->ended && !is_before(index, t->to)) {
+        t->begun = t->kind != SIGNAL_TEST_NONE;
         return 0;
+    }
     if (skip && !t->ended)
         return 1;
     uint32_t left = (skip ? t->to : t->from) - index;

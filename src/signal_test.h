@@ -91,13 +91,14 @@ void signal_test_begin(struct signal_test *t, uint32_t index);
 void signal_test_end(struct signal_test *t, uint32_t index, uint16_t settle);
 /* The drive steps, or samples were lost: ends without a verdict.  Returns the kind that must be undone. */
 enum signal_test_kind signal_test_cancel(struct signal_test *t, uint32_t index, uint16_t settle);
-/* Are samples from `index` on to be skipped?  *run: for how many of the next `count` (>= 1) that holds. */
-uint8_t signal_test_run(const struct signal_test *t, uint32_t index, uint16_t count, uint16_t *run);
+/* Neither this nor feed needs to be called while kind and begun are 0.
+ * Are samples from `index` on to be skipped?  *run: for how many of the next `count` (>= 1) that holds. */
+uint8_t signal_test_run(struct signal_test *t, uint32_t index, uint16_t count, uint16_t *run);
 /* All samples, skipped or not, in order.  Returns the trip they cause. */
 enum guard_trip signal_test_feed(struct signal_test *t, const uint16_t *samples, uint32_t index, uint16_t count);
 /* How far the signal moves on this board, 1/16 LSB; 0 while that is being learned. */
 uint16_t signal_test_moved(const struct signal_test *t);
-/* A finished block whose first sample is `first`.  Returns the trip it causes. */
+/* Needs not be called while limits.jump is 0.  A finished block whose first sample is `first`.  Returns the trip it causes. */
 enum guard_trip signal_test_block(struct signal_test *t, const struct guard_input *block, uint32_t first);
 
 #endif

@@ -264,9 +264,10 @@ def test_a_cancelled_test_has_no_verdict_and_says_what_to_undo() -> None:
     lib.signal_test_plan(t, 1000)
     lib.signal_test_begin(t, 1000)
     assert lib.signal_test_cancel(t, 1006, SETTLE) == MOVE
-    assert feed(t, [450] * 64, 990) == NONE
+    assert feed(t, [450] * 18, 990) == NONE
     run = ffi.new("uint16_t *")
     assert lib.signal_test_run(t, 1000, 32, run) == 1 and run[0] == 8
+    assert lib.signal_test_run(t, 1008, 32, run) == 0 and not t.begun, "all of it has been passed"
     assert not lib.signal_test_is_due(t, 1007) and lib.signal_test_is_due(t, 1008)
     lib.signal_test_plan(t, 2000)
     lib.signal_test_begin(t, 2000)

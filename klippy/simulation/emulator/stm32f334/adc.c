@@ -200,8 +200,11 @@ static void update_step(unsigned unit)
         a->moved = a->in_step ? (a->moved + later) % period : 0;
         if (board.sync_adc_move)
             board.sync_adc_move(board.ctx, a->moved, now());
+        if (later) /* there is one trigger in each period, also when the edge before it is noticed late */
+            a->first_trigger += later < period / 2 ? later : (uint64_t)later - period;
+        else
+            a->first_trigger = at > now() ? at - (at - now() - 1) / period * period : at + ((now() - at) / period + 1) * period;
         a->period = period;
-        a->first_trigger = at > now() ? at - (at - now() - 1) / period * period : at + ((now() - at) / period + 1) * period;
     }
     a->in_step = steps;
     plan(unit);
