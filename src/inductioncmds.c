@@ -216,7 +216,8 @@ plan_test(struct induction *u)
     uint32_t over = clock_before(u, at + SIGNAL_TEST_OFF_LEN + o->config.settle_samples + SIGNAL_TEST_LEN);
     if (u->schedule.first && timer_is_before(u->schedule.first->due, over))
         return;
-    signal_test_plan(&u->test, at);
+    if (signal_test_plan(&u->test, at, o->phase) == SIGNAL_TEST_NONE)
+        return;
     u->test_timer.waketime = clock_before(u, at);
     sched_add_timer(&u->test_timer);
 }

@@ -40,11 +40,14 @@ signal_test_is_due(const struct signal_test *t, uint32_t index)
 }
 
 enum signal_test_kind
-signal_test_plan(struct signal_test *t, uint32_t at)
+signal_test_plan(struct signal_test *t, uint32_t at, uint16_t phase)
 {
+    uint8_t can_move = t->limits.moved_high != 0, can_off = t->limits.off_high && phase < SIGNAL_TEST_OFF_PHASE;
     uint8_t move = t->bad_moves || is_learning(t) || t->before_kind != SIGNAL_TEST_MOVE;
-    if (!t->limits.moved_high || !t->limits.off_high)
-        move = t->limits.moved_high != 0;
+    if (!can_move || !can_off)
+        move = can_move;
+    if (!can_move && !can_off)
+        return SIGNAL_TEST_NONE;
     t->kind = move ? SIGNAL_TEST_MOVE : SIGNAL_TEST_OFF;
     t->begun = t->ended = 0;
     t->planned = at;
@@ -185,7 +188,7 @@ comparable(const struct signal_test *t, const struct guard_input *block, uint32_
 {
     uint16_t phase = block->phase;
     uint16_t difference = phase < t->jump_phase ? (uint16_t)(t->jump_phase - phase) : (uint16_t)(phase - t->jump_phase);
-    return t->jump_count == block->count && difference <= phase >> COMPARABLE_SHIFT && span < RATE_SPAN_MAX;
+    return t->jump_count && difference <= phase >> COMPARABLE_SHIFT && span < RATE_SPAN_MAX;
 }
 
 enum guard_trip
@@ -193,11 +196,12 @@ signal_test_block(struct signal_test *t, const struct guard_input *block, uint32
 {
     uint32_t end = first + block->count, span = end - t->jump_end;
     uint8_t judged = t->limits.jump && block->phase >= t->limits.phase && comparable(t, block, span);
-    uint8_t fell = block->sum < t->jump_sum;
-    uint32_t change = fell ? t->jump_sum - block->sum : block->sum - t->jump_sum;
+    uint64_t sum = (uint64_t)block->sum * t->jump_count, before = (uint64_t)t->jump_sum * block->count;
+    uint8_t fell = sum < before;
     uint32_t limit = t->limits.jump + ((uint32_t)t->limits.jump * block->phase >> RIPPLE_SHIFT);
     limit += (fell ? t->limits.fall : t->limits.rise) * span >> RATE_SHIFT;
-    if (judged && change > (limit < UINT16_MAX ? limit : UINT16_MAX) * block->count >> 4)
+    uint64_t allowed = (uint64_t)limit * ((uint32_t)block->count * t->jump_count) >> 4;
+    if (judged && (fell ? before - sum : sum - before) > allowed)
         return ++t->bad_jumps >= SIGNAL_JUMP_BLOCKS ? GUARD_TRIP_JUMP : GUARD_TRIP_NONE;
     t->bad_jumps = 0;
     t->jump_sum = block->sum;

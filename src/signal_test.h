@@ -13,7 +13,9 @@
  * How far it moves on this board is learned: the first SIGNAL_TEST_LEARN moves, one right after the other, need only
  * lie within the limits.  All later ones must also be as far as their mean, to tolerance/256 of it and slack.
  * off.  Without current the signal is that of no current.  A bridge that conducts all the same shows a nozzle.
- * jump.  Between blocks as long as each other whose phases differ by less than 1/32 the mean moves by no more than a fixed limit,
+ * While it is driven with SIGNAL_TEST_OFF_PHASE or more this is not asked: a bridge that conducts all the time does no more
+ * harm than what is wanted, and the climb needs all of its samples.
+ * jump.  Between blocks whose phases differ by less than 1/32 the mean moves by no more than a fixed limit,
  * plus what a nozzle can rise or fall in the time between them.  The limit grows with the phase, to 2.4 times at full drive: there
  * the signal follows the ripple of the supply, by 2.3 units a percent.
  *
@@ -42,6 +44,7 @@ enum {
     SIGNAL_TEST_OFF_LEN = 48, /* 32 for 40 A to fall below 0.02 A: 7.6 time constants of 27 us are 25 samples at 120 kHz */
     SIGNAL_TEST_LEARN_SHIFT = 2,
     SIGNAL_TEST_LEARN = 1 << SIGNAL_TEST_LEARN_SHIFT,
+    SIGNAL_TEST_OFF_PHASE = 22500, /* half the voltage's duty */
     SIGNAL_TEST_BAD = 2,      /* in a row trip */
     SIGNAL_JUMP_BLOCKS = 3,   /* in a row trip */
 };
@@ -82,8 +85,8 @@ void signal_test_init(struct signal_test *t);
 uint8_t signal_test_configure(struct signal_test *t, struct signal_test_limits limits);
 /* Is a test due for the block that samples from `index` on go into? */
 uint8_t signal_test_is_due(const struct signal_test *t, uint32_t index);
-/* The kind to begin at sample `at`. */
-enum signal_test_kind signal_test_plan(struct signal_test *t, uint32_t at);
+/* The kind to begin at sample `at`, under `phase`; NONE if there is none for it. */
+enum signal_test_kind signal_test_plan(struct signal_test *t, uint32_t at, uint16_t phase);
 /* How many samples lie between its beginning and its end. */
 uint16_t signal_test_length(const struct signal_test *t);
 /* It begins with this sample; it ends with it, and `settle` samples after the bridge is on again samples are good. */

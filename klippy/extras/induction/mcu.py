@@ -21,7 +21,8 @@ from thermal.sensing import convert, guard_limits
 from thermal.sensing.blocks import Blocks
 from thermal.sensing.features import FeatureParameters
 from thermal.sensing.guard_limits import LimitRow
-from thermal.sensing.signal_limits import signal_limits
+
+from .signal_limits import signal_limits
 
 PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
 # Steps that may wait on the MCU at one time: a plan, and what stays of the one before.

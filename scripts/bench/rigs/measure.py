@@ -81,7 +81,14 @@ def clock_offset(chip: Firmware) -> int:
 
 
 # All tests of the signal, at the interval of the product, with limits that any signal keeps whose moves are positive.
-SIGNAL_TESTS = {"oid": 0, "moved_low": 0, "moved_high": 65535, "off_low": 0, "off_high": 65535, "interval": 1200}
+SIGNAL_TESTS = {
+    "oid": 0,
+    "moved_low": 0,
+    "moved_high": 65535,
+    "off_low": 0,
+    "off_high": 65535,
+    "interval": 1200,
+}
 SIGNAL_TESTS |= {"phase": 2012, "jump": 65535, "rise": 0, "fall": 0, "tolerance": 255, "slack": 65535}
 
 

@@ -14,13 +14,13 @@ import pytest
 from doc_rig import ROOT, Figures
 from extras import heaters, induction_heater
 from extras.induction import calibrate as induction_calibrate
-from extras.induction import settings
+from extras.induction import settings, signal_limits
 from heater_fakes import CommandError, FakePrinter
 from induction_rig import PERIOD_S, Plant, Rig, default_parameters, true_law
 from thermal.control import nozzle_model
 from thermal.control.loop import LoopParameters
 from thermal.records import PHASE_MAX_TICKS
-from thermal.sensing import guard_limits, heat_balance_monitor, laws, signal_limits
+from thermal.sensing import guard_limits, heat_balance_monitor, laws
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 
 SECTION = "induction_heater nozzle"
@@ -180,7 +180,7 @@ def guard_claims() -> Iterator[str]:
 
 
 def signal_claims() -> Iterator[str]:
-    """The tests of src/signal_test.h with the limits of thermal/sensing/signal_limits.py."""
+    """The tests of src/signal_test.h with the limits of extras/induction/signal_limits.py."""
     header = (ROOT / "src" / "signal_test.h").read_text(encoding="utf-8")
     board = (ROOT / "src" / "board" / "sync_adc.h").read_text(encoding="utf-8")
 
@@ -192,7 +192,8 @@ def signal_claims() -> Iterator[str]:
     assert signal_limits.SLACK_LSB == 1.0
     moved = signal_limits.GAIN_UNITS_DEG * 360.0 * ticks / 72e6 / PERIOD_S
     heating = f"Each {2e3 * interval_s:g} ms of heating the"
-    yield f"{heating} sampling instant is moved by {ticks} ticks for {length} samples."
+    hard = f"{2e3 * interval_s:g} ms of heating ({1e3 * interval_s:g} ms at more than half the phase)"
+    yield f"{hard} the sampling instant is moved by {ticks} ticks for {length} samples."
     yield f"moves by {moved:.0f} units with the published amplifier"
     learned = 1 << constant("SIGNAL_TEST_LEARN_SHIFT")
     yield f"from the first {learned} tests, which may differ from that by a factor of {signal_limits.GAIN_RANGE:g}"

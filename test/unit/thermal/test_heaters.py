@@ -450,8 +450,8 @@ def test_the_unit_is_configured_before_it_may_heat() -> None:
     printer, _ = nozzle()
     first, sense, block, *limits, test = printer.mcu.config
     assert test == (
-        "config_induction_test oid=3 moved_low=1134 moved_high=1573 off_low=246 off_high=266 interval=1200"
-        " phase=2012 jump=240 rise=15 fall=1"
+        "config_induction_test oid=3 moved_low=451 moved_high=4060 off_low=246 off_high=266 interval=1200"
+        " phase=2012 jump=240 rise=15 fall=1 tolerance=26 slack=16"
     )
     assert first == (
         "config_induction oid=3 bridge=0 adc_pin=PA0 period_ticks=600 phase_max=45000 max_duration=7200000"

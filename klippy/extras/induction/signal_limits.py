@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from .block_temperature import SENSING_PHASE_TICKS
-from .features import FeatureParameters
+from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
+from thermal.sensing.features import FeatureParameters
 
 GAIN_UNITS_DEG = 20.136  # Oskolkov 2021, Table 1
 GAIN_RANGE = 3.0  # what an amplifier may be built with, either way
