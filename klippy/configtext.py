@@ -14,11 +14,15 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import util
 
+# Of earlier versions
+OLD_OPTIONS = {"practical_turn": "two_period_turn", "practical_cutoff": "two_period_cutoff"}
+OLD_VALUES = {("control", "practical"): "two_period"}
 AUTOSAVE_PREFIX = "#*#"
 AUTOSAVE_HEADER = (
     "#*# <---------------------- SAVE_CONFIG ---------------------->\n"
@@ -74,6 +78,53 @@ class ConfigData:
         """Set one option, making its section if need be."""
         target = self.sections.setdefault(section, SectionText(section, origin))
         target.options[option] = OptionText(value, origin)
+
+
+class FileConfig:
+    """A config's text as plugins look at it and change it: with the methods of Python's configparser that they call."""
+
+    def __init__(self, data: ConfigData) -> None:
+        self._data = data
+
+    def sections(self) -> list[str]:
+        return list(self._data.sections)
+
+    def has_section(self, section: str) -> bool:
+        return section in self._data.sections
+
+    def add_section(self, section: str) -> None:
+        if self.has_section(section):
+            raise ConfigError(f"Section '{section}' is there already.")
+        self._data.sections[section] = SectionText(section, Origin("a plugin", 0))
+
+    def remove_section(self, section: str) -> bool:
+        return self._data.sections.pop(section, None) is not None
+
+    def _options(self, section: str) -> dict[str, OptionText]:
+        found = self._data.sections.get(section)
+        if found is None:
+            raise ConfigError(f"There is no section '{section}' in the config.")
+        return found.options
+
+    def options(self, section: str) -> list[str]:
+        return list(self._options(section))
+
+    def items(self, section: str) -> list[tuple[str, str]]:
+        return [(name, option.value) for name, option in self._options(section).items()]
+
+    def has_option(self, section: str, option: str) -> bool:
+        return self.has_section(section) and option.lower() in self._options(section)
+
+    def get(self, section: str, option: str) -> str:
+        if option.lower() not in self._options(section):
+            raise ConfigError(f"There is no option '{option}' in section '{section}'.")
+        return self._options(section)[option.lower()].value
+
+    def set(self, section: str, option: str, value: str) -> None:
+        self._options(section)[option.lower()] = OptionText(str(value), Origin("a plugin", 0))
+
+    def remove_option(self, section: str, option: str) -> bool:
+        return self._options(section).pop(option.lower(), None) is not None
 
 
 def strip_comment(line: str) -> str:
@@ -268,3 +319,24 @@ def comment_out(text: str, saved: dict[str, dict[str, str]]) -> str:
             hiding_indent = indent
         result.append("#" + raw if hiding_indent >= 0 and content else raw)
     return "\n".join(result)
+
+
+def replace_old(sections: Mapping[str, SectionText]) -> Iterator[dict[str, Any]]:
+    """Replace option names and values of earlier versions in place; a warning for each.
+
+    An option written under today's name, too, keeps that value.
+    """
+    for name, section in sections.items():
+        for key, option in list(section.options.items()):
+            value = option.value.strip()
+            if new := OLD_OPTIONS.get(key):
+                section.options.setdefault(new, section.options.pop(key))
+                message = f"Option '{key}' in section '{name}' is now called '{new}' ({option.origin})."
+                yield {"type": "deprecated_option", "message": message, "section": name, "option": key}
+            elif new := OLD_VALUES.get((key, value)):
+                section.options[key] = OptionText(new, option.origin)
+                message = (
+                    f"Value '{value}' of option '{key}' in section '{name}' is now '{new}' ({option.origin})."
+                )
+                warning = {"type": "deprecated_value", "message": message, "section": name, "option": key}
+                yield {**warning, "value": value}

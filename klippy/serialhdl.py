@@ -96,6 +96,7 @@ class SerialReader:
         self._stats = self._ffi.new("struct serialqueue_stats *")
         self._tables = _Tables()
         self._notify_id = 0
+        self.is_absent = False  # of a board that may vanish: its commands go nowhere
         self._clock = _Clock()
         self._is_file = False
         # freed with its last user: step writers may outlive the connection
@@ -115,6 +116,7 @@ class SerialReader:
     def connect(self, path: str, baud: int, timeout_s: float = CONNECT_TIMEOUT_S) -> None:
         """Open the port and fetch the dictionary. Raises `error` after `timeout_s` seconds without success."""
         deadline = self.reactor.monotonic() + timeout_s
+        is_announced = False
         while True:
             try:
                 self._connect_once(path, baud, deadline)
@@ -125,6 +127,12 @@ class SerialReader:
             now = self.reactor.monotonic()
             if now + REOPEN_PAUSE_S >= deadline:
                 raise error(f"{self.warn_prefix}Unable to connect. {reason} {self._advice}")
+            if not is_announced:
+                is_announced = True
+                logging.warning(
+                    "%sWaiting %.0f s for the board at %s (Ctrl-C ends the program). %s",
+                    self.warn_prefix, timeout_s, path, reason,
+                )  # fmt: skip
             self.reactor.pause(now + REOPEN_PAUSE_S)
 
     def _connect_once(self, path: str, baud: int, deadline: float) -> None:
@@ -199,6 +207,11 @@ class SerialReader:
         message_id = self.msgparser.lookup_command(msgformat).id_bytes
         self._on_batch = callback
         self._lib.serialqueue_set_batch(self._sq, message_id, len(message_id), seconds, batch_max)
+
+    def let_wait(self, msgformat: str) -> None:
+        """Messages of this format wake nobody: they come with the next of another. One format only."""
+        message_id = self.msgparser.lookup_command(msgformat).id_bytes
+        self._lib.serialqueue_set_patient(self._sq, message_id, len(message_id))
 
     def _drain(self) -> None:
         """Take what the queue has received. Called by the port in the reactor thread."""
@@ -422,7 +435,8 @@ class CommandWrapper:
 
     def send(self, data: Sequence[Any] = (), minclock: int = 0, reqclock: int = 0) -> None:
         """Queue it: not sent before MCU clock `minclock`, needed by `reqclock` (0: at once)."""
-        self._serial.raw_send(self._message.encode(data), minclock, reqclock, self._queue)
+        if not self._serial.is_absent:
+            self._serial.raw_send(self._message.encode(data), minclock, reqclock, self._queue)
 
 
 class CommandQueryWrapper:
@@ -446,6 +460,8 @@ class CommandQueryWrapper:
         self._error = error_class
 
     def _ask(self, data: Sequence[Any], minclock: int, reqclock: int, retry: bool) -> Params:
+        if self._serial.is_absent:
+            raise self._error(f"{self._serial.warn_prefix}the board is not connected")
         message = self._message.encode(data)
         try:
             return self._serial.query(
@@ -470,5 +486,6 @@ class CommandQueryWrapper:
         retry: bool = True,
     ) -> Params:
         """Ask, with another command right before it."""
-        self._serial.raw_send(preface_cmd.encode(preface_data), minclock, reqclock, self._queue)
+        if not self._serial.is_absent:
+            self._serial.raw_send(preface_cmd.encode(preface_data), minclock, reqclock, self._queue)
         return self._ask(data, minclock, reqclock, retry)

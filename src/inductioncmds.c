@@ -17,6 +17,7 @@
  *
  * Safety.  The bridge is off at boot, on every shutdown, on a trip of the guard, and max_duration after the last applied
  * phase command: all in interrupts, host alive or not.  A tripped guard refuses phases until the next configuration.
+ * A host that was only late goes on with its next command: what it had queued before is forgotten.
  *
  * Sample n is taken at start_clock + n * period_ticks.  A phase set now holds from sample sync_adc_position() on.
  */
@@ -105,12 +106,18 @@ apply_phase(struct induction *u, uint16_t phase, uint32_t clock)
 
 /* Any context, interrupts disabled. */
 static void
-switch_off(struct induction *u)
+bridge_off(struct induction *u)
 {
     cancel_test(u);
     bridge_pwm_off(u->bridge);
     phase_applied(&u->schedule, sync_adc_position(u->adc), 0);
-    u->guard.powered = 0;
+}
+
+static void
+switch_off(struct induction *u)
+{
+    bridge_off(u);
+    guard_off(&u->guard);
 }
 
 static _Noreturn void
@@ -137,12 +144,24 @@ static uint8_t
 next_event(const struct induction *u, uint32_t *clock)
 {
     const struct phase_node *pending = u->schedule.first;
-    if (!pending && !u->guard.powered)
+    if (!pending && !guard_is_waiting(&u->guard))
         return 0;
     *clock = pending ? pending->due : guard_deadline(&u->guard);
+    if (guard_is_waiting(&u->guard))
+        *clock = earlier(*clock, guard_deadline(&u->guard));
     if (u->guard.powered)
-        *clock = earlier(earlier(*clock, guard_deadline(&u->guard)), timer_read_time() + timer_from_us(CHECK_US));
+        *clock = earlier(*clock, timer_read_time() + timer_from_us(CHECK_US));
     return 1;
+}
+
+static void
+free_nodes(struct phase_node *node)
+{
+    while (node) {
+        struct phase_node *next = node->next;
+        move_free(node);
+        node = next;
+    }
 }
 
 /* Without samples nothing judges them. */
@@ -164,7 +183,12 @@ induction_phase_timer(struct timer *t)
         apply_phase(u, node->phase, now);
         move_free(node);
     }
-    enum guard_trip tripped = guard_check_deadline(&u->guard, now);
+    if (guard_lapse(&u->guard, now)) {
+        bridge_off(u);
+        free_nodes(u->schedule.first);
+        phase_forget(&u->schedule);
+    }
+    enum guard_trip tripped = guard_check_silence(&u->guard, now);
     if (tripped != GUARD_TRIP_NONE)
         trip(u, tripped);
     check_samples(u);
@@ -447,6 +471,14 @@ start_sampling(struct induction *u)
     sched_watch(SCHED_SAMPLES, 1);
 }
 
+/* Did the line hold back a step for so long that its time is over?  Then it gives no power. */
+static uint8_t
+is_stale(const struct induction *u, uint32_t at)
+{
+    int32_t late = (int32_t)(timer_read_time() - at);
+    return late > (int32_t)u->guard.max_duration;
+}
+
 /* One step of the bridge at a clock, after all that are queued. */
 static void
 queue_step(struct induction *u, uint32_t at, uint32_t phase)
@@ -458,7 +490,7 @@ queue_step(struct induction *u, uint32_t at, uint32_t phase)
     start_sampling(u);
     struct phase_node *node = move_alloc();
     node->clock = at;
-    node->phase = (uint16_t)phase;
+    node->phase = is_stale(u, at) ? 0 : (uint16_t)phase;
     irqstatus_t flag = irq_save();
     uint32_t clock, earliest = timer_read_time() + timer_from_us(LATE_MARGIN_US);
     if (!phase_push(&u->schedule, node, earliest)) {
@@ -489,11 +521,7 @@ command_queue_induction_plan(const struct command_args *args)
     irqstatus_t flag = irq_save();
     struct phase_node *stale = phase_cut(&u->schedule, clock);
     irq_restore(flag);
-    while (stale) {
-        struct phase_node *node = stale;
-        stale = node->next;
-        move_free(node);
-    }
+    free_nodes(stale);
     for (; p < end; p += PLAN_STEP_SIZE) {
         clock += (uint32_t)(p[0] | p[1] << 8) * u->period_ticks;
         queue_step(u, clock, (uint32_t)p[2] | (uint32_t)p[3] << 8);

@@ -8,6 +8,7 @@
 enum {
     SYNC_ADC_MAX = 4095,    /* the synchronous ADC has 12 bits on every port */
     RECORDS_MAX = 7,
+    SILENCE_US = 3000000,   /* a host that is silent for longer is dead; queued motion lasts no longer */
     LONE_RECORD_US = 20000, /* a record that would wait longer for others goes without them */
 };
 
@@ -43,7 +44,7 @@ command_config_induction(const struct command_args *args)
     u->test_timer.func = induction_test_timer;
     signal_test_init(&u->test);
     phase_init(&u->schedule, (uint16_t)phase_max);
-    guard_init(&u->guard, SYNC_ADC_MAX, max_duration);
+    guard_init(&u->guard, SYNC_ADC_MAX, max_duration, timer_from_us(SILENCE_US));
     oversample_init(&u->oversample, (struct oversample_config){.y = INDUCTION_OVERSAMPLE,
                                                                 .settle_samples = INDUCTION_SETTLE_SAMPLES,
                                                                 .block_len = INDUCTION_BLOCK_SAMPLES});

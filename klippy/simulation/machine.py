@@ -26,6 +26,7 @@ from extras.simulator import (
     FrameSettings,
     LoadSettings,
     McuSettings,
+    MountSettings,
     NozzleSettings,
     ProbeSettings,
     ReferenceSettings,
@@ -46,6 +47,7 @@ Settings = (
     | ReferenceSettings
     | ProbeSettings
     | FrameSettings
+    | MountSettings
     | AccelerometerSettings
 )
 _T = TypeVar("_T")
@@ -91,7 +93,7 @@ def assemble(
     if not things:
         raise WorldError(
             "The config has no [simulator ...] section: it describes a real printer, and a simulated one needs to "
-            "know its machine (docs/Simulation.md; config/sim-induction.cfg is an example)."
+            "know its machine (docs/reference/Simulation.md; config/sim-induction.cfg is an example)."
         )
     machine = Machine(world)
     for recording in _of(things, SimulatorSettings):
@@ -111,6 +113,9 @@ def assemble(
         machine.fans[fan.name] = world.add_fan(pin, fan.spin_up_s)
     for nozzle in _of(things, NozzleSettings):
         machine.nozzles[nozzle.name] = _add_nozzle(machine, nozzle, config)
+    for mount in _of(things, MountSettings):
+        nozzle_number = _index(machine.nozzles, mount.nozzle, "nozzle", f"simulator mount {mount.nozzle}")
+        world.add_mount(nozzle_number, mount.axis, mount.values)
     for reference in _of(things, ReferenceSettings):
         _add_reference(machine, reference, config)
     for load in _of(things, LoadSettings):

@@ -6,6 +6,7 @@ Limits are the product's promises; docs/theory/Control.md has what is measured.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -201,3 +202,27 @@ def test_a_law_takes_over_in_the_climb(before: str, after: str, over_c: float) -
     off_c = swapped(rig, after, 2.5)
     assert off_c.max() < over_c
     assert np.abs(off_c[-1000:]).max() < 0.5
+
+
+@pytest.mark.parametrize("preset", ["reference", "strong"])
+def test_looks_out_of_a_hold_come_in_turn_and_hardly_move_the_temperature(preset: str) -> None:
+    power_w, looks = peers.POWER_W[preset], (45000, 31820)
+    parameters = default_parameters(law=true_law(), power_full_w=power_w)
+    actuator = replace(parameters.actuator, hold_look_s=0.25, hold_look_ticks=looks)
+    rig = Rig(Plant(4, preset), replace(parameters, actuator=actuator), 4)
+    seen: list[int] = []
+    rig.loop.listeners.append(lambda block, *_: seen.append(block.phase_ticks))
+    rig.run(2.0)
+    idle = [phase for phase in seen if phase in looks]
+    assert len(idle) == pytest.approx(4, abs=1)  # the pulses of an idle nozzle come each 0.5 s
+    rig.set_target(220.0)
+    rig.run(3.0)
+    seen.clear()
+    begin_s = rig.now_s
+    rig.run(3.0)
+    held = [phase for phase in seen if phase in looks]
+    assert len(held) == pytest.approx(12, abs=1)
+    assert set(held) == set(looks)
+    trace = rig.trace.arrays()
+    assert np.abs(trace["skin_c"][trace["t_s"] > begin_s] - 220.0).max() < 0.3
+    assert not rig.loop.fault

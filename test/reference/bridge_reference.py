@@ -111,6 +111,8 @@ class ActuatorState:
     last_excited_s: float = -math.inf  # end of the last pulse or continuous drive
     driving: bool = False  # continuous drive (phase above the smallest) since last_s
     look_s: float = -math.inf  # start of the newest look at the sensing phase
+    hold_look_s: float = -math.inf  # start of the newest look out of a weak drive ...
+    hold_look: int = 0  # ... and its number
 
 
 def _account(parameters: ActuatorParameters, state: ActuatorState, time_s: float) -> None:
@@ -124,19 +126,28 @@ def _account(parameters: ActuatorParameters, state: ActuatorState, time_s: float
     state.owed_j = min(limit_j, max(-limit_j, state.owed_j))
 
 
+def sensing_s(parameters: ActuatorParameters, need: str, since_s: float) -> float:
+    """Length of the pulse that is due for the sake of measuring."""
+    if need == "watch" and parameters.look_s:
+        return parameters.look_s if since_s >= parameters.watch_interval_s - TIME_SLACK_S else 0.0
+    interval_s = parameters.idle_interval_s if need == "idle" else parameters.sense_interval_s
+    return parameters.pulse_s if since_s >= interval_s else 0.0
+
+
 def actuate(
     parameters: ActuatorParameters,
     state: ActuatorState,
     power_w: float,
     time_s: float,
     is_on: bool,
-    idle: bool = False,
+    need: str = "lost",
 ) -> list[PhaseCommand]:
     """Commands that start meeting `power_w` at `time_s`; in order of time, the first at `time_s` if any.
 
     An empty list means: the bridge stays off, between pulses. The last command of a pulse turns the bridge off, so a
     host that dies in between leaves nothing running. `is_on`: with nothing more sent, the bridge is on at `time_s` or
-    later, booked pulses apart. `idle`: no target, sense rarely.
+    later, booked pulses apart. `need`: sense rarely ("idle"), more often ("lost"), or shortly
+    and all the time ("watch").
     """
     _account(parameters, state, time_s)
     state.last_s = time_s
@@ -148,14 +159,14 @@ def actuate(
         return [PhaseCommand(time_s, phase, law.power_w(phase))]
     state.driving = False
     pulse_j = parameters.power_low_w * parameters.pulse_s
-    interval_s = parameters.idle_interval_s if idle else parameters.sense_interval_s
     pulses = min(parameters.pulses_max, math.floor(state.owed_j / pulse_j + 0.5))
-    if pulses < 1 and time_s - state.last_excited_s >= interval_s:
-        pulses = 1
+    length_s = pulses * parameters.pulse_s
     if pulses < 1:
+        length_s = sensing_s(parameters, need, time_s - state.last_excited_s)
+    if not length_s:
         return [PhaseCommand(time_s, 0, 0.0)] if is_on else []
-    end_s = time_s + pulses * parameters.pulse_s
-    state.owed_j -= pulses * pulse_j
+    end_s = time_s + length_s
+    state.owed_j -= parameters.power_low_w * length_s
     state.last_excited_s = end_s
     return [
         PhaseCommand(time_s, parameters.phase_low_ticks, parameters.power_low_w),
@@ -198,7 +209,9 @@ def with_look(
     """
     first = commands[0]
     strong = (first.phase_ticks / parameters.law.phase_max_ticks) ** 2 >= LOOK_SHARE
-    if not strong or not parameters.look_s:
+    if not strong:
+        return with_hold_look(parameters, state, commands)
+    if not parameters.look_s:
         return commands
     apart_s = min(LOOK_MAX_S, max(LOOK_MIN_S, LOOK_C / max(1e-3, rate_k_s)))
     if 0.0 < first.time_s - state.look_s < (0.0 if doubt_c > LOOK_DOUBT_C else apart_s):
@@ -207,6 +220,29 @@ def with_look(
     after_s = first.time_s + (parameters.long_look_s if apart_s >= LOOK_RARE_S else parameters.look_s)
     look = PhaseCommand(first.time_s, parameters.phase_low_ticks, parameters.power_low_w)
     return [look, first._replace(time_s=after_s), *(c for c in commands[1:] if c.time_s > after_s)]
+
+
+def with_hold_look(
+    parameters: ActuatorParameters, state: ActuatorState, commands: list[PhaseCommand]
+) -> list[PhaseCommand]:
+    """A weak drive begins with a look at one phase after the other, if one is due; a pulse keeps its length."""
+    first, phases, look_s = commands[0], parameters.hold_look_ticks, parameters.look_s
+    if not phases or not parameters.hold_look_s or not look_s or not first.phase_ticks:
+        return commands
+    since_s = first.time_s - state.hold_look_s
+    if 0.0 < since_s < parameters.hold_look_s:
+        return commands
+    if since_s != 0.0:
+        state.hold_look = (state.hold_look + 1) % len(phases)
+    state.hold_look_s = first.time_s
+    rest = commands[1:]
+    if not state.driving:
+        state.last_excited_s = rest[0].time_s + look_s
+        rest = [rest[0]._replace(time_s=state.last_excited_s)]
+    phase, after_s = phases[state.hold_look], first.time_s + look_s
+    look = PhaseCommand(first.time_s, phase, parameters.law.power_w(phase))
+    state.owed_j -= look.power_w * look_s
+    return [look, first._replace(time_s=after_s), *(c for c in rest if c.time_s > after_s)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,9 +305,10 @@ class Bridge:
         if taken is not None and request.apart_s > 0.0 and not self.improves(taken, power_w, horizon):
             return []
         arriving_s = actuator.idle_interval_s + bridge_driver.PULSE_DELAY_S
-        idle = request.target_c <= 0.0 and now_s - request.estimate_s <= arriving_s
+        need = "idle" if now_s - request.estimate_s <= arriving_s else "lost"
+        need = "watch" if request.target_c > 0.0 else need
         is_on = self.line.is_on_from(max(at_s, self.owed.last_excited_s))
-        commands = actuate(actuator, self.owed, power_w, at_s, is_on, idle)
+        commands = actuate(actuator, self.owed, power_w, at_s, is_on, need)
         if len(commands) == 1 and horizon:
             commands += ahead(actuator, commands[0], horizon)
         if commands and self.heat is not None:

@@ -16,6 +16,7 @@ from thermal.records import PHASE_MAX_TICKS, Sample, SampleBlock, TempEstimate
 from thermal.sensing import block_temperature, features, laws, supervision, temperature_filter
 
 NAN = math.nan
+UNKNOWN_S = 0.020  # blocks missing for longer: the heat of that time is not known
 NO_READING = (NAN, NAN)
 
 
@@ -163,6 +164,8 @@ class Chain:
         end_s = block.time_s + block.duration_s
         sine = math.sin(math.pi / 2 * block.phase_ticks / self.drive.phase_max_ticks)
         heat_w = self.drive.power_max_w * sine**self.drive.exponent
+        if block.time_s - self.last_block_s > UNKNOWN_S:
+            self.heat_j = math.nan
         self.heat_j += heat_w * block.duration_s * (1 + block.discarded / block.count)
         if self.supervise.calibrated and own.valid:
             own = self._without_drive(block, own, heat_w)
@@ -171,7 +174,7 @@ class Chain:
             longer = math.sqrt(math.log(features.SPAN_SAMPLES) / math.log(block.count))
             self.spans.append((block.max_raw - block.min_raw) * longer)
         found = self._filter(block, own, heat_w, end_s)
-        return own, found, self._sample(block, own, found, heat_w, end_s)
+        return own, found, self._sample(block, own, heat_w, end_s)
 
     def span_lsb(self) -> float:
         """Mean of all so far; of more than its memory holds, exponentially forgotten."""
@@ -285,10 +288,8 @@ class Chain:
         ]
         self.time_s = centre_s
 
-    def _sample(
-        self, block: SampleBlock, own: TempEstimate, found: TempEstimate | None, heat_w: float, end_s: float
-    ) -> Sample:
-        if found is None:
+    def _sample(self, block: SampleBlock, own: TempEstimate, heat_w: float, end_s: float) -> Sample:
+        if not own.valid:
             return Sample(block.centre_s, end_s, NAN, 0.0, heat_w, False)
         away = (block.phase_ticks / self.front.phase_max_ticks) ** 2 - self.usual
         if abs(away) > 0.1:

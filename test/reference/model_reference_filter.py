@@ -152,6 +152,8 @@ TAKEN_C, TAKEN_GAIN = (
     0.2,
 )  # 1 sigma of nodes, share of the gain's doubt after taking over from another law
 SLANT_WALK_C, SLANT_USUAL_S = 0.3, 0.2  # how the reading's slant walks in a second; memory of the usual drive
+COLOURED_GAP_S, SWING_S, SWING_SHARE, SWING_KEEP_S = 0.02, 0.006, 0.25, 1.0
+GAIN_SHARE, COLOURED_JUMP_C = 0.25, 12.0  # with coloured errors
 SECOND_MARGIN_C = 20.0  # the second mass lies between air and the hottest node, give or take this
 
 
@@ -176,6 +178,9 @@ class ModelState(NamedTuple):
     offset_c: float = 0.0  # taken off the readings ...
     offset_output: float = 0.0  # ... since the output stepped to this
     lean: float = 0.0  # decaying sum of innovations, each over its sigma
+    swing_c: float = 0.0  # amplitude of innovations that swing to and fro
+    half_c: float = 0.0  # peak of the present half wave
+    before_c: float = 0.0  # size of the one before
     slant_c: float = 0.0  # what full drive by itself adds to the reading
     usual: float = 0.0  # share of full drive at which the reading is taken for the truth
     sent: tuple[Planned, ...] = ()  # own outputs, where the caller gives none that are pending
@@ -347,11 +352,20 @@ class _Run(NamedTuple):
     usual: float
 
 
-def _grouped(p: ModelParameters, samples: Sequence[Sample]) -> list[Sample]:
+def _coloured(p: ModelParameters, state: ModelState, sample: Sample, last_s: float) -> float:
+    """Variance of one sample by coloured errors."""
+    span_s = max(2.0 * (sample.end_s - sample.time_s), min(sample.end_s - last_s, COLOURED_GAP_S))
+    if not p.coloured_c2_s or not span_s > 0.0:
+        return 0.0
+    return (p.coloured_c2_s + SWING_S * state.swing_c * state.swing_c) / span_s
+
+
+def _grouped(p: ModelParameters, state: ModelState, samples: Sequence[Sample]) -> list[Sample]:
     """Neighbours under one output as one sample at their weighted middle: the slope between them is a line."""
     groups: list[Sample] = []
     end_s, output = math.nan, math.nan
     weight = heat = moment = 0.0
+    last_s = state.measured_s
 
     def close() -> None:
         if weight:
@@ -370,7 +384,8 @@ def _grouped(p: ModelParameters, samples: Sequence[Sample]) -> list[Sample]:
         end_s = sample.end_s
         if sample.temp_c == sample.temp_c:
             sigma_c = sample.sigma_c or p.sigma_c
-            share = 1.0 / (sigma_c * sigma_c)
+            share = 1.0 / (sigma_c * sigma_c + _coloured(p, state, sample, last_s))
+            last_s = sample.end_s
             weight += share
             heat += share * sample.temp_c
             moment += share * sample.time_s
@@ -387,7 +402,7 @@ def _walk(
     rebased_c, driven = 0.0, state.driven
     offset_c, offset_output = state.offset_c, state.offset_output
     levered, usual = 0.0, state.usual
-    for sample in _grouped(p, samples):
+    for sample in _grouped(p, state, samples):
         surroundings = schedule_at(flow, now_s), schedule_at(fan, now_s)
         drive = sample.output, state.gain, state.disturbance_w
         before, span_s = nodes, max(0.0, sample.end_s - now_s)
@@ -468,12 +483,15 @@ def _moved(p: ModelParameters, places: Layout, nodes: Nodes, gains: list[float],
 def _widened(p: ModelParameters, places: Layout, rows: list[list[float]], run: _Run, lean: float) -> float:
     """Doubt more where the innovation says that the model was wrong: `rows` in place. Returns the new lean."""
     m = places.measured
-    jumped = abs(run.innovation_c) > JUMP_C + JUMP_SIGMA * math.sqrt(_spread_of(places, rows, run))
+    jump_c = COLOURED_JUMP_C if p.coloured_c2_s else JUMP_C
+    jumped = abs(run.innovation_c) > jump_c + JUMP_SIGMA * math.sqrt(_spread_of(places, rows, run))
     loose_c = max(run.rebased_c, JUMPED_C if jumped else 0.0)
     if loose_c:
         for i in range(places.size):
             rows[m][i] = rows[i][m] = 0.0 if i != m else rows[m][m] + loose_c * loose_c
         return 0.0
+    if p.coloured_c2_s:
+        return lean
     spread = _spread_of(places, rows, run)
     lean = LEAN_KEEP * lean + run.innovation_c / math.sqrt(spread)
     if abs(lean) > LEAN_MAX:
@@ -481,6 +499,20 @@ def _widened(p: ModelParameters, places: Layout, rows: list[list[float]], run: _
     elif run.innovation_c * run.innovation_c / spread > SURPRISE:
         rows[places.disturbance][places.disturbance] += SURPRISED_W * SURPRISED_W
     return lean
+
+
+def _swing(p: ModelParameters, state: ModelState, run: _Run) -> tuple[float, float, float]:
+    """swing_c, half_c and before_c after this innovation."""
+    if not p.coloured_c2_s:
+        return 0.0, 0.0, 0.0
+    keep, by_c = math.exp(-(run.time_s - state.time_s) / SWING_KEEP_S), run.innovation_c
+    swing_c, half_c, before_c = (keep * v for v in (state.swing_c, state.half_c, state.before_c))
+    if by_c * half_c < 0.0:
+        if abs(by_c) > SWING_SHARE * abs(half_c):
+            return max(swing_c, min(abs(half_c), before_c)), by_c, abs(half_c)
+    elif abs(by_c) > abs(half_c):
+        half_c = by_c
+    return swing_c, half_c, before_c
 
 
 def observe(
@@ -518,10 +550,16 @@ def _observe_piece(
         covariance = tuple(map(tuple, rows))
         return state._replace(time_s=run.time_s, nodes=run.nodes, covariance=covariance)
     lean = _widened(p, places, rows, run, state.lean)
+    swing = _swing(p, state, run)
     spread = _spread_of(places, rows, run)
     column = _column(rows, _looking(places, run))
     gains = [value / spread for value in column]
+    kept = [row[places.gain :] for row in rows[places.gain :]]
     rows = [[v - k * c for v, c in zip(row, column, strict=True)] for row, k in zip(rows, gains, strict=True)]
+    if p.coloured_c2_s and run.output < GAIN_SHARE * p.output_high:
+        for row, known in zip(rows[places.gain :], kept, strict=True):
+            row[places.gain :] = known
+        gains[places.gain :] = [0.0] * len(kept)
     by_c = run.innovation_c
     gain = min(GAIN_MAX, max(GAIN_MIN, state.gain + gains[places.gain] * by_c))
     max_w = p.disturbance_max_w
@@ -547,6 +585,7 @@ def _observe_piece(
         run.offset_c,
         run.offset_output,
         lean,
+        *swing,
         slant_c,
         usual,
         state.sent,

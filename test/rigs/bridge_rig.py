@@ -28,7 +28,12 @@ def actuate(
 ) -> list[PhaseCommand]:
     out = FFI.new("struct phase_command[2]")
     packed = FFI.new("struct actuator_params *", parameters.packed())
-    return commands_of(out, LIB.actuator_act(packed, state, power_w, time_s, is_on, idle, out))
+    return commands_of(
+        out,
+        LIB.actuator_act(
+            packed, state, power_w, time_s, is_on, LIB.SENSE_IDLE if idle else LIB.SENSE_WATCH, out
+        ),
+    )
 
 
 def ahead(

@@ -145,6 +145,7 @@ def _drive(config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings) -> ac
         config.getfloat("idle_interval", 0.500, minval=2.0 * pulse_s, maxval=1.0),
         pulses_max=max(2, math.ceil(timing.control_s / pulse_s) + 1),
         look_s=look_s,
+        watch_interval_s=timing.control_s,
         long_look_s=long_look_s,
     )
 
@@ -167,6 +168,7 @@ def _control(
     loss: heat_balance_monitor.TwoNodeLoss,
     timing: loop.Timing,
     melt: melt_exchange.MeltExchange,
+    law: laws.Law,
 ) -> loop.Control:
     """The control law by name; the options of all are read, switching is no reason to delete a tuning."""
     choice = config.getchoice(
@@ -179,7 +181,9 @@ def _control(
     )
     table = heater_laws.read_two_period(config, power_max_w)
     try:
-        held = nozzle_model.nozzle_model(heat, loss, power_max_w, timing, melt)
+        held = nozzle_model.nozzle_model(
+            heat, loss, power_max_w, timing, melt, calibrated=isinstance(law, laws.TankLaw)
+        )
     except ParameterError as e:
         where = config.where("heat_capacity_j_per_k")
         raise config.error(f"Section '{config.get_name()}': {e} (heat_capacity_j_per_k: {where}).") from None
@@ -202,7 +206,12 @@ def remodelled(parameters: loop.LoopParameters) -> loop.LoopParameters:
         return parameters
     balance = parameters.heat_balance
     held = nozzle_model.nozzle_model(
-        balance.heat, balance.loss, chosen.power_max_w, parameters.timing, parameters.melt
+        balance.heat,
+        balance.loss,
+        chosen.power_max_w,
+        parameters.timing,
+        parameters.melt,
+        calibrated=isinstance(parameters.estimator.law, laws.TankLaw),
     )
     return replace(parameters, control=replace(chosen, parameters=held))
 
@@ -284,7 +293,7 @@ def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParam
     return loop.LoopParameters(
         front,
         block_temperature.EstimatorParameters(law, supply=drive.law.vdc_v / drive.law.vdc_reference_v),
-        _control(config, drive.law, heat, balance.loss, timing, melt),
+        _control(config, drive.law, heat, balance.loss, timing, melt, law),
         loss,
         drive,
         supervision.SuperviseParameters(temp_low_c, temp_high_c, calibrated=calibrated),

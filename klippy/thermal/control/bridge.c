@@ -124,7 +124,8 @@ at_phase(const struct actuator_params *p, double time_s, int64_t phase)
 void
 actuator_reset(struct actuator_state *s)
 {
-    *s = (struct actuator_state){.last_s = -INFINITY, .last_excited_s = -INFINITY, .look_s = -INFINITY};
+    *s = (struct actuator_state){.last_s = -INFINITY, .last_excited_s = -INFINITY, .look_s = -INFINITY,
+                                  .hold_look_s = -INFINITY};
 }
 
 // Add the request of the interval that ends now. Continuous drive delivers what is requested.
@@ -141,9 +142,18 @@ account(const struct actuator_params *p, struct actuator_state *s, double time_s
     s->owed_j = lesser(limit_j, greater(-limit_j, s->owed_j));
 }
 
+// Length of the pulse that is due for the sake of measuring; 0: none is.
+static double
+sensing_s(const struct actuator_params *p, enum sensing_need need, double since_s)
+{
+    if (need == SENSE_WATCH && p->look_s > 0.0)
+        return since_s >= p->watch_interval_s - TIME_SLACK_S ? p->look_s : 0.0;
+    return since_s >= (need == SENSE_IDLE ? p->idle_interval_s : p->sense_interval_s) ? p->pulse_s : 0.0;
+}
+
 int
 actuator_act(const struct actuator_params *p, struct actuator_state *s, double power_w, double time_s, int is_on,
-             int idle, struct phase_command *out)
+             enum sensing_need need, struct phase_command *out)
 {
     account(p, s, time_s);
     s->last_s = time_s;
@@ -154,15 +164,13 @@ actuator_act(const struct actuator_params *p, struct actuator_state *s, double p
         out[0] = at_phase(p, time_s, phase);
         return 1;
     }
-    double pulse_j = p->power_low_w * p->pulse_s, interval_s = idle ? p->idle_interval_s : p->sense_interval_s;
-    double pulses = lesser(p->pulses_max, floor(s->owed_j / pulse_j + 0.5));
-    if (pulses < 1.0 && time_s - s->last_excited_s >= interval_s)
-        pulses = 1.0;
+    double pulse_j = p->power_low_w * p->pulse_s, pulses = lesser(p->pulses_max, floor(s->owed_j / pulse_j + 0.5));
+    double length_s = pulses >= 1.0 ? pulses * p->pulse_s : sensing_s(p, need, time_s - s->last_excited_s);
     out[0] = (struct phase_command){time_s, 0, 0.0};
-    if (pulses < 1.0)
+    if (length_s == 0.0)
         return is_on ? 1 : 0;
-    double end_s = time_s + pulses * p->pulse_s;
-    s->owed_j -= pulses * pulse_j;
+    double end_s = time_s + length_s;
+    s->owed_j -= p->power_low_w * length_s;
     s->last_excited_s = end_s;
     out[0] = (struct phase_command){time_s, p->phase_low_ticks, p->power_low_w};
     out[1] = (struct phase_command){end_s, 0, 0.0};
@@ -184,28 +192,54 @@ actuator_ahead(const struct actuator_params *p, const struct model_planned *hori
     return (int)(last - out);
 }
 
-int
-actuator_look(const struct actuator_params *p, struct actuator_state *s, double rate_k_s, double doubt_c,
-              struct phase_command *commands, int count)
+// Begin with `phase` for `look_s`; what was to begin then follows.
+static int
+begin_with_look(const struct actuator_params *p, struct phase_command *commands, int count, int64_t phase, double look_s)
 {
-    struct phase_command first = commands[0];
-    if (!(pow(first.phase_ticks / p->phase_max_ticks, 2.0) >= LOOK_SHARE) || p->look_s == 0.0)
-        return count;
-    double apart_s = lesser(LOOK_MAX_S, greater(LOOK_MIN_S, LOOK_C / greater(1e-3, rate_k_s)));
-    double since_s = first.time_s - s->look_s;
-    if (0.0 < since_s && since_s < (doubt_c > LOOK_DOUBT_C ? 0.0 : apart_s))
-        return count;
-    s->look_s = first.time_s;
-    struct phase_command after = first, rest[PLAN_MAX];
-    after.time_s += apart_s >= LOOK_RARE_S ? p->long_look_s : p->look_s;
+    struct phase_command after = commands[0], rest[PLAN_MAX];
+    after.time_s += look_s;
     memcpy(rest, commands + 1, (count - 1) * sizeof(*rest));
-    commands[0] = (struct phase_command){first.time_s, p->phase_low_ticks, p->power_low_w};
+    commands[0] = at_phase(p, commands[0].time_s, phase);
     commands[1] = after;
     int made = 2;
     for (int i = 0; i < count - 1; i++)
         if (rest[i].time_s > after.time_s)
             commands[made++] = rest[i];
     return made;
+}
+
+static int
+hold_look(const struct actuator_params *p, struct actuator_state *s, struct phase_command *commands, int count)
+{
+    double start_s = commands[0].time_s, since_s = start_s - s->hold_look_s;
+    if (!p->hold_looks || p->hold_look_s == 0.0 || p->look_s == 0.0 || !commands[0].phase_ticks
+        || (0.0 < since_s && since_s < p->hold_look_s))
+        return count;
+    if (since_s != 0.0)
+        s->hold_look = (s->hold_look + 1) % p->hold_looks;
+    s->hold_look_s = start_s;
+    if (!s->driving) { // the pulse keeps its length
+        commands[1].time_s += p->look_s;
+        s->last_excited_s = commands[1].time_s;
+    }
+    count = begin_with_look(p, commands, count, p->hold_look_ticks[s->hold_look], p->look_s);
+    s->owed_j -= commands[0].power_w * p->look_s;
+    return count;
+}
+
+int
+actuator_look(const struct actuator_params *p, struct actuator_state *s, double rate_k_s, double doubt_c,
+              struct phase_command *commands, int count)
+{
+    struct phase_command first = commands[0];
+    if (!(pow(first.phase_ticks / p->phase_max_ticks, 2.0) >= LOOK_SHARE))
+        return hold_look(p, s, commands, count);
+    double apart_s = lesser(LOOK_MAX_S, greater(LOOK_MIN_S, LOOK_C / greater(1e-3, rate_k_s)));
+    double since_s = first.time_s - s->look_s;
+    if (p->look_s == 0.0 || (0.0 < since_s && since_s < (doubt_c > LOOK_DOUBT_C ? 0.0 : apart_s)))
+        return count;
+    s->look_s = first.time_s;
+    return begin_with_look(p, commands, count, p->phase_low_ticks, apart_s >= LOOK_RARE_S ? p->long_look_s : p->look_s);
 }
 
 double
@@ -254,10 +288,11 @@ bridge_command(const struct bridge_params *p, struct bridge_state *s, const stru
     if (taken && r->apart_s > 0.0 && !improves(p, s, taken, power_w, r->horizon, horizon))
         return 0;
     // On a line that loses the blocks of pulses the next pulse comes sooner.
-    int idle = is_off && age_s <= p->actuator.idle_interval_s + p->pulse_delay_s;
+    int arrives = age_s <= p->actuator.idle_interval_s + p->pulse_delay_s;
+    enum sensing_need need = !is_off ? SENSE_WATCH : arrives ? SENSE_IDLE : SENSE_LOST;
     // A horizon may turn on again a bridge that is off; a pulse ends by itself and stays.
     int is_on = timeline_is_on_from(&s->line, greater(at_s, s->actuator.last_excited_s));
-    int count = actuator_act(&p->actuator, &s->actuator, power_w, at_s, is_on, idle, out);
+    int count = actuator_act(&p->actuator, &s->actuator, power_w, at_s, is_on, need, out);
     if (count == 1)
         count += actuator_ahead(&p->actuator, r->horizon, horizon, out);
     struct phase_command head = out[0];

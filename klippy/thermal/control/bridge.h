@@ -16,7 +16,7 @@
 #define LOOK_DOUBT_C 20.0   // more doubt about full drive than this: a look at each command
 #define KEEP_S 0.4          // a block comes this late at most before the loop counts as blind
 
-enum { TIMELINE_MAX = 512, PLAN_MAX = 2 + MODEL_HORIZON };
+enum { TIMELINE_MAX = 512, PLAN_MAX = 3 + MODEL_HORIZON, HOLD_LOOKS_MAX = 4 };
 
 // records.PhaseCommand
 struct phase_command {
@@ -40,9 +40,15 @@ struct timeline {
 struct actuator_params {
     double power_max_w, exponent, phase_max_ticks;  // drive law
     double power_low_w, pulse_s, sense_interval_s, idle_interval_s;
+    double watch_interval_s;        // longest time without a measurement while a target is set; one takes look_s
     double look_s, long_look_s;     // at the sensing phase within a strong drive; 0: none
+    double hold_look_s;             // from one look out of a weak drive, a pulse or idle to the next; 0: none
     int32_t phase_low_ticks, pulses_max;
+    int32_t hold_looks, hold_look_ticks[HOLD_LOOKS_MAX];    // phases of those looks, in turn
 };
+
+// How often a bridge that need not heat measures: rarely and surely, more often, or shortly and all the time.
+enum sensing_need { SENSE_IDLE, SENSE_LOST, SENSE_WATCH };
 
 struct actuator_state {
     double last_s;          // start of the interval the last request holds for
@@ -50,6 +56,8 @@ struct actuator_state {
     double owed_j;          // requested minus delivered
     double last_excited_s;  // end of the last pulse or continuous drive
     double look_s;          // start of the newest look at the sensing phase
+    double hold_look_s;     // start of the newest look out of a weak drive ...
+    int32_t hold_look;      // ... and its number
     int32_t driving;        // continuous drive (phase above the smallest) since last_s
 };
 
@@ -99,13 +107,15 @@ double drive_phase_ticks(const struct actuator_params *p, double power_w);
 void actuator_reset(struct actuator_state *s);
 // Commands into `out`, at most two.
 int actuator_act(const struct actuator_params *p, struct actuator_state *s, double power_w, double time_s, int is_on,
-                 int idle, struct phase_command *out);
+                 enum sensing_need need, struct phase_command *out);
 // What follows out[0], from out[1] on; returns how many.
 int actuator_ahead(const struct actuator_params *p, const struct model_planned *horizon, int count,
                    struct phase_command *out);
 
 // A strong drive begins with a look at the sensing phase, if one is due: where the reading is true. It shows by how much
 // that of the strong drive is off (thermal/sensing/drive_offset.h). `doubt_c`: 1 sigma of what full drive adds to it.
+// A weaker drive, a pulse also while idle, begins with a look at the next of hold_look_ticks, each hold_look_s. The heat
+// of a look stands in the timeline, where the law's prediction finds it, and in owed_j.
 int actuator_look(const struct actuator_params *p, struct actuator_state *s, double rate_k_s, double doubt_c,
                   struct phase_command *commands, int count);
 

@@ -33,7 +33,8 @@ PULSE_DELAY_S = (
 )
 PROMPT_S = 0.005  # to the MCU, when it matters more that a command comes soon than that it comes in time
 RESEND_SHARE = 0.01  # of full power: a smaller change of what is already on its way is not worth a message
-PLAN_MAX = 66  # commands of one step, as in bridge.h
+SURELY_DRIVING = 1.5  # times the smallest drive: less holding power is met by pulses now and then
+PLAN_MAX = 67  # commands of one step, as in bridge.h
 _INPUTS = struct.Struct("=6di4x")  # head of struct bridge_inputs
 _new_request = partial(tuple.__new__, PowerRequest)
 
@@ -179,14 +180,17 @@ class PredictiveDriver(BridgeDriver):
         self._figures = self._ffi.buffer(self._inputs)
         self._found = predictive.StepOutput()
         self._ahead: Ahead | None = None  # what the inputs point to
+        self._follows_drive = parameters.approach.rebase_fraction == math.inf
 
     def is_held(self) -> bool:
-        return not self.state.horizon and self.state.bridge.driving
+        state, request = self.state, self.state.request
+        holding_w = request.feedforward_w + request.integral_w
+        sure_w = SURELY_DRIVING * self.parameters.actuator.power_low_w
+        return not state.horizon and state.bridge.driving and holding_w >= sure_w
 
     def _approach_w(self, below_c: float) -> float:
-        limit_w = super()._approach_w(below_c)
         # With a sensing law that follows the drive the control law knows when to stop.
-        return math.inf if self.parameters.approach.rebase_fraction == math.inf else limit_w
+        return math.inf if self._follows_drive else super()._approach_w(below_c)
 
     def step(
         self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf

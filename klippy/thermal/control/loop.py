@@ -9,7 +9,8 @@ the link. A misjudged edge costs one short block. The returned commands replace 
 the first of them on. bridge_driver.py runs the control law (`LoopParameters.control`).
 
 The bridge turns itself off after `max_duration` without a command; `refresh_s` is a third of that. Without a
-temperature for `stale_s` the loop does not heat: it goes back to the smallest phase that still measures.
+temperature for `stale_s` the loop does not heat: it goes back to the smallest phase that still measures. Without blocks
+the bridge is off. It then goes on where it left off: a late host, or a line cut for a moment, costs heat only.
 """
 
 from __future__ import annotations
@@ -17,7 +18,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from thermal.models import heat_loss
 from thermal.records import PhaseCommand, SampleBlock, TempEstimate
 from thermal.sensing import heat_balance_monitor, laws, supervision
 from thermal.sensing.blocks import Blocks
@@ -34,6 +34,7 @@ from .loop_records import (
     Control,
     LoopParameters,
     LoopState,
+    new_ahead,
 )
 from .story import Story
 from .timeline import Timing
@@ -117,26 +118,27 @@ class InductionLoop:
 
     def _step(self, before: TempEstimate | None, now_s: float) -> list[PhaseCommand]:
         """Safety first, then law and actuator. `before`: the estimate before the newest, None without a new one."""
-        state = self.state
+        state, p = self.state, self._parameters
+        blind_s, late_s = now_s - self.chain.watch.last_block_s, now_s - state.decided_s
+        if state.target_c > 0.0 and late_s < math.inf:
+            state.lapse_s = max(state.lapse_s, blind_s, late_s)
+            supervision.watch_host(p.supervise, state.supervise, late_s)
         state.decided_s = now_s
         self._follow_reference(now_s)
         if self._watch(now_s):
             state.target_c = 0.0
             return self._driver.off(now_s)
+        if blind_s > p.timing.stale_s:
+            return self._driver.off(now_s)
         return self._driver.step(before, self._ahead(), now_s)
 
     def _watch(self, now_s: float) -> str:
         """A fault once seen stays."""
-        state, p = self.state, self._parameters
+        state, p, chain = self.state, self._parameters, self.chain
         fraction = state.request.power_w / p.control.power_max_w
-        temp_c, target_c = state.estimate.temp_c, state.target_c
-        loss_w = heat_loss.loss_w(p.loss, temp_c) if state.estimate.valid else 0.0
-        supervision.watch_reading(
-            p.supervise, state.supervise, self.chain.watch, self.chain.state.witness, temp_c, target_c, loss_w
-        )
-        return supervision.watch(
-            p.supervise, state.supervise, self.chain.watch, now_s, temp_c, target_c, fraction
-        )
+        temp_c, target_c, seen = state.estimate.temp_c, state.target_c, chain.watch
+        supervision.watch_reading(p.supervise, state.supervise, seen, chain.witness, temp_c, target_c, p.loss)
+        return supervision.watch(p.supervise, state.supervise, seen, now_s, temp_c, target_c, fraction)
 
     # Targets and parameters
 
@@ -180,7 +182,7 @@ class InductionLoop:
             self.state.target_c = self.reference.at(now_s)
 
     def _ahead(self) -> Ahead:
-        return Ahead(self.reference, self.flow, self.fan)
+        return new_ahead((self.reference, self.flow, self.fan))
 
     def use(self, parameters: LoopParameters) -> None:
         """Go on with other parameters; another law begins with the heat that holds the nozzle as it is now."""
@@ -259,7 +261,7 @@ class InductionLoop:
 
     def _inform_witness(self, news: TempEstimate) -> None:
         """What the heat witness may assume from now on."""
-        p, inputs = self._parameters, self.chain.state.witness.inputs
+        p, inputs = self._parameters, self.chain.witness.inputs
         near_s = (news.time_s - BALANCE_S, news.time_s, news.time_s + BALANCE_S)
         taken_w = (
             max(map(self.flow.at, near_s))

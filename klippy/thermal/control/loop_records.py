@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 from thermal.models import heat_loss
@@ -90,6 +91,9 @@ class Ahead(NamedTuple):
     fan: control_api.Schedule  # part fan, 0..1
 
 
+new_ahead = partial(tuple.__new__, Ahead)
+
+
 @dataclass(slots=True)
 class LoopState:
     """Memory of the chain and what the status shows."""
@@ -100,6 +104,7 @@ class LoopState:
     bridge: Bridge = field(default_factory=Bridge)  # commands sent, and what the actuator owes
     horizon: tuple[Planned, ...] = ()  # what the law means to do after its request
     decided_s: float = -math.inf  # last control step
+    lapse_s: float = 0.0  # longest time without control or blocks since somebody set this to 0
     settled_s: float = math.inf  # since when the estimate has been near the target
     arriving: bool = False  # near the target, power limited
     law: Any = None  # memory of the control law

@@ -19,15 +19,16 @@ FLOW_LAG_S = 0.020  # compliance between motor and nozzle
 # Plan this far ahead. The output of a step holds from 15 to 23 ms after it; the next step is up to 25 ms later, 50 if
 # the host is late, and holds 23 ms after that: until then, 90 ms after the first, the MCU goes by the plan.
 AHEAD_S = 0.090
-# Process noise of the disturbance power, W per sqrt(s), while the innovations show no bias (predictive_filter.h: lean,
-# surprise). On the reference nozzle 0.2, 0.3, 0.5, 1.5 W give 0.05, 0.06, 0.07, 0.11 degC of ripple peak to peak, and
-# a host late by 50 ms makes of them 0.06, 0.07, 0.09, 0.16; an unplanned flow of 25 mm3/s costs 0.7 degC with each.
-DISTURBANCE_W = 0.3
+# Process noise of the disturbance power (W per sqrt(s)) and of the nodes (degC per sqrt(s)), density of coloured
+# errors of the reading. Together they set the bandwidth of the estimate: 20 rad/s on the reference nozzle, well damped.
+DISTURBANCE_W = 1.4
+TEMP_WALK_C = 0.36
+COLOURED_C2_S = 5e-5
+SLANT_C = 1.0  # what full drive by itself may add to the reading (degC)
+# An uncalibrated law is off by another amount at each drive. Its filter takes errors as white and follows a bias of the
+# innovations.
+UNCALIBRATED_DISTURBANCE_W = 0.3
 DISTURBANCE_W2_PER_K = 0.012  # 1.6 W over a climb to 250 degC: losses wrong by 30 % are learned on the way
-# What the drive by itself adds to the reading, degC at full drive: C1 off by 0.1 % makes it 7 near holding power, which
-# is learned from 1 as well as from 8. The more is expected, the longer unannounced flow is taken for it: with 8 an
-# uncalibrated nozzle comes back 0.15 s later.
-SLANT_C = 1.0
 DISTURBANCE_MAX_W = 20.0  # melt at any flow, a draught, losses wrong by half: 15 W
 
 
@@ -38,6 +39,7 @@ def nozzle_model(
     timing: Timing,
     melt: MeltExchange | None = None,
     fan_w_k: float = FAN_W_K,
+    calibrated: bool = True,
 ) -> ModelParameters:
     """Output in watts. Raises ParameterError where no nozzle can be so."""
     melt = melt or MeltExchange()
@@ -63,8 +65,10 @@ def nozzle_model(
         tau_s=TAU_S,
         delay_s=timing.lead_s,
         ahead=round(AHEAD_S / stride_s),
-        disturbance_w=DISTURBANCE_W,
+        disturbance_w=DISTURBANCE_W if calibrated else UNCALIBRATED_DISTURBANCE_W,
         disturbance_w2_per_k=DISTURBANCE_W2_PER_K,
         disturbance_max_w=DISTURBANCE_MAX_W,
         slant_c=SLANT_C,
+        temp_walk_c=TEMP_WALK_C if calibrated else 0.02,
+        coloured_c2_s=COLOURED_C2_S if calibrated else 0.0,
     )

@@ -101,6 +101,7 @@ model_begin(const struct model_params *p, struct model_state *s, double temp_c, 
     s->time_s = s->measured_s = time_s;
     s->gain = gain;
     s->disturbance_w = s->innovation_c = s->driven = s->offset_c = s->offset_output = s->lean = s->slant_c = 0.0;
+    s->swing_c = s->half_c = s->before_c = 0.0;
     s->usual = s->output / p->output_high;
 }
 
@@ -249,6 +250,14 @@ pass_group(const struct model_params *p, const struct model_state *s, struct run
     pass(p, s, run, &one, flow, fan);
 }
 
+// Variance of one sample by coloured errors, which do not average out within its time.
+static double
+coloured_variance(const struct model_params *p, const struct model_state *s, const struct model_sample *sample, double last_s)
+{
+    double span_s = greater(2.0 * (sample->end_s - sample->time_s), lesser(sample->end_s - last_s, COLOURED_GAP_S));
+    return p->coloured_c2_s && span_s > 0.0 ? (p->coloured_c2_s + SWING_S * s->swing_c * s->swing_c) / span_s : 0.0;
+}
+
 static struct run
 walk_through(const struct model_params *p, const struct model_state *s, const struct model_sample *samples, int count,
              const struct model_line *flow, const struct model_line *fan)
@@ -256,6 +265,7 @@ walk_through(const struct model_params *p, const struct model_state *s, const st
     struct run run = {.nodes = s->nodes, .time_s = s->time_s, .measured_s = s->measured_s, .driven = s->driven,
                       .offset_c = s->offset_c, .offset_output = s->offset_output, .usual = s->usual};
     struct group g = {.end_s = NAN, .output = NAN};
+    double last_s = s->measured_s;
     for (const struct model_sample *sample = samples; sample < samples + count; sample++) {
         if (sample->output != g.output || sample->is_rebased) {
             pass_group(p, s, &run, &g, flow, fan);
@@ -267,7 +277,9 @@ walk_through(const struct model_params *p, const struct model_state *s, const st
         }
         g.end_s = sample->end_s;
         if (is_number(sample->temp_c)) {
-            double sigma_c = sample->sigma_c ? sample->sigma_c : p->sigma_c, share = 1.0 / (sigma_c * sigma_c);
+            double sigma_c = sample->sigma_c ? sample->sigma_c : p->sigma_c;
+            double share = 1.0 / (sigma_c * sigma_c + coloured_variance(p, s, sample, last_s));
+            last_s = sample->end_s;
             g.weight += share;
             g.heat += share * sample->temp_c;
             g.moment += share * sample->time_s;
@@ -305,7 +317,8 @@ widen(const struct model_params *p, const struct model_places *at, struct model_
 {
     int m = at->measured, d = at->disturbance;
     double variance = innovation_variance(s, at, run);
-    int jumped = fabs(run->innovation_c) > JUMP_C + JUMP_SIGMA * sqrt(variance);
+    double jump_c = p->coloured_c2_s ? COLOURED_JUMP_C : JUMP_C;
+    int jumped = fabs(run->innovation_c) > jump_c + JUMP_SIGMA * sqrt(variance);
     double loose_c = greater(run->rebased_c, jumped ? JUMPED_C : 0.0);
     if (loose_c) {
         double loose = s->covariance[m][m] + loose_c * loose_c;
@@ -315,11 +328,31 @@ widen(const struct model_params *p, const struct model_places *at, struct model_
         s->lean = 0.0;
         return;
     }
+    if (p->coloured_c2_s)
+        return;
     s->lean = LEAN_KEEP * s->lean + run->innovation_c / sqrt(variance);
     if (fabs(s->lean) > LEAN_MAX)
         s->covariance[d][d] += square(LEAN_SHARE * p->disturbance_start_w);
     else if (run->innovation_c * run->innovation_c / variance > SURPRISE)
         s->covariance[d][d] += SURPRISED_W * SURPRISED_W;
+}
+
+// Follow the half waves of the innovations.
+static void
+follow_swing(struct model_state *s, double by_c, double dt_s)
+{
+    double keep = exp(-dt_s / SWING_KEEP_S);
+    s->swing_c *= keep;
+    s->half_c *= keep;
+    s->before_c *= keep;
+    int other = by_c * s->half_c < 0.0;
+    if (other && fabs(by_c) > SWING_SHARE * fabs(s->half_c)) {
+        s->swing_c = greater(s->swing_c, lesser(fabs(s->half_c), s->before_c));
+        s->before_c = fabs(s->half_c);
+        s->half_c = by_c;
+    } else if (!other && fabs(by_c) > fabs(s->half_c)) {
+        s->half_c = by_c;
+    }
 }
 
 // The nodes after an update; bore and an ideal sensor go with the controlled node.
@@ -341,13 +374,17 @@ update(const struct model_params *p, const struct model_places *at, struct model
 {
     double by_c = run->innovation_c, column[MODEL_PLACES] = {0}, gains[MODEL_PLACES] = {0};
     double variance = innovation_variance(s, at, run);
+    int learns = !p->coloured_c2_s || run->output >= GAIN_SHARE * p->output_high;
     for (int i = 0; i < at->size; i++) {
         column[i] = with_reading(s, at, run, i);
         gains[i] = column[i] / variance;
     }
     for (int i = 0; i < at->size; i++)
         for (int j = 0; j < at->size; j++)
-            s->covariance[i][j] -= gains[i] * column[j];
+            if (learns || i < at->gain || j < at->gain)
+                s->covariance[i][j] -= gains[i] * column[j];
+    for (int i = at->gain; i < at->size && !learns; i++)
+        gains[i] = 0.0;
     s->gain = lesser(GAIN_MAX, greater(GAIN_MIN, s->gain + gains[at->gain] * by_c));
     s->disturbance_w = bounded(s->disturbance_w + gains[at->disturbance] * by_c, p->disturbance_max_w);
     s->slant_c += at->slant >= 0 ? gains[at->slant] * by_c : 0.0;
@@ -410,6 +447,8 @@ observe_piece(const struct model_params *p, const struct model_places *at, struc
     if (!run.weight)
         return;
     widen(p, at, s, &run);
+    if (p->coloured_c2_s)
+        follow_swing(s, run.innovation_c, dt_s);
     update(p, at, s, &run);
     follow_usual(p, at, s, &run, dt_s);
 }

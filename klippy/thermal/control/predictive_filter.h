@@ -34,6 +34,17 @@
 // where the reading is taken for the truth, follows within this time.
 #define SLANT_WALK_C 0.3
 #define SLANT_USUAL_S 0.2
+// Coloured errors of the reading (coloured_c2_s): a sample counts for the time since the one before, up to a limit.
+#define COLOURED_GAP_S 0.02
+// Innovations that swing to and fro by `swing_c` are vibration or interference: they add a density of swing_c^2 times
+// this. A half wave ends where the sign changes and this share of its peak is passed; memory decays within this time.
+#define SWING_S 0.006
+#define SWING_SHARE 0.25
+#define SWING_KEEP_S 1.0
+// With coloured errors gain and slant are learned above this share of full drive: below it a swing that moves the drive
+// would pass for one. Then a jump of the thermometer begins at this much, beyond what interference does.
+#define GAIN_SHARE 0.25
+#define COLOURED_JUMP_C 12.0
 #define SECOND_MARGIN_C 20.0 // the second mass lies between air and the hottest node, give or take this
 
 enum {
@@ -64,6 +75,8 @@ struct model_state {
     double offset_c;            // taken off the readings ...
     double offset_output;       // ... since the output stepped to this
     double lean;                // decaying sum of innovations, each over its sigma
+    double swing_c;             // amplitude of innovations that swing to and fro, the smaller of two half waves
+    double half_c, before_c;    // peak of the present half wave, with sign, and size of the one before
     double slant_c;             // what full drive by itself adds to the reading
     double usual;               // share of full drive at which the reading is taken for the truth
     double covariance[MODEL_PLACES][MODEL_PLACES];  // of the nodes there are, see model_layout

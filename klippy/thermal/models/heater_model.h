@@ -13,7 +13,7 @@ struct model_params {
     double melt_ua_w_k, melt_j_mm3_k, melt_in_c, bore_s, flow_s;
     double hold_s, tau_s, band_c, slew_per_s, delay_s;                                 // what is wanted
     double sigma_c, disturbance_w, disturbance_w2_per_k, disturbance_start_w;   // what is uncertain
-    double disturbance_max_w, gain_start, gain_walk, slant_c, second_start, temp_walk_c, gap_s;
+    double disturbance_max_w, gain_start, gain_walk, slant_c, second_start, temp_walk_c, coloured_c2_s, gap_s;
     double step_s, prediction_s, remaining, air_k4;                                         // derived
     int32_t ahead;
 };

@@ -81,6 +81,7 @@ class ModelParameters:
     slant_c: float = 0.0  # of what full drive by itself moves the reading, degC; 0: nothing
     second_start: float = 0.2  # of the second mass's excess over air, relative
     temp_walk_c: float = 0.02  # of each node, within a second
+    coloured_c2_s: float = 0.0  # spectral density of coloured errors of the reading; 0: white noise alone
     gap_s: float = 5.0  # after this time without readings: begin anew
     step_s: float = field(init=False, default=LONGEST_STEP_S)  # of the integration
     prediction_s: float = field(init=False, default=0.0)  # the prediction horizon H ...
@@ -118,7 +119,7 @@ class ModelParameters:
             *("element_w_k", "sensor_s", "fan_w_k", "melt_ua_w_k", "melt_j_mm3_k", "bore_s", "flow_s"),
             *("horizon_s", "tau_s", "band_c", "delay_s", "ahead", "disturbance_w", "disturbance_start_w"),
             "disturbance_w2_per_k",
-            *("gain_start", "gain_walk", "slant_c", "second_start", "temp_walk_c"),
+            *("gain_start", "gain_walk", "slant_c", "second_start", "temp_walk_c", "coloured_c2_s"),
         ):
             value = getattr(self, name)
             require(0.0 <= value < math.inf, f"model: {name} must not be negative, it is {value:g}")

@@ -177,12 +177,22 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
     return loop.LoopParameters(
         front,
         block_temperature.EstimatorParameters(law),
-        _control(choice, pid_control.PidParameters(**pid), heat, balance, drive, timing, held),
+        _control(
+            choice,
+            pid_control.PidParameters(**pid),
+            heat,
+            balance,
+            drive,
+            timing,
+            held,
+            isinstance(law, laws.TankLaw),
+        ),
         loss,
         actuator.ActuatorParameters(
             drive,
             pulse_s,
             pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1,
+            watch_interval_s=defaults.DEFAULT_CONTROL_S,
             look_s=settle_s + defaults.LOOK_SAMPLES * PERIOD_S,
             long_look_s=settle_s + defaults.LONG_LOOK_SAMPLES * PERIOD_S,
         ),
@@ -202,6 +212,7 @@ def _control(
     drive: DriveLaw,
     timing: loop.Timing,
     held: dict[str, Any],
+    calibrated: bool,
 ) -> loop.Control:
     power_w = drive.power_max_w
     if choice == "pid":
@@ -210,7 +221,9 @@ def _control(
         return loop.Control(pid_control.WATERMARK, pid_control.WatermarkParameters(2.0, power_w), power_w)
     if choice == "two_period":
         return loop.Control(two_period.TWO_PERIOD, two_period.TwoPeriodParameters(power_w), power_w)
-    parameters = replace(nozzle_model.nozzle_model(heat, balance, power_w, timing), **held)
+    parameters = replace(
+        nozzle_model.nozzle_model(heat, balance, power_w, timing, calibrated=calibrated), **held
+    )
     return loop.Control(predictive.MODEL, parameters, power_w, models=True)
 
 

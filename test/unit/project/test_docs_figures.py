@@ -103,6 +103,7 @@ def control_rows() -> Iterator[str]:
     yield f"disturbance: process noise | {nozzle_model.DISTURBANCE_W:g} W per √s"
     yield f"disturbance: largest | {nozzle_model.DISTURBANCE_MAX_W:g} W"
     yield f"change of the reading with the drive: initial 1 σ | {nozzle_model.SLANT_C:g} °C at full drive"
+    yield f"coloured errors of the reading: density | {1e4 * nozzle_model.COLOURED_C2_S:g} · 10⁻⁴ °C² s"
     yield f"no heating without a temperature for | {p.timing.stale_s:g} s"
     limits = f"{p.approach.power_w:g} W (`tank` law {calibrated.power_w:g} W), {p.approach.band_c:g} °C"
     yield f"near the target: power limit, band | {limits}"

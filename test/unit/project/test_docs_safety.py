@@ -156,7 +156,7 @@ def supervision_claims() -> Iterator[str]:
     p = parameters().supervise
     in_a_row = f"{p.limit_blocks} estimates in a row ({milliseconds(p.limit_blocks):.0f} ms)"
     yield f"or more than {p.over_c:g} °C above `max_temp` | {in_a_row} |"
-    yield f"| no samples arrive | {p.silence_s:g} s |"
+    yield f"| no samples arrive, or the host was late | {p.silence_s:g} s |"
     yield f"give no valid temperature | {p.invalid_s:g} s |"
     assert p.demand_fraction == 0.5
     yield f"half of full power or more is requested {p.demand_c:g} °C or more below the target"
@@ -167,7 +167,9 @@ def supervision_claims() -> Iterator[str]:
 
 def guard_claims() -> Iterator[str]:
     max_duration_s = option("max_duration")
-    yield f"`max_duration` ({1e3 * max_duration_s:g} ms)"
+    silence = re.search(r"SILENCE_US = (\d+)", (ROOT / "src/inductioncmds.c").read_text())
+    assert silence
+    yield f"`max_duration` ({1e3 * max_duration_s:g} ms): bridge off; shutdown after {1e-6 * int(silence[1]):g} s"
     timing = parameters().timing
     yield f"begins {1e3 * (timing.lead_s + timing.stride_s):.0f} ms after it was sent"
     blocks = option("guard_trip_blocks")
@@ -254,7 +256,7 @@ def off_after_s(warm_s: float) -> float:
 def dead_host_claims() -> Iterator[str]:
     """Rounded up to 0.05 s."""
     heating_s = max(off_after_s(warm_s) for warm_s in (0.1, 0.3, 0.5, 0.52, 0.8, 1.0))
-    held_s = max(off_after_s(warm_s) for warm_s in (1.4, 1.5, 2.5, 2.6, 3.0))
+    held_s = max(off_after_s(warm_s) for warm_s in (1.5, 1.6, 2.5, 2.6, 3.0))
     yield f"the plan reaches {1e3 * nozzle_model.AHEAD_S:g} ms ahead | max {math.ceil(20.0 * heating_s) / 20.0:g} s"
     yield f"at the latest | max {math.ceil(20.0 * held_s) / 20.0:g} s"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import random
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -19,8 +20,10 @@ from thermal.sensing.pipeline import Chain
 STEPS = 3000
 
 
-def driver_of(kind: type[BridgeDriver]) -> BridgeDriver:
-    return kind(default_parameters(law=true_law()), loop_records.LoopState(), Chain())
+def driver_of(kind: type[BridgeDriver], **looks: Any) -> BridgeDriver:
+    parameters = default_parameters(law=true_law())
+    actuator = replace(parameters.actuator, **looks)
+    return kind(replace(parameters, actuator=actuator), loop_records.LoopState(), Chain())
 
 
 def random_request(rng: random.Random, now_s: float, power_max_w: float) -> Request:
@@ -53,7 +56,8 @@ def command(driver: BridgeDriver, request: Request) -> list[Any]:
 @pytest.mark.parametrize("kind", [OneOutputDriver, PredictiveDriver])
 @pytest.mark.parametrize("seed", range(4))
 def test_commands_are_those_of_the_plain_version(kind: type[BridgeDriver], seed: int) -> None:
-    rng, driver = random.Random(seed), driver_of(kind)
+    looks = {"hold_look_s": 0.5, "hold_look_ticks": (45000, 20125)} if seed % 2 else {}
+    rng, driver = random.Random(seed), driver_of(kind, **looks)
     p = driver.parameters
     assert p.has_looks
     plain = Reference(p.timing, p.actuator, p.control.power_max_w, kind is PredictiveDriver, p.filter.heat)

@@ -77,6 +77,7 @@ def parameters(rng: random.Random, element: bool, second: bool, sensor: bool) ->
             "disturbance_max_w": rng.choice([math.inf, 5.0]),
             "gain_start": maybe(0.3),
             "slant_c": maybe(8.0),
+            "coloured_c2_s": maybe(1e-4),
             "gap_s": rng.choice([0.3, 5.0]),
         }
         fields["output_high"] = heat * rng.uniform(5.0, 150.0) / fields["output_w"]
