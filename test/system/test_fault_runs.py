@@ -35,8 +35,7 @@ def test_a_broken_coil_is_in_the_summary_with_what_stopped_it(simulate: Simulate
     run = simulate(HOLD, more=["--fault", "coil_open@6"])
     assert run.status == 3
     record = run.summary["injected"][0]
-    reasons = ("below min_temp", "below its limit", "changed faster than a nozzle can")
-    assert any(reason in record["detected_by"] for reason in reasons)
+    assert "below min_temp" in record["detected_by"] or "below its limit" in record["detected_by"]
     assert record["after_ms"] < 25.0
     assert record["bridge_off_after_ms"] < 25.0
 
@@ -58,8 +57,8 @@ def test_a_signal_that_jumps_is_no_reason_to_heat(simulate: Simulate) -> None:
         HOLD, settings=["simulator nozzle nozzle.preset=strong"], more=["--fault", "sense_gain:0.5@6"]
     )
     record = run.summary["injected"][0]
-    assert "changed faster than a nozzle can" in record["detected_by"]
-    assert record["after_ms"] < 10.0
+    assert "does not follow the heat" in record["detected_by"]
+    assert record["after_ms"] < 40.0
     assert record["peak_above_target_c"] < 5.0
 
 
