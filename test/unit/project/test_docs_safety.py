@@ -167,7 +167,7 @@ def supervision_claims() -> Iterator[str]:
 
 def guard_claims() -> Iterator[str]:
     max_duration_s = option("max_duration")
-    silence = re.search(r"SILENCE_US = (\d+)", (ROOT / "src/inductioncmds.c").read_text())
+    silence = re.search(r"SILENCE_US = (\d+)", (ROOT / "src/inductionconfig.c").read_text())
     assert silence
     yield f"`max_duration` ({1e3 * max_duration_s:g} ms): bridge off; shutdown after {1e-6 * int(silence[1]):g} s"
     timing = parameters().timing

@@ -333,8 +333,10 @@ def blocks(temp: float, phase: int, count: int = 2) -> bytes:
     return pack([Row(192, value, phase, code - 2, code + 3)] * count, 192)  # 0.9 LSB of noise
 
 
-def nozzle(control: str = "pid") -> tuple[FakePrinter, Any]:
-    printer = machine(control)
+def nozzle(more: str = "") -> tuple[FakePrinter, Any]:
+    printer = FakePrinter(
+        CONFIG.replace("{control}", "pid").replace("sense_pin: PA0", f"sense_pin: PA0\n{more}"), LOADERS
+    )
     heater = printer.load("extruder")
     printer.mcu.configure()
     printer.send("klippy:connect")
@@ -447,7 +449,7 @@ def test_two_extruders_cannot_share_one_nozzle() -> None:
 
 
 def test_the_units_own_tests_are_configured_when_asked_for() -> None:
-    printer, _ = nozzle("pid\nsignal_test_interval: 0.010")
+    printer, _ = nozzle("signal_test_interval: 0.010")
     assert printer.mcu.config[-1] == (
         "config_induction_test oid=3 moved_low=451 moved_high=4060 off_low=246 off_high=266 interval=1200"
         " phase=2012 jump=240 rise=15 fall=1 tolerance=26 slack=16"
