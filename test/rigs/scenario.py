@@ -54,7 +54,7 @@ class Story:
     extruded_mm3: float = 0.0
     end_of_print_s: float = 0.0
     held_c: list[float] = field(default_factory=list)  # true temperature, every 0.25 s, after the print
-    heater: dict[str, Any] = field(default_factory=dict)  # its figures up to the fault: from then on the nozzle cools
+    heater: dict[str, Any] = field(default_factory=dict)  # its figures before the fault
     fault_s: float = 0.0  # the moment something broke
     shutdown_s: float = 0.0
     energy_after_j: float = 0.0  # put into the heater after the shutdown
