@@ -183,7 +183,7 @@ check-words:
 check-formats: sim
 	$(PYTHON) scripts/check/check_formats.py $(OUT)/simulator/ferrite.dict
 
-# FILE: guard oversample phase wire timed_output supervision.
+# FILE: guard signal_test oversample phase wire timed_output supervision.
 mutants: setup-test
 	@$(PYTHON) scripts/check/mutants.py $(FILE)
 

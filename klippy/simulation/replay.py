@@ -20,7 +20,17 @@ from .builds import OUT
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "guard.c"
 FLAGS = ("-std=c11", "-O2", "-fPIC", "-shared")
-TRIPS = ("", "too low", "too high", "clipped", "stuck", "timeout")  # enum guard_trip
+TRIPS = (
+    "",
+    "too low",
+    "too high",
+    "clipped",
+    "stuck",
+    "timeout",
+    "unmoved",
+    "conducts",
+    "jump",
+)  # enum guard_trip
 
 
 @cache

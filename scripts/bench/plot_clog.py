@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import harness  # isort: skip  # noqa: F401
 
+import argparse
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -68,6 +69,11 @@ def curve(draws: list[Ratios], seconds: int, rng: np.random.Generator) -> tuple[
 
 
 def main() -> int:
+    parser = argparse.ArgumentParser(
+        description="Draw what [nozzle_monitor]'s tests find over their false alarms."
+    )
+    parser.add_argument("output", type=Path)
+    output: Path = parser.parse_args().output
     import matplotlib
 
     matplotlib.use("Agg")
@@ -97,7 +103,7 @@ def main() -> int:
         axes.grid(alpha=0.3)
         axes.legend(fontsize="small")
     figure.tight_layout()
-    figure.savefig(Path(sys.argv[1]), dpi=80)
+    figure.savefig(output, dpi=80)
     return 0
 
 
