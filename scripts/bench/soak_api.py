@@ -123,8 +123,8 @@ def long_request(path: Path) -> None:
 
 def nested(path: Path) -> None:
     client = Client(path)
-    client.sock.sendall(b"[" * 100_000 + harness.END)
-    assert "not valid JSON" in client.answer()["error"]["message"]
+    client.sock.sendall(b"[" * 100_000 + harness.END)  # no JSON: ignored
+    assert "result" in client.request("info")
 
 
 def many_clients(path: Path) -> None:
