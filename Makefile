@@ -130,7 +130,7 @@ test: setup-test sim chelper
 	exit $$status
 
 # What only these need is installed by these only.
-test-browser: sim chelper
+test-browser: setup sim chelper
 test-browser test-flash: test-%:
 	@scripts/setup.sh $*
 	@$(PYTHON) -m pytest -m $* $(TEST_ARGS)

@@ -128,7 +128,8 @@ def test_a_run_on_a_broken_machine_ends_by_itself_and_keeps_the_trace(
     )
     text = log.read_text()
     assert "Calibration ended" in text or run.status == 3, text[-2000:]
-    assert max(run.column("phase_ticks")[-50:]) <= SENSING_PHASE_TICKS  # short pulses at rest measure
+    at_the_end = run.column("phase_ticks")[-20:]
+    assert set(at_the_end) <= {0, SENSING_PHASE_TICKS} and at_the_end.count(0) > 10  # off, but for looks
     assert list(tmp_path.glob("induction-nozzle-*.csv"))
 
 

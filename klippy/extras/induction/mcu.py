@@ -88,7 +88,8 @@ class InductionUnit:
         self._on_blocks: OnBlocks = lambda blocks: None
         self._queue_plan: Any = None
         self._set_ceiling: Any = None
-        self._share = 0xFFFF  # of the rows, as the firmware begins
+        self._share = 0xFFFF  # of the rows, as the firmware begins ...
+        self._ceiling_c = math.inf  # ... and the target it is for
         self._period_s, self._second_ticks = math.inf, 1
         self._batched = False
         self._stream: convert.Stream | None = None
@@ -188,6 +189,10 @@ class InductionUnit:
         """The board trips when the nozzle is driven hard and reads far above this target."""
         if self._set_ceiling is None or self._ceiling is None:
             return
+        target_c = guard_limits.stepped(target_c)
+        if target_c == self._ceiling_c:
+            return
+        self._ceiling_c = target_c
         share = self._ceiling.share(target_c)
         if share != self._share:
             self._share = share
