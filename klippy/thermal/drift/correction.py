@@ -25,7 +25,7 @@ ZERO_LOW_C, ZERO_HIGH_C = -150.0, 60.0
 LEVER_EXPONENT = 2.6  # drive_offset.h: h = (phase/phase_max)^2.6
 BALANCE_EACH_S, BALANCE_SIGMA_C = 12.0, 2.0  # the heat balance averages over this time
 CALIBRATED_C = 1.0  # what a calibration leaves
-ZERO_SIGMA_C = 3.0  # the excess at rest must be known so well
+ZERO_SIGMA_C = 1.5  # the excess at rest must be known so well
 ZERO_EACH_S = 60.0
 WAIT_S, WAIT_C = 3.0, 2.5
 GLANCE_SIGMA_C = 1.0
@@ -48,7 +48,6 @@ class DriftMemory:
     applied_c: float = 0.0
     is_moving: bool = False
     time_s: float = math.nan  # of the state
-    noise_c: float = 0.2
     zeroed_s: float = -math.inf
     judged_s: float = -math.inf  # newest reading at rest that has been asked
     since_s: float = math.nan  # target on, or off
@@ -102,8 +101,7 @@ def note_rest(m: DriftMemory, estimator: EstimatorParameters, raw_blocks: Blocks
             continue
         temp_c, c_per_unit = law.invert(b.signal_units, b.phase_ticks, estimator.supply)
         if math.isfinite(temp_c):
-            m.noise_c = b.noise_units * c_per_unit
-            m.rest.note(b.centre_s, temp_c, b.heat_w * b.duration_s)
+            m.rest.note(b.centre_s, temp_c, b.noise_units * c_per_unit, b.heat_w * b.duration_s)
 
 
 def zero(p: DriftParameters, m: DriftMemory, balance: HeatBalanceParameters, time_s: float) -> bool:
@@ -113,13 +111,13 @@ def zero(p: DriftParameters, m: DriftMemory, balance: HeatBalanceParameters, tim
     if (newest_s == m.judged_s and not is_late) or time_s - m.zeroed_s < ZERO_EACH_S:
         return False
     m.judged_s = newest_s
-    excess_c, sigma_c = m.rest.excess_c(tau_s(balance), balance.heat.at_25c_j_k, m.noise_c, p.room_c)
+    excess_c, sigma_c = m.rest.excess_c(tau_s(balance), balance.heat.at_25c_j_k, p.room_c)
     if not (sigma_c <= ZERO_SIGMA_C or (is_late and sigma_c < math.inf)):
         return False
     off_c = m.rest.mean_c() - p.room_c - excess_c
     if not ZERO_LOW_C <= off_c <= ZERO_HIGH_C:
         return False
-    observer.cold_zero(m.state, off_c, math.hypot(sigma_c, m.noise_c))
+    observer.cold_zero(m.state, off_c, sigma_c)
     m.zeroed_s = time_s
     return True
 

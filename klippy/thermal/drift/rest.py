@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-APART_S = 0.09  # between two readings that are kept
+BIN_S = 0.09  # readings of so long are averaged
 KEPT = 64
 WINDOW_S = 20.0
 READINGS_MIN = 4
@@ -21,30 +21,45 @@ BELOW_C = 3.0  # one that reads less than the room's temperature is nearly as co
 
 @dataclass(slots=True)
 class Rest:
-    """Readings (s, degC, J put in so far) at the sensing phase while the heater is off."""
+    """Readings at the sensing phase while the heater is off, each a mean over BIN_S."""
 
-    readings: list[tuple[float, float, float]] = field(default_factory=list)
+    readings: list[tuple[float, float, float]] = field(default_factory=list)  # s, degC, J put in so far
+    noise_c2: list[float] = field(default_factory=list)  # variance of each
     heat_j: float = 0.0
+    sums: list[float] = field(default_factory=lambda: [0.0] * 4)  # of s, degC, J, degC^2 in the present bin
+    count: int = 0
+    bin_s: float = math.nan  # start of the bin
 
     def restart(self) -> None:
         self.readings.clear()
-        self.heat_j = 0.0
+        self.noise_c2.clear()
+        self.heat_j, self.count = 0.0, 0
 
-    def note(self, time_s: float, temp_c: float, heat_j: float) -> None:
+    def note(self, time_s: float, temp_c: float, noise_c: float, heat_j: float) -> None:
         """A reading, and the heat of its pulse."""
         self.heat_j += heat_j
-        readings = self.readings
-        if readings and time_s - readings[-1][0] < APART_S:
-            return
-        readings.append((time_s, temp_c, self.heat_j))
-        while time_s - readings[0][0] > WINDOW_S or len(readings) > KEPT:
+        if self.count and time_s - self.bin_s >= BIN_S:
+            self._close()
+        if not self.count:
+            self.sums, self.bin_s = [0.0] * 4, time_s
+        for i, value in enumerate((time_s, temp_c, self.heat_j, noise_c * noise_c)):
+            self.sums[i] += value
+        self.count += 1
+
+    def _close(self) -> None:
+        n, readings = self.count, self.readings
+        readings.append((self.sums[0] / n, self.sums[1] / n, self.sums[2] / n))
+        self.noise_c2.append(self.sums[3] / n**2)
+        self.count = 0
+        while readings[-1][0] - readings[0][0] > WINDOW_S or len(readings) > KEPT:
             readings.pop(0)
+            self.noise_c2.pop(0)
 
     def mean_c(self) -> float:
         return math.fsum(c for _, c, _ in self.readings) / len(self.readings)
 
     def excess_c(
-        self, tau_s: float, capacity_j_k: float, noise_c: float, room_c: float
+        self, tau_s: float, capacity_j_k: float, room_c: float
     ) -> tuple[float, float]:
         """(Nozzle above the room, its standard deviation); infinite with too few readings."""
         readings = self.readings
@@ -57,7 +72,7 @@ class Rest:
         heated = (readings[-1][2] - readings[0][2]) / (readings[-1][0] - readings[0][0]) / capacity_j_k
         excess_c = tau_s * (heated - slope)
         left = math.fsum((c - mean_c - slope * (t - mean_s)) ** 2 for t, c, _ in readings)
-        noise_c = max(noise_c, math.sqrt(left / (count - 2)))
+        noise_c = math.sqrt(max(math.fsum(self.noise_c2) / count, left / (count - 2)))
         noise_c = math.hypot(tau_s * noise_c / math.sqrt(spread), tau_s * PULSE_DOUBT * heated)
         # Starts are usually cold: what the slope does not show for sure is noise.
         excess_c = max(0.0, excess_c) * USUAL_C**2 / (USUAL_C**2 + noise_c**2)

@@ -78,8 +78,8 @@ def test_a_look_that_fits_nothing_is_the_laws_and_leaves_the_zero_alone() -> Non
 def test_the_slope_of_the_reading_shows_how_warm_a_nozzle_at_rest_is(excess_c: float) -> None:
     rng, rest = random.Random(4), Rest()
     for i in range(41):
-        rest.note(0.5 * i, 35.0 + excess_c * math.exp(-0.5 * i / TAU_S) + rng.gauss(0.0, 0.1), 0.0)
-    found_c, sigma_c = rest.excess_c(TAU_S, HEAT_J_K, 0.1, 20.0)
+        rest.note(0.5 * i, 35.0 + excess_c * math.exp(-0.5 * i / TAU_S) + rng.gauss(0.0, 0.1), 0.1, 0.0)
+    found_c, sigma_c = rest.excess_c(TAU_S, HEAT_J_K, 20.0)
     middle_c = excess_c * math.exp(-10.0 / TAU_S)
     assert abs(found_c - middle_c) < 2.0 * sigma_c < 3.0 + middle_c
 
@@ -87,8 +87,8 @@ def test_the_slope_of_the_reading_shows_how_warm_a_nozzle_at_rest_is(excess_c: f
 def test_the_heat_of_the_pulses_is_no_rest_of_a_colder_nozzle() -> None:
     rest = Rest()
     for i in range(41):
-        rest.note(0.1 * i, 20.0 + 0.1 * i * 0.03 / HEAT_J_K, 0.003)
-    found_c, sigma_c = rest.excess_c(TAU_S, HEAT_J_K, 0.1, 20.0)
+        rest.note(0.1 * i, 20.0 + 0.1 * i * 0.03 / HEAT_J_K, 0.1, 0.003)
+    found_c, sigma_c = rest.excess_c(TAU_S, HEAT_J_K, 20.0)
     assert abs(found_c) < 1.0 and sigma_c < 3.0
 
 
