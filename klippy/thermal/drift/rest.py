@@ -58,9 +58,7 @@ class Rest:
     def mean_c(self) -> float:
         return math.fsum(c for _, c, _ in self.readings) / len(self.readings)
 
-    def excess_c(
-        self, tau_s: float, capacity_j_k: float, room_c: float
-    ) -> tuple[float, float]:
+    def excess_c(self, tau_s: float, capacity_j_k: float, room_c: float) -> tuple[float, float]:
         """(Nozzle above the room, its standard deviation); infinite with too few readings."""
         readings = self.readings
         count = len(readings)
