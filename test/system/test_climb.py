@@ -32,7 +32,7 @@ def climb(simulate: Simulate, *settings: str) -> tuple[float, float, float]:
         ("supply_v=25.0",),
         ("supply_v=23.5",),
         ("supply_ohm=0.03",),
-        ("ripple_v=1", "ripple_hz=97"),
+        ("ripple_v=0.5", "ripple_hz=97"),
         ("ripple_v=1", "ripple_hz=100"),
         ("ripple_v=1", "ripple_hz=120"),
         ("preset=strong", "supply_v=24.5"),
@@ -56,7 +56,7 @@ def test_a_supply_nobody_measures_moves_the_peak_by_less_than_three_degrees(
     assert abs(held_c - TARGET_C) < 1.0
 
 
-@pytest.mark.parametrize("factor", [1.0005, 0.9995, 1.001, 0.999])
+@pytest.mark.parametrize("factor", [1.0005, 0.9995, 1.001, 0.999, 1.002])
 def test_a_capacitor_off_by_a_warm_afternoon_is_found_by_the_zero_at_rest(
     simulate: Simulate, factor: float
 ) -> None:

@@ -124,7 +124,7 @@ def zero(p: DriftParameters, m: DriftMemory, balance: HeatBalanceParameters, tim
 
 def glance(p: DriftParameters, m: DriftMemory) -> None:
     """Heat goes in before the rest is known: a reading near the room's is that of a cold nozzle."""
-    if m.zeroed_s == -math.inf and m.rest.readings:
+    if m.zeroed_s == -math.inf and m.rest.has_any():
         off_c = m.rest.mean_c() - p.room_c
         if abs(off_c) <= WAIT_C:
             observer.cold_zero(m.state, off_c, GLANCE_SIGMA_C)
@@ -134,7 +134,7 @@ def waits(p: DriftParameters, m: DriftMemory, time_s: float) -> bool:
     """Is the first heat to wait for the zero? `m.since_s`: when the target was turned on."""
     if m.zeroed_s > -math.inf or not m.is_on or time_s - m.since_s > WAIT_S:
         return False
-    if not m.rest.readings:
+    if not m.rest.has_any():
         return True
     off_c = m.rest.mean_c() - p.room_c
     return ZERO_LOW_C < off_c < -WAIT_C or WAIT_C < off_c < ZERO_HIGH_C
@@ -142,7 +142,7 @@ def waits(p: DriftParameters, m: DriftMemory, time_s: float) -> bool:
 
 def is_detuned(m: DriftMemory, low_c: float) -> bool:
     """Does a nozzle at rest that has no zero yet read so cold as a detuned tank does?"""
-    return m.zeroed_s == -math.inf and bool(m.rest.readings) and ZERO_LOW_C < m.rest.mean_c() < low_c
+    return m.zeroed_s == -math.inf and m.rest.has_any() and ZERO_LOW_C < m.rest.mean_c() < low_c
 
 
 def note_looks(

@@ -55,7 +55,13 @@ class Rest:
             readings.pop(0)
             self.noise_c2.pop(0)
 
+    def has_any(self) -> bool:
+        return bool(self.count or self.readings)
+
     def mean_c(self) -> float:
+        """Of what there is."""
+        if not self.readings:
+            return self.sums[1] / self.count
         return math.fsum(c for _, c, _ in self.readings) / len(self.readings)
 
     def excess_c(self, tau_s: float, capacity_j_k: float, room_c: float) -> tuple[float, float]:
