@@ -16,7 +16,7 @@ CHECK_S = 0.5
 
 
 class WidthCompensation:
-    """A sensor of the filament's width. `read()` gives the diameter at the sensor now, mm."""
+    """A sensor of the filament's width. `read()` gives the diameter at the sensor now, mm; 0: not known yet."""
 
     def __init__(
         self, config: ConfigWrapper, read: Callable[[], float], interval_mm: float, enabled: bool, corrects: bool,
@@ -26,9 +26,7 @@ class WidthCompensation:
         self.reactor = self.printer.get_reactor()
         self.gcode = self.printer.lookup_object("gcode")
         self.nominal_mm = config.getfloat("default_nominal_filament_diameter", above=1.0)
-        self.max_difference_mm = config.getfloat(
-            "max_difference", 0.2, above=0.0, below=self.nominal_mm
-        )
+        self.max_difference_mm = config.getfloat("max_difference", 0.2, above=0.0, below=self.nominal_mm)
         self._queue = WidthQueue(config.getfloat("measurement_delay", above=0.0), interval_mm)
         self._read = read
         self._use_current = use_current
@@ -53,15 +51,17 @@ class WidthCompensation:
         """Timer."""
         toolhead = self.printer.lookup_object("toolhead")
         print_time = self.printer.lookup_object("mcu").estimated_print_time(eventtime)
-        extruder = toolhead.get_extruder()
-        mean = self._queue.measure(extruder.find_past_position(print_time), self._read())
+        diameter_mm = self._read()
+        if diameter_mm <= 0.0:
+            return eventtime + CHECK_S
+        mean = self._queue.measure(toolhead.get_extruder().find_past_position(print_time), diameter_mm)
         if mean is not None and self.is_logging:
             self.gcode.respond_info(f"Filament width: {mean:.3f} mm")
             logging.info("Filament width: %.3f mm", mean)
         # the factor is for moves that are yet to come, not for those under way
         melting = self._queue.melting(toolhead.get_position()[3])
         if melting is None and self._use_current and not self._has_melted:
-            self._set_flow(self._read())
+            self._set_flow(diameter_mm)
         elif melting is not None:
             self._has_melted = True
             self._set_flow(melting)

@@ -18,6 +18,7 @@ class WidthQueue:
         self._delay_mm, self._interval_mm = delay_mm, interval_mm
         self._waiting: deque[tuple[float, float]] = deque()  # (position at which it melts, diameter)
         self._next_mm: float | None = None
+        self._last_mm = 0.0
         self._sum, self._count = 0.0, 0
 
     def clear(self) -> None:
@@ -26,11 +27,14 @@ class WidthQueue:
         self._sum, self._count = 0.0, 0
 
     def measure(self, position_mm: float, diameter_mm: float) -> float | None:
-        """A reading at the sensor. Returns the mean diameter of an interval that has just ended."""
+        """A reading at the sensor. Returns the mean diameter of the interval, if one has just ended."""
         if self._next_mm is not None and position_mm < self._next_mm - self._interval_mm - CUT_MM:
             self.clear()
         if self._next_mm is None:
             self._next_mm = position_mm + self._interval_mm
+        elif position_mm <= self._last_mm:
+            return None  # filament that stands would count for more than its length
+        self._last_mm = position_mm
         self._sum, self._count = self._sum + diameter_mm, self._count + 1
         if position_mm < self._next_mm:
             return None
