@@ -33,7 +33,7 @@ class Sx1509:
         self.printer = config.get_printer()
         self.name = "_".join(config.get_name().split())
         config.getchoice("i2c_address", {address: address for address in ADDRESSES})
-        self.i2c = bus.MCU_I2C_from_config(config, default_speed=400000)
+        self.i2c = bus.MCU_I2C_from_config(config)
         self.mcu = self.i2c.get_mcu()
         self._outputs: dict[int, Sx1509Pin] = {}
         self._data = 0  # of the digital outputs

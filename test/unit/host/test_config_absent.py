@@ -47,9 +47,7 @@ def test_a_printer_starts_without_palette_and_sensors_and_says_so_once(tmp_path:
     (notice,) = notices(session)
     probe, other, palette = notice.splitlines()[1:]
     assert probe.startswith("// [load_cell_probe] (printer.cfg, line 3): there is no probe")
-    assert other.startswith(
-        "// [angle] (printer.cfg, line 5), [load_cell] (printer.cfg, line 7): the sensor"
-    )
+    assert other.startswith("// [angle] (printer.cfg, line 5), [load_cell] (printer.cfg, line 7): the sensor")
     assert palette.startswith("// [palette2] (printer.cfg, line 1): the Palette is not driven")
     (warning,) = session.status("configfile")["warnings"]
     assert warning["type"] == "runtime_warning"
