@@ -243,7 +243,7 @@ class InductionLoop:
         return state.estimate.time_s - state.settled_s >= self.SETTLED_S
 
     def is_steady(self) -> bool:
-        """Off, or held with no change planned: messages of blocks may come in batches. A reading beyond a limit ends it."""
+        """Off, or held with no change planned, no reading beyond a limit: messages of blocks may come in batches."""
         if self.state.target_c <= 0.0:
             return True
         return self._driver.is_held() and self.is_settled() and not self.chain.watch.beyond
