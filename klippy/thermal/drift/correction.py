@@ -112,9 +112,11 @@ def zero(p: DriftParameters, m: DriftMemory, balance: HeatBalanceParameters, tim
         return False
     m.judged_s = newest_s
     excess_c, sigma_c = m.rest.excess_c(tau_s(balance), balance.heat.at_25c_j_k, p.room_c)
-    if not (sigma_c <= ZERO_SIGMA_C or (is_late and sigma_c < math.inf)):
+    if sigma_c == math.inf:
         return False
     off_c = m.rest.mean_c() - p.room_c - excess_c
+    if not (sigma_c <= ZERO_SIGMA_C or is_late or off_c < -WAIT_C):  # so cold a reading is no warm nozzle's
+        return False
     if not ZERO_LOW_C <= off_c <= ZERO_HIGH_C:
         return False
     observer.cold_zero(m.state, off_c, sigma_c)
