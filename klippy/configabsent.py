@@ -23,10 +23,6 @@ class Dispensable:
 
 DISPENSABLE = (
     Dispensable(
-        frozenset({"display", "display_data", "display_glyph", "menu"}),
-        "the display stays dark, its knob and buttons do nothing",
-    ),
-    Dispensable(
         frozenset({"load_cell_probe", "probe_eddy_current", "smart_effector"}),
         "there is no probe: homing by it fails, levelling works by hand with METHOD=manual",
     ),
@@ -39,8 +35,8 @@ DISPENSABLE = (
     Dispensable(frozenset({"replicape", "sx1509"}), "outputs on its pins do nothing"),
 )
 
-# What a section brings that macros use, although the section itself does nothing here: kind -> module
-BROUGHT_ALONG = {"display": "display_status"}
+# Sections that another one reads, wherever they stand: kind of section -> the section without which they mean nothing
+READ_BY = {"display_data": "display", "display_glyph": "display", "menu": "display"}
 
 # Chips whose pins other sections may name: kind of section -> name of the chip; None: as the section, with "_"
 PIN_CHIPS: dict[str, str | None] = {

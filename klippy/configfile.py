@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any
 
 import configabsent
-import configaliases
 import configtext
 import util
 from configtext import ConfigData, ConfigError, Origin
@@ -344,7 +343,7 @@ class PrinterConfig:
         for note in data.notes:
             logging.warning(note)
             self.add_warning({"type": "runtime_warning", "message": note})
-        for warning in configaliases.replace_old(data.sections):
+        for warning in configtext.replace_old(data.sections):
             logging.warning(warning["message"])
             self.add_warning(warning)
         self._data = data
@@ -356,11 +355,8 @@ class PrinterConfig:
         configtext.ConfigParser(data).parse_file(filename)
         return ConfigWrapper(self.printer, data, {}, "printer")
 
-    def check_absent_sections(self, has_module: Callable[[str], bool]) -> list[str]:
-        """Before modules are loaded: leave out what Klipper has and we do not.
-
-        Returns the modules that sections left out would have loaded.
-        """
+    def check_absent_sections(self, has_module: Callable[[str], bool]) -> None:
+        """Before modules are loaded: leave out what Klipper has and we do not."""
         left_out = configabsent.find_left_out(self._data.sections, has_module)
         self._left_out = frozenset(left_out)
         if left_out:
@@ -368,7 +364,6 @@ class PrinterConfig:
             self.runtime_warning(text)
             respond = self.printer.lookup_object("gcode").respond_info
             self.printer.register_event_handler("klippy:ready", lambda: respond(text, log=False))
-        return [module for name, module in configabsent.BROUGHT_ALONG.items() if name in left_out]
 
     def sections_left_out(self) -> frozenset[str]:
         """Names of the sections that no module reads."""
@@ -384,6 +379,12 @@ class PrinterConfig:
         problems: list[str] = []
         for name, section in self._data.sections.items():
             if name in self._left_out or name in failed or (failed and configabsent.is_read_last(name)):
+                continue
+            reader = configabsent.READ_BY.get(configabsent.kind_of(name))
+            if reader in failed:
+                continue
+            if reader is not None and reader not in self._data.sections:
+                problems.append(f"Section '{name}' needs a section [{reader}] ({section.origin}).")
                 continue
             if name.lower() not in known_sections:
                 hint = _suggestion(name, known_sections | section_modules())

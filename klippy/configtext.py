@@ -14,11 +14,15 @@ from __future__ import annotations
 import glob
 import os
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import util
 
+# Of earlier versions
+OLD_OPTIONS = {"practical_turn": "two_period_turn", "practical_cutoff": "two_period_cutoff"}
+OLD_VALUES = {("control", "practical"): "two_period"}
 AUTOSAVE_PREFIX = "#*#"
 AUTOSAVE_HEADER = (
     "#*# <---------------------- SAVE_CONFIG ---------------------->\n"
@@ -268,3 +272,24 @@ def comment_out(text: str, saved: dict[str, dict[str, str]]) -> str:
             hiding_indent = indent
         result.append("#" + raw if hiding_indent >= 0 and content else raw)
     return "\n".join(result)
+
+
+def replace_old(sections: Mapping[str, SectionText]) -> Iterator[dict[str, Any]]:
+    """Replace option names and values of earlier versions in place; a warning for each.
+
+    An option written under today's name, too, keeps that value.
+    """
+    for name, section in sections.items():
+        for key, option in list(section.options.items()):
+            value = option.value.strip()
+            if new := OLD_OPTIONS.get(key):
+                section.options.setdefault(new, section.options.pop(key))
+                message = f"Option '{key}' in section '{name}' is now called '{new}' ({option.origin})."
+                yield {"type": "deprecated_option", "message": message, "section": name, "option": key}
+            elif new := OLD_VALUES.get((key, value)):
+                section.options[key] = OptionText(new, option.origin)
+                message = (
+                    f"Value '{value}' of option '{key}' in section '{name}' is now '{new}' ({option.origin})."
+                )
+                warning = {"type": "deprecated_value", "message": message, "section": name, "option": key}
+                yield {**warning, "value": value}

@@ -23,6 +23,7 @@ from gcode_command import (
     parse_extended,
     parse_traditional,
 )
+from gcode_waits import ScriptEnded, ScriptWaits
 
 __all__ = ["CommandError", "Coord", "GCodeCommand", "GCodeDispatch"]
 
@@ -58,7 +59,7 @@ class Coord(NamedTuple):
 # of the command. Macros with the name of any other command need `rename_existing`, as in Klipper.
 OWN_COMMANDS = frozenset({
     "DRY_RUN", "EXTRUSION_CALIBRATE", "HEATER_PROFILE", "INDUCTION_CALIBRATE", "INDUCTION_DUMP", "INDUCTION_RECORD",
-    "INDUCTION_REFERENCE", "INDUCTION_STATUS", "INDUCTION_ZERO", "M104.1", "M17", "MODEL_CALIBRATE",
+    "INDUCTION_REFERENCE", "INDUCTION_STATUS", "INDUCTION_ZERO", "M104.1", "M108", "M17", "MODEL_CALIBRATE",
     "NOZZLE_MONITOR_CALIBRATE", "NOZZLE_REPORT", "PRIME_OOZE", "RECOVER_DISCARD", "RECOVER_PRINT",
     "SET_SEGMENT_TEMPERATURE", "SIMULATOR_FAULT", "TEMPERATURE_PLAN",
 })  # fmt: skip
@@ -115,6 +116,7 @@ class GCodeDispatch:
         self._rows: RowRunner | None = None
         self._status_commands: dict[str, dict[str, str]] = {}
         self.is_printer_ready = False
+        self.waits = ScriptWaits(printer, self.mutex, lambda name: name in self._handlers)
         for event, handler in (
             ("klippy:ready", self._handle_ready),
             ("klippy:shutdown", self._handle_shutdown),
@@ -124,6 +126,7 @@ class GCodeDispatch:
         for name in ("M110", "M112", "M115", "RESTART", "FIRMWARE_RESTART", "ECHO", "STATUS", "HELP"):
             handler = getattr(self, f"cmd_{name}")
             self.register_command(name, handler, True, getattr(self, f"cmd_{name}_help", None))
+        self.register_command("M108", self.cmd_M108, desc="End a temperature wait and the script around it")
 
     # --- registration ---
     def register_command(
@@ -230,7 +233,7 @@ class GCodeDispatch:
 
     def run_script(self, script: str) -> None:
         """Run lines in order, after any other script; the first error ends them and is raised."""
-        with self.mutex:
+        with self.waits.turn(script):
             self.run_script_from_command(script)
 
     def run_script_from_command(self, script: str) -> None:
@@ -312,6 +315,8 @@ class GCodeDispatch:
 
     def _report(self, problem: Exception, line: str) -> None:
         """Report to the user why a line could not be carried out; a bug stops the printer."""
+        if isinstance(problem, ScriptEnded):
+            return
         if isinstance(problem, CommandError):
             self.respond_error(str(problem))
             self.printer.send_event("gcode:command_error")
@@ -416,6 +421,9 @@ class GCodeDispatch:
 
     def cmd_M110(self, gcmd: GCodeCommand) -> None:
         """Set line number: numbers are not tracked."""
+
+    def cmd_M108(self, gcmd: GCodeCommand) -> None:
+        """The wait ended when the command was announced (gcode_waits.py)."""
 
     def cmd_M112(self, gcmd: GCodeCommand) -> None:
         """Emergency stop."""

@@ -8,8 +8,11 @@ import os
 import re
 from typing import Any
 
+import greenlet
+
 from gcode import CommandError, GCodeDispatch
 
+_FIRST_WORD = re.compile(r"\s*(?:[nN][0-9]+\s*)?([A-Za-z_]\w*)")
 _EMERGENCY = re.compile(r"^(?:[nN][0-9]+)?\s*[mM]112(?:\s|$|\*)")
 _READ_SIZE = 4096
 _PENDING_LIMIT = 20  # lines waiting before reading stops, so that the sender feels it
@@ -27,7 +30,7 @@ class GCodeIO:
         self._handle: Any = None
         self._partial = ""
         self._lines: list[str] = []
-        self._running = False
+        self._runner: Any = None  # greenlet that runs the lines
         self._output_ok = True
         self._bytes_read = 0
         self._recent: collections.deque[tuple[float, bytes]] = collections.deque(maxlen=50)
@@ -87,8 +90,12 @@ class GCodeIO:
             at = self.gcode.run_next(text, at, end, need_ack=True)
 
     def _handle_readable(self, eventtime: float) -> None:
-        if self._take_in(eventtime) and not self._running:
+        if self._take_in(eventtime) and not self._is_running():
             self._run_waiting()
+
+    def _is_running(self) -> bool:
+        """Whether a greenlet runs the lines; one that is paused in a temperature wait leaves new ones to another."""
+        return self._runner is not None and not self.gcode.waits.is_frozen(self._runner)
 
     def _take_in(self, eventtime: float) -> bool:
         """Read what there is into whole lines; False at the end of a file."""
@@ -112,23 +119,38 @@ class GCodeIO:
         *lines, self._partial = (self._partial + data.decode("utf-8", "replace")).split("\n")
         if not self.is_fileinput and any(_EMERGENCY.match(line) for line in lines):
             self.gcode.run_line("M112", need_ack=True)
-        self._lines.extend(lines)
-        if len(self._lines) > _PENDING_LIMIT and self._running and self._handle is not None:
+        for line in lines:
+            self._put(line)
+        if len(self._lines) > _PENDING_LIMIT and self._runner is not None and self._handle is not None:
             self.reactor.set_fd_wake(self._handle, is_readable=False)
         return True
+
+    def _put(self, line: str) -> None:
+        """A line behind the others, or past them if it ends the wait of a script."""
+        word = _FIRST_WORD.match(line)
+        waits = self.gcode.waits
+        if word is None or not waits.is_waiting() or not waits.ends_waits(word[1].upper()):
+            self._lines.append(line)
+            return
+
+        def run(eventtime: float) -> None:
+            with waits.turn(word[1]):
+                self.gcode.run_line(line, need_ack=True)
+
+        self.reactor.register_callback(run)
 
     def _end_of_file(self) -> None:
         if self._handle is not None:
             self.reactor.unregister_fd(self._handle)
             self._handle = None
-        if self._running:
+        if self._runner is not None:
             return
         with self.gcode.get_mutex():
             if not self.printer.is_exiting():
                 self.gcode.request_restart("exit")
 
     def _run_waiting(self) -> None:
-        self._running = True
+        me = self._runner = greenlet.getcurrent()
         try:
             while self._lines:
                 lines, self._lines = self._lines, []
@@ -142,7 +164,8 @@ class GCodeIO:
         except CommandError:
             logging.exception("Error of a line that was to be acknowledged")
         finally:
-            self._running = False
+            if self._runner is me:
+                self._runner = None
 
     def _respond(self, msg: str) -> None:
         """Send a line to the pseudo terminal; without a reader it is dropped."""

@@ -198,11 +198,6 @@ PARAM_TYPES = {
 }
 
 
-def _wrap32(value: int, signed: bool) -> int:
-    value &= 0xFFFFFFFF
-    return value - (1 << 32) if signed and value >= 1 << 31 else value
-
-
 @dataclass(frozen=True, slots=True)
 class Param:
     """One parameter of a format, with the names of its values if its enumeration has any."""
@@ -213,16 +208,18 @@ class Param:
     by_value: Mapping[int, str] = field(default_factory=dict)
 
     def encode(self, value: Any) -> bytes:
-        if self.type.is_buffer:
+        kind = self.type
+        if kind.is_buffer:
             data = bytes(value)
             if len(data) > CONTENT_MAX:
                 raise error(f"parameter '{self.name}' of {len(data)} bytes is too long for a message")
             return bytes((len(data),)) + data
         if type(value) is not int:
             value = int(self._value_of(value) if isinstance(value, str) else value)
-        kind = self.type
         if kind.low == kind.high:
-            value = _wrap32(value, kind.signed)
+            value &= 0xFFFFFFFF
+            if kind.signed and value >= 1 << 31:
+                value -= 1 << 32
         elif not kind.low <= value <= kind.high:
             raise error(f"parameter '{self.name}' is {value}; it must be from {kind.low} to {kind.high}")
         return encode_vlq(value)

@@ -208,12 +208,10 @@ class Printer:
         del extras.__path__[1:]  # plugins of the run before a restart
         if config.has_section(PLUGINS):  # before anybody asks for a module of the user's
             self.load_object(config, PLUGINS)
-        brought_along = loader.check_absent_sections(lambda name: _locate_extra(name) is not None)
+        loader.check_absent_sections(lambda name: _locate_extra(name) is not None)
         for name in self.CORE_FIRST:
             importlib.import_module(name).add_printer_objects(config)
         absentpins.register(self, loader.sections_left_out())
-        for name in brought_along:
-            self.load_object(config, name)
         names = [section.get_name() for section in config.get_prefix_sections("")]
         for name in names:
             self._try(name, partial(self.load_object, config, name, None))

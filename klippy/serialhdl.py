@@ -115,6 +115,7 @@ class SerialReader:
     def connect(self, path: str, baud: int, timeout_s: float = CONNECT_TIMEOUT_S) -> None:
         """Open the port and fetch the dictionary. Raises `error` after `timeout_s` seconds without success."""
         deadline = self.reactor.monotonic() + timeout_s
+        is_announced = False
         while True:
             try:
                 self._connect_once(path, baud, deadline)
@@ -125,6 +126,12 @@ class SerialReader:
             now = self.reactor.monotonic()
             if now + REOPEN_PAUSE_S >= deadline:
                 raise error(f"{self.warn_prefix}Unable to connect. {reason} {self._advice}")
+            if not is_announced:
+                is_announced = True
+                logging.warning(
+                    "%sWaiting %.0f s for the board at %s (Ctrl-C ends the program). %s",
+                    self.warn_prefix, timeout_s, path, reason,
+                )  # fmt: skip
             self.reactor.pause(now + REOPEN_PAUSE_S)
 
     def _connect_once(self, path: str, baud: int, deadline: float) -> None:

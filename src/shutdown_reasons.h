@@ -51,6 +51,7 @@
     X(SHUTDOWN_BUS_TYPE, "bus_type invalid") \
     X(SHUTDOWN_MODEL_TYPE, "model type invalid") \
     X(SHUTDOWN_TMCUART_SIZE, "tmcuart data too large") \
+    X(SHUTDOWN_LCD_DELAY, "Invalid display delay") \
     X(SHUTDOWN_ONOFF_TIMEOUT, "Missed renewal of on-off set point") \
     X(SHUTDOWN_ONOFF_SILENT, "On-off heater without readings") \
     /* induction heater */ \

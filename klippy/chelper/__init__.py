@@ -34,6 +34,7 @@ COMPILE_FLAGS = (
     "-fPIC",
     "-shared",
     "-fno-math-errno",
+    "-fno-semantic-interposition",
     "-ffp-contract=off",
     "-Wall",
     "-Wextra",

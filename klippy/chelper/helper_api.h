@@ -2,6 +2,7 @@
 #define CHELPER_HELPER_API_H
 // What Python sees of the C helper: all that these headers and the ones they include declare.
 
+#include "chelper/link/clockfit.h"
 #include "chelper/link/msgblock.h"
 #include "chelper/link/portthread.h"
 #include "chelper/link/serialqueue.h"

@@ -203,10 +203,14 @@ class PrinterHeaters:
         toolhead.register_lookahead_callback(lambda print_time: None)
         heater.set_temp(temp)
         if wait and temp:
-            self._wait_while(heater.check_busy)
+            self._wait_while(
+                heater.check_busy, f"{heater.name} to reach {temp:.1f} C", lambda: heater.set_temp(temp)
+            )
 
-    def _wait_while(self, is_busy: Callable[[float], bool]) -> None:
-        """Report the temperatures once a second, until done or shut down."""
+    def _wait_while(
+        self, is_busy: Callable[[float], bool], what: str, begin_anew: Callable[[], None]
+    ) -> None:
+        """Report the temperatures once a second, until done or shut down; after a pause, begin anew."""
         if is_batch(self.printer):
             return
         toolhead = self.printer.lookup_object("toolhead")
@@ -216,7 +220,9 @@ class PrinterHeaters:
         while not self.printer.is_shutdown() and is_busy(eventtime):
             toolhead.get_last_move_time()  # keeps the print time running while nothing moves
             gcode.respond_raw(self._report(eventtime))
-            eventtime = reactor.pause(eventtime + WAIT_POLL_S)
+            if gcode.waits.sleep(eventtime + WAIT_POLL_S, what):
+                begin_anew()
+            eventtime = reactor.monotonic()
 
     def _report(self, eventtime: float) -> str:
         """The M105 line."""
@@ -257,7 +263,13 @@ class PrinterHeaters:
             temp_c = sensor.get_temp(eventtime)[0]
             return not minimum_c <= temp_c <= maximum_c
 
-        self._wait_while(outside)
+        target_c = sensor.get_temp(self.printer.get_reactor().monotonic())[1] if name in self.heaters else 0.0
+
+        def heat_again() -> None:
+            if name in self.heaters and not sensor.get_temp(self.printer.get_reactor().monotonic())[1]:
+                sensor.set_temp(target_c)  # a macro PAUSE switched it off
+
+        self._wait_while(outside, f"{name} ({minimum_c:g} to {maximum_c:g} C)", heat_again)
 
 
 def load_config(config: ConfigWrapper) -> PrinterHeaters:

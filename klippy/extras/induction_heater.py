@@ -155,7 +155,7 @@ class InductionHeater:
     def _on_shutdown(self) -> None:
         """Of whichever MCU or by whatever fault: its last moments go to the log."""
         if self._timer is not None:
-            for line in self.loop.story.lines(self.loop.state, self.loop.chain.state.witness):
+            for line in self.loop.story.lines(self.loop.state, self.loop.chain.witness):
                 logging.info("Induction heater '%s': %s", self.section_name, line)
         self._stop()
 

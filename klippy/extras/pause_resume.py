@@ -73,6 +73,7 @@ class PauseResume:
             gcmd.respond_info("Print already paused")
             return
         self.send_pause_command()
+        self.gcode.waits.hold()
         self.gcode.run_script_from_command("SAVE_GCODE_STATE NAME=PAUSE_STATE")
         self.is_paused = True
 
@@ -89,21 +90,25 @@ class PauseResume:
         )
         self.send_resume_command()
         self.is_paused = False
+        self.gcode.waits.thaw()
 
     cmd_CLEAR_PAUSE_help = "Clears the current paused state without resuming the print"
 
     def cmd_CLEAR_PAUSE(self, gcmd: GCodeCommand) -> None:
         """Forget the pause."""
         self.is_paused = self._command_sent = False
+        self.gcode.waits.end("CLEAR_PAUSE")
 
     cmd_CANCEL_PRINT_help = "Cancel the current print"
 
     def cmd_CANCEL_PRINT(self, gcmd: GCodeCommand) -> None:
         """Give up the print."""
-        if self.is_sd_active() or self._sd_paused:
-            self._sd().do_cancel()
+        sd = self._sd()
+        if sd is not None and sd.has_print():
+            sd.do_cancel()
         else:
             gcmd.respond_info("action:cancel")
+        self.gcode.waits.end("CANCEL_PRINT")
         self.is_paused = self._command_sent = self._sd_paused = False
 
 

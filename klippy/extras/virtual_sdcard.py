@@ -13,9 +13,12 @@ import os
 from collections.abc import Iterator
 from typing import Any, BinaryIO
 
+import greenlet
+
 import util
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
+from gcode_waits import ScriptEnded
 from roles import Printer
 
 _CHUNK = 8192  # bytes between looks at the rest of the host: about 10 ms of parsing
@@ -47,6 +50,7 @@ class VirtualSD:
         self._working = False
         self._in_line = False
         self._must_pause = False
+        self._runner: Any = None  # greenlet of the print
         self._generation = 0  # a greenlet of an older generation ends as soon as it gets the lock
 
     def register(self) -> None:
@@ -89,9 +93,17 @@ class VirtualSD:
         """Whether a file is being printed."""
         return self._working and not self._must_pause
 
+    def has_print(self) -> bool:
+        """Whether a print has begun and is not over: it runs, or it is paused."""
+        return self.current_file is not None and self.print_stats.state in ("printing", "paused")
+
     def is_cmd_from_sd(self) -> bool:
         """Whether the running command came from the file."""
-        return self._in_line
+        return self._in_line and self._runner is greenlet.getcurrent()
+
+    def _is_frozen(self) -> bool:
+        """Whether the file's line is paused within its temperature wait."""
+        return self._in_line and bool(self.gcode.waits.is_frozen(self._runner))
 
     def get_file_position(self) -> int:
         """Where the line after the running one starts (bytes)."""
@@ -100,7 +112,7 @@ class VirtualSD:
     def set_file_position(self, pos: int) -> None:
         """Go on elsewhere in the file after the running line."""
         self._next_position = pos
-        if not self._in_line:
+        if not self.is_cmd_from_sd():
             self.file_position = pos
 
     def do_pause(self) -> None:
@@ -109,8 +121,11 @@ class VirtualSD:
             return
         self._must_pause = True
         # A pause from outside waits for the running line; one in the file itself (a PAUSE macro) is that line
-        while self._in_line and not self.gcode.get_mutex().is_mine():
+        while self._in_line and not self.gcode.get_mutex().is_mine() and not self._is_frozen():
             self.reactor.pause(self.reactor.monotonic() + 0.001)
+        if self._is_frozen():
+            self.gcode.waits.hold()
+            self.print_stats.note_pause()
 
     def do_resume(self) -> None:
         """Go on printing."""
@@ -119,6 +134,10 @@ class VirtualSD:
         if self.current_file is None:
             raise self.gcode.error("No file is selected to be printed")
         self._must_pause = False
+        if self._is_frozen():
+            self.print_stats.note_start()
+            self.gcode.waits.thaw()
+            return
         self._working = True
         self._generation = generation = self._generation + 1
         self.reactor.register_callback(lambda eventtime: self._work(generation))
@@ -178,6 +197,8 @@ class VirtualSD:
         if self.current_file is not None:
             self.do_pause()
             self._close()
+            if self._is_frozen():
+                self.gcode.waits.end("SDCARD_RESET_FILE")
         self.file_position = self.file_size = 0
         self.print_stats.reset()
         self.printer.send_event("virtual_sdcard:reset_file")
@@ -209,7 +230,7 @@ class VirtualSD:
 
     def cmd_SDCARD_RESET_FILE(self, gcmd: GCodeCommand) -> None:
         """Unload the file."""
-        if self._in_line:
+        if self.is_cmd_from_sd():
             raise gcmd.error("SDCARD_RESET_FILE cannot be run from the sdcard")
         self._reset_file()
 
@@ -227,7 +248,7 @@ class VirtualSD:
         raise gcmd.error("SD write not supported")
 
     def _check_idle(self, gcmd: GCodeCommand) -> None:
-        if self.is_active() or self._in_line:
+        if self.is_active() or self.is_cmd_from_sd():
             raise gcmd.error("SD busy")
 
     def cmd_M20(self, gcmd: GCodeCommand) -> None:
@@ -295,12 +316,16 @@ class VirtualSD:
         """Greenlet of one print, from start or resume to pause, end or error."""
         logging.info("Starting SD card print (position %d)", self.file_position)
         self.print_stats.note_start()
+        self._runner = greenlet.getcurrent()
         failure: str | None = None
         finished = False
         try:
             finished = self._feed(generation)
         except self.gcode.error as e:
-            failure = str(e)
+            if (
+                not isinstance(e, ScriptEnded) or e.by == "M108"
+            ):  # others say themselves what becomes of the print
+                failure = str(e)
         except OSError as e:
             failure = f"Unable to read the G-code file: {e.strerror}"
             self.gcode.respond_error(failure)

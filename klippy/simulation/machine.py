@@ -91,7 +91,7 @@ def assemble(
     if not things:
         raise WorldError(
             "The config has no [simulator ...] section: it describes a real printer, and a simulated one needs to "
-            "know its machine (docs/Simulation.md; config/sim-induction.cfg is an example)."
+            "know its machine (docs/reference/Simulation.md; config/sim-induction.cfg is an example)."
         )
     machine = Machine(world)
     for recording in _of(things, SimulatorSettings):

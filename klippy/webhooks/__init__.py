@@ -166,7 +166,7 @@ class GCodeEndpoints:
             script.encode()
         except UnicodeEncodeError:
             raise request.error("Invalid Argument [script]: it is no valid text") from None
-        with self._gcode.get_mutex():
+        with self._gcode.waits.turn(script):
             slice_end = self._reactor.monotonic() + _SCRIPT_SLICE_S
             for number, line in enumerate(script.split("\n")):
                 if number and self._reactor.monotonic() > slice_end:

@@ -29,8 +29,8 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
         ("thermal", "thermal vibration"),
         (
             "base",
-            "util queuelogger reactor roles configabsent absentpins configaliases configtext configfile"
-            " gcode_command gcode gcode_io pins msgproto",
+            "util queuelogger reactor roles configabsent absentpins configtext configfile"
+            " gcode_command gcode_waits gcode gcode_io pins msgproto",
         ),
         ("link", "link serialhdl clocksync mcu"),
         ("motion", "motionlimits stepper stepstream kinematics lookahead toolhead"),

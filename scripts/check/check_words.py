@@ -62,7 +62,7 @@ DOCUMENTED: tuple[tuple[str, str], ...] = (
         klippy/chelper/motion/path_stage.h config/example-probe.cfg test/klippy/bed_mesh.test
         test/loop/test_bed_mesh.py test/unit/motion/test_meshmath.py""",
     ),
-    (r"practical", "klippy/configaliases.py test/unit/host/test_configfile.py"),
+    (r"practical", "klippy/configtext.py test/unit/host/test_configfile.py"),
 )
 
 # Phrases in which these words are plain English.

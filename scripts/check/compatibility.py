@@ -55,7 +55,12 @@ def page() -> str:
     """The text of the page."""
     modules = configfile.section_modules()
     sections = {
-        name for name in SECTIONS if name in modules or configabsent.is_read_last(name) or name == "stepper"
+        name
+        for name in SECTIONS
+        if name in modules
+        or name in configabsent.READ_BY
+        or configabsent.is_read_last(name)
+        or name == "stepper"
     }
     lines = [HEAD, "## Sections", "", *table(SECTIONS, sections), "", "## Commands", ""]
     lines += table(COMMANDS, commands_here())

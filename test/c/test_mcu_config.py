@@ -58,6 +58,12 @@ i2c_set_sw_bus oid=%c scl_pin=%u sda_pin=%u pulse_ticks=%u address=%u
 config_i2c oid=%c
 i2c_set_bus oid=%c i2c_bus=%u rate=%u address=%u
 i2c_transfer oid=%c write=%*s read_len=%u
+config_hd44780 oid=%c rs_pin=%u e_pin=%u d4_pin=%u d5_pin=%u d6_pin=%u d7_pin=%u delay_ticks=%u
+hd44780_send_cmds oid=%c cmds=%*s
+hd44780_send_data oid=%c data=%*s
+config_st7920 oid=%c cs_pin=%u sclk_pin=%u sid_pin=%u sync_delay_ticks=%u cmd_delay_ticks=%u
+st7920_send_cmds oid=%c cmds=%*s
+st7920_send_data oid=%c data=%*s
 config_neopixel oid=%c pin=%u data_size=%hu bit_max_ticks=%u reset_min_ticks=%u
 neopixel_send oid=%c
 neopixel_update oid=%c pos=%hu data=%*s

@@ -114,8 +114,20 @@ class FakeMcu:
         return "mcu"
 
 
+class FakeWaits:
+    """Nobody ends a wait."""
+
+    def __init__(self, reactor: FakeReactor) -> None:
+        self.reactor = reactor
+
+    def sleep(self, waketime: float, what: str) -> bool:
+        self.reactor.pause(waketime)
+        return False
+
+
 class FakeGcode:
-    def __init__(self) -> None:
+    def __init__(self, reactor: FakeReactor) -> None:
+        self.waits = FakeWaits(reactor)
         self.commands: dict[str, Callable[[Any], None]] = {}
         self.mux: dict[tuple[str, str | None], Callable[[Any], None]] = {}
         self.lines: list[str] = []
@@ -207,7 +219,7 @@ class FakePrinter:
     def __init__(self, text: str, loaders: dict[str, Callable[[Any], Any]], **start_args: Any) -> None:
         self.mcu = FakeMcu()
         self.reactor = FakeReactor()
-        self.gcode = FakeGcode()
+        self.gcode = FakeGcode(self.reactor)
         self.pins: dict[str, FakePin] = {}
         self.events: dict[str, list[Callable[..., Any]]] = {}
         self.start_args = start_args

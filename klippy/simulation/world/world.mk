@@ -8,7 +8,7 @@ WORLD_SOURCES := $(wildcard $(WORLD_DIR)/*.c $(PLANT_DIR)/*.c)
 WORLD_INCLUDES := -I$(WORLD_DIR) -I$(PLANT_DIR) -Isrc/simulator
 WORLD_OBJECTS := $(WORLD_SOURCES:klippy/simulation/%.c=$(OUT)/simulator/%.o)
 # No -ffast-math: the same seed has to give the same trace with every compiler flag that is safe.
-WORLD_CFLAGS  := -std=c11 -D_GNU_SOURCE -O3 -flto -g -fPIC -fno-math-errno -fvisibility=default -Wall -Wextra -Werror \
+WORLD_CFLAGS  := -std=c11 -D_GNU_SOURCE -O3 -flto -g -fPIC -fno-math-errno -fno-semantic-interposition -Wall -Wextra -Werror \
                  $(WORLD_INCLUDES)
 
 SIM_TARGETS += $(WORLD_LIB)
@@ -22,7 +22,7 @@ $(WORLD_OBJECTS): $(OUT)/simulator/%.o: klippy/simulation/%.c $(WORLD_DIR)/world
 
 # Linked beside its place and renamed: a running simulation keeps the library it has opened.
 $(WORLD_LIB): $(WORLD_OBJECTS)
-	$(CC) -shared -o $@.new $^ -lm -ldl
+	$(CC) -shared -Wl,-Bsymbolic -o $@.new $^ -lm -ldl
 	@mv $@.new $@
 
 -include $(WORLD_OBJECTS:.o=.d)

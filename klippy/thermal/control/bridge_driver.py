@@ -180,6 +180,7 @@ class PredictiveDriver(BridgeDriver):
         self._figures = self._ffi.buffer(self._inputs)
         self._found = predictive.StepOutput()
         self._ahead: Ahead | None = None  # what the inputs point to
+        self._follows_drive = parameters.approach.rebase_fraction == math.inf
 
     def is_held(self) -> bool:
         state, request = self.state, self.state.request
@@ -188,9 +189,8 @@ class PredictiveDriver(BridgeDriver):
         return not state.horizon and state.bridge.driving and holding_w >= sure_w
 
     def _approach_w(self, below_c: float) -> float:
-        limit_w = super()._approach_w(below_c)
         # With a sensing law that follows the drive the control law knows when to stop.
-        return math.inf if self.parameters.approach.rebase_fraction == math.inf else limit_w
+        return math.inf if self._follows_drive else super()._approach_w(below_c)
 
     def step(
         self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf

@@ -17,7 +17,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from thermal.models import heat_loss
 from thermal.records import PhaseCommand, SampleBlock, TempEstimate
 from thermal.sensing import heat_balance_monitor, laws, supervision
 from thermal.sensing.blocks import Blocks
@@ -34,6 +33,7 @@ from .loop_records import (
     Control,
     LoopParameters,
     LoopState,
+    new_ahead,
 )
 from .story import Story
 from .timeline import Timing
@@ -127,16 +127,11 @@ class InductionLoop:
 
     def _watch(self, now_s: float) -> str:
         """A fault once seen stays."""
-        state, p = self.state, self._parameters
+        state, p, chain = self.state, self._parameters, self.chain
         fraction = state.request.power_w / p.control.power_max_w
-        temp_c, target_c = state.estimate.temp_c, state.target_c
-        loss_w = heat_loss.loss_w(p.loss, temp_c) if state.estimate.valid else 0.0
-        supervision.watch_reading(
-            p.supervise, state.supervise, self.chain.watch, self.chain.state.witness, temp_c, target_c, loss_w
-        )
-        return supervision.watch(
-            p.supervise, state.supervise, self.chain.watch, now_s, temp_c, target_c, fraction
-        )
+        temp_c, target_c, seen = state.estimate.temp_c, state.target_c, chain.watch
+        supervision.watch_reading(p.supervise, state.supervise, seen, chain.witness, temp_c, target_c, p.loss)
+        return supervision.watch(p.supervise, state.supervise, seen, now_s, temp_c, target_c, fraction)
 
     # Targets and parameters
 
@@ -180,7 +175,7 @@ class InductionLoop:
             self.state.target_c = self.reference.at(now_s)
 
     def _ahead(self) -> Ahead:
-        return Ahead(self.reference, self.flow, self.fan)
+        return new_ahead((self.reference, self.flow, self.fan))
 
     def use(self, parameters: LoopParameters) -> None:
         """Go on with other parameters; another law begins with the heat that holds the nozzle as it is now."""
@@ -259,7 +254,7 @@ class InductionLoop:
 
     def _inform_witness(self, news: TempEstimate) -> None:
         """What the heat witness may assume from now on."""
-        p, inputs = self._parameters, self.chain.state.witness.inputs
+        p, inputs = self._parameters, self.chain.witness.inputs
         near_s = (news.time_s - BALANCE_S, news.time_s, news.time_s + BALANCE_S)
         taken_w = (
             max(map(self.flow.at, near_s))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, NamedTuple
 
 from thermal.models import heat_loss
@@ -88,6 +89,9 @@ class Ahead(NamedTuple):
     reference: control_api.Reference | None  # wanted temperature
     flow: control_api.Schedule  # planned extrusion, mm^3/s
     fan: control_api.Schedule  # part fan, 0..1
+
+
+new_ahead = partial(tuple.__new__, Ahead)
 
 
 @dataclass(slots=True)

@@ -13,7 +13,8 @@ from collections.abc import Iterator
 from typing import Any
 
 import chelper
-from thermal.sensing.blocks import REASONS, Blocks
+from thermal.sensing import supervision
+from thermal.sensing.blocks import BLOCK_SIZE, REASONS, Blocks
 
 from .loop_records import LoopState
 
@@ -26,19 +27,19 @@ class Story:
 
     def __init__(self) -> None:
         self._ffi = chelper.get_ffi()[0]
-        self._size = self._ffi.sizeof("struct coil_block")
         self._messages: deque[bytes] = deque(maxlen=BLOCKS)
 
     def note(self, blocks: Blocks) -> None:
         """Blocks that went through the chain."""
         if blocks.count:
-            self._messages.append(bytes(self._ffi.buffer(blocks.raw, blocks.count * self._size)))
+            self._messages.append(blocks.copy())
 
     def lines(self, state: LoopState, witness: Any) -> Iterator[str]:
         """Newest last."""
         request, news = state.request, state.estimate
+        named = supervision.name_state(state.supervise, witness, news.temp_c, state.target_c)
         yield (
-            f"state {state.supervise.state}, target {state.target_c:.1f} C, reading {news.temp_c:.1f} C at"
+            f"state {named}, target {state.target_c:.1f} C, reading {news.temp_c:.1f} C at"
             f" {news.time_s:.4f} s, power requested {request.power_w:.1f} W at {request.time_s:.4f} s"
         )
         yield (
@@ -62,7 +63,7 @@ class Story:
     def _blocks(self) -> list[Any]:
         found: list[Any] = []
         for message in reversed(self._messages):
-            count = len(message) // self._size
+            count = len(message) // BLOCK_SIZE
             raw = self._ffi.from_buffer("struct coil_block[]", message)
             found[:0] = [(raw, n) for n in range(count)]  # the pair keeps the memory
             if len(found) >= BLOCKS:

@@ -7,12 +7,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
+from functools import partial
 from typing import Any
 
 import chelper
 from thermal.records import SampleBlock, TempEstimate
 
 BLOCKS_MAX = 256  # as in thermal/sensing/convert.h
+BLOCK_SIZE = chelper.get_ffi()[0].sizeof("struct coil_block")
 
 # Why a block gives no temperature, in the order of thermal/sensing/pipeline.h's enum block_fault.
 REASONS = (
@@ -25,14 +27,18 @@ REASONS = (
     "outside the range of the sensing law: wrong nozzle, or its thermometer is not calibrated?",
 )
 
+_new_estimate = partial(tuple.__new__, TempEstimate)
+
 
 class Blocks:
     """Up to BLOCKS_MAX blocks in order of time. `raw` is C's array, of which the first `count` mean something."""
 
-    __slots__ = ("count", "raw")
+    __slots__ = ("_bytes", "count", "raw")
 
     def __init__(self) -> None:
-        self.raw: Any = chelper.get_ffi()[0].new("struct coil_block[]", BLOCKS_MAX)
+        ffi = chelper.get_ffi()[0]
+        self.raw: Any = ffi.new("struct coil_block[]", BLOCKS_MAX)
+        self._bytes = ffi.buffer(self.raw)
         self.count = 0
 
     @classmethod
@@ -80,6 +86,10 @@ class Blocks:
         newest = self.raw[self.count - 1]
         return float(newest.time_s + newest.duration_s)
 
+    def copy(self) -> bytes:
+        """C's struct coil_block, one after another."""
+        return self._bytes[: self.count * BLOCK_SIZE]
+
     def estimate(self, index: int) -> TempEstimate:
         """What one block says by itself, after it went through a chain."""
         b = self.raw[index]
@@ -99,13 +109,5 @@ class Blocks:
         b = self.raw[index]
         if not b.is_tracked:
             return None
-        return TempEstimate(
-            b.centre_s,
-            b.tracked_c,
-            b.tracked_sigma_c,
-            b.tracked_noise_c,
-            b.c_per_unit,
-            b.phase_ticks,
-            True,
-            "",
-        )
+        figures = (b.centre_s, b.tracked_c, b.tracked_sigma_c, b.tracked_noise_c, b.c_per_unit, b.phase_ticks)
+        return _new_estimate((*figures, True, ""))

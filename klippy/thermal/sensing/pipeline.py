@@ -36,11 +36,15 @@ class Chain:
         ffi, self._lib = chelper.get_ffi()
         self._parameters = ffi.new("struct chain_params *")
         self.state: Any = ffi.new("struct chain_state *")
-        self._watch, self._filter = ffi.addressof(self.state, "watch"), ffi.addressof(self.state, "filter")
+        self._filter = ffi.addressof(self.state, "filter")
+        self.watch: Any = ffi.addressof(
+            self.state, "watch"
+        )  # what supervision has seen, C's struct chain_watch
+        self.witness: Any = ffi.addressof(self.state, "witness")  # C's struct witness_state
         self._ffi, self._samples_type = ffi, ffi.typeof("struct model_sample[]")
         self._samples, self._room = ffi.new(self._samples_type, SAMPLES_USUAL), SAMPLES_USUAL
         self.waiting = 0  # samples that nobody has taken yet
-        self._watch.last_block_s = self._watch.last_valid_s = math.inf
+        self.watch.last_block_s = self.watch.last_valid_s = math.inf
         self.restart_filter()
 
     def use(
@@ -74,16 +78,11 @@ class Chain:
         p.phase_max_ticks = front.phase_max_ticks
         p.step_share, p.usual_s = STEP_SHARE, USUAL_S
 
-    @property
-    def watch(self) -> Any:
-        """C's struct chain_watch: what supervision has seen."""
-        return self._watch
-
     def restart_filter(self) -> None:
         """The filter knows nothing any more."""
         self._lib.filter_reset(self._filter)
         self._lib.drive_offset_reset(self._ffi.addressof(self.state, "drive"))
-        self._lib.witness_reset(self._ffi.addressof(self.state, "witness"))
+        self._lib.witness_reset(self.witness)
 
     def take(self, blocks: Blocks) -> TempEstimate | None:
         """Blocks in order of time; the newest filtered estimate among them, if any."""

@@ -14,6 +14,8 @@ import math
 from dataclasses import dataclass
 from typing import Any
 
+from thermal.models import heat_loss
+
 from . import heat_balance_monitor
 from .blocks import REASONS
 
@@ -71,7 +73,6 @@ class SuperviseState:
     off_s: float = math.inf  # start of the present window with the heater off
     off_from_c: float = math.nan
     limit_w: float = math.inf  # power held back while the reading is in doubt
-    state: str = OFF
 
 
 def start(state: SuperviseState, seen: Any, time_s: float) -> None:
@@ -150,8 +151,10 @@ def inform(
     inputs.is_on = parameters.calibrated
 
 
-def name_state(witness: Any, temp_c: float, target_c: float) -> str:
-    """Where a nozzle without a fault is; `witness`: C's struct witness_state."""
+def name_state(state: SuperviseState, witness: Any, temp_c: float, target_c: float) -> str:
+    """Where a nozzle is; `witness`: C's struct witness_state."""
+    if state.fault:
+        return FAULT
     if not math.isnan(witness.beyond_s):
         return DOUBT
     if target_c <= 0.0:
@@ -167,10 +170,10 @@ def _doubt(
     seen: Any,
     witness: Any,
     temp_c: float,
-    loss_w: float,
+    loss: heat_loss.LossLaw,
 ) -> str:
     """A doubt holds the power back; one that stays, or is gross, is a fault."""
-    state.limit_w = math.inf if math.isnan(witness.beyond_s) else loss_w
+    state.limit_w = 0.0 if math.isnan(temp_c) else heat_loss.loss_w(loss, temp_c)
     if not witness.is_tripped or seen.beyond:  # beyond a limit: that says more
         return ""
     return _WITNESS[witness.is_tripped].format(
@@ -189,14 +192,14 @@ def watch_reading(
     witness: Any,
     temp_c: float,
     target_c: float,
-    loss_w: float,
+    loss: heat_loss.LossLaw,
 ) -> str:
-    """To be called before watch(), with the same `seen`. `witness`: C's struct witness_state; `loss_w`: what would
-    hold the reading."""
+    """To be called before watch(), with the same `seen`. `witness`: C's struct witness_state."""
     witness.inputs.target_c = target_c
-    if not state.fault:
-        state.fault = _doubt(parameters, state, seen, witness, temp_c, loss_w)
-    state.state = FAULT if state.fault else name_state(witness, temp_c, target_c)
+    if math.isnan(witness.beyond_s) and not witness.is_tripped:
+        state.limit_w = math.inf
+    elif not state.fault:
+        state.fault = _doubt(parameters, state, seen, witness, temp_c, loss)
     return state.fault
 
 

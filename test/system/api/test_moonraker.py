@@ -164,6 +164,21 @@ def check_pause_resume_cancel(printer: SimulatedPrinter) -> None:
     assert job["status"] == "cancelled"
 
 
+def check_cancel_while_heating(printer: SimulatedPrinter) -> None:
+    """A bed takes minutes; neither a pause nor a cancel waits for it (to 0.2 s: test_gcode_waits)."""
+    printer.upload("cold bed.gcode", "M190 S110\nG28\n", start=True)
+    for path, state in (("pause", "paused"), ("resume", "printing"), ("cancel", "cancelled")):
+        printer.wait("the bed to heat", lambda: printer.query("heater_bed")["target"] == 110.0)
+        begin = time.monotonic()
+        printer.post(f"/printer/print/{path}")
+        printer.wait_state(state)
+        assert time.monotonic() - begin < 5.0
+    assert printer.query("heater_bed")["target"] == 0.0
+    assert printer.query("heater_bed")["temperature"] < 100.0
+    job = printer.wait("history", lambda: finished_job(printer, "cold bed.gcode"))
+    assert job["status"] == "cancelled"
+
+
 def check_emergency_stop(printer: SimulatedPrinter) -> None:
     printer.post("/printer/print/start", filename="long.gcode")
     wait_extruding(printer)
@@ -221,6 +236,7 @@ STEPS: tuple[Callable[[SimulatedPrinter], None], ...] = (
     check_temperatures,
     check_print,
     check_pause_resume_cancel,
+    check_cancel_while_heating,
     check_emergency_stop,
     check_restart_after_config_error,
     check_host_crash,

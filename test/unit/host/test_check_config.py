@@ -25,9 +25,9 @@ def check(folder: Path, config: str, *options: str) -> tuple[int, str]:
 
 
 def test_a_good_config_would_start_and_what_is_left_out_is_said(tmp_path: Path) -> None:
-    status, text = check(tmp_path, GOOD + "[display]\nlcd_type: st7920\n")
+    status, text = check(tmp_path, GOOD + "[palette2]\n")
     assert status == 0 and text.endswith("printer.cfg: the printer would start\n")
-    assert "the display stays dark" in text
+    assert "the Palette is not driven" in text
 
 
 def test_problems_of_all_sections_and_unknown_names_are_distinguished(tmp_path: Path) -> None:

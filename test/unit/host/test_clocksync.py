@@ -8,8 +8,10 @@ from typing import Any
 
 import pytest
 
+import clockfit_reference
+from clockfit_reference import widest_strip
 from clocksync import ClockEstimator, ClockLine, ClockSample, ClockSync, SecondarySync, fit_clock_line
-from link.clockfit import widest_strip
+from link.clockfit import fit_strip
 from reactor import Reactor
 
 FREQ = 72e6
@@ -145,6 +147,20 @@ def test_the_strip_leans_on_the_luckiest_answers() -> None:
 
 def test_one_answer_says_nothing_of_the_slope() -> None:
     assert widest_strip([(0.0, 1.0)], [(0.0, -1.0)]) == 0.0
+
+
+@pytest.mark.parametrize("step_s", [0.97, 0.05])
+@pytest.mark.parametrize("count", [1, 2, 3, 47])
+def test_the_fit_is_its_plain_twin_s_to_the_last_bit(count: int, step_s: float) -> None:
+    for seed in range(50):
+        rng = random.Random(seed)
+        oscillator = Oscillator(rng.uniform(-80.0, 80.0))
+        samples = [
+            sample(oscillator, n * step_s, lambda rng=rng: rng.choice([0.0, rng.expovariate(1 / 50e-6)]))
+            for n in range(count)
+        ]
+        curvature = rng.uniform(-1e-7, 1e-7)
+        assert fit_strip(samples, FREQ, curvature) == clockfit_reference.fit_strip(samples, FREQ, curvature)
 
 
 @pytest.mark.parametrize("drift_ppm_min", [0.0, 2.0, -2.0])

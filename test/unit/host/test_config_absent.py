@@ -15,20 +15,11 @@ from doc_rig import load, read_page
 from klipper_names import SECTIONS
 from printer import _locate_extra
 
-DISPLAY = """\
-[display]
-lcd_type: st7920
-cs_pin: PA1
-[display_data _default_16x4 extruder]
-position: 0, 0
-text: {printer.extruder.temperature}
-[display_glyph bed]
-data: ****
-[menu __main]
-type: list
-[menu __main __hello]
-type: command
-gcode: M117 hello
+PALETTE = """\
+[palette2]
+serial: /dev/ttyUSB0
+[load_cell_probe]
+sensor_type: hx717
 """
 SENSORS = """\
 [hall_filament_width_sensor]
@@ -45,6 +36,7 @@ DISPENSABLE = frozenset().union(*(group.kinds for group in configabsent.DISPENSA
 READ_ELSEWHERE = {
     *("mcu", "printer", "stepper_x", "stepper_z1", "extruder", "extruder1"),
     *("carriage", "extra_carriage", "dual_carriage", "stepper"),
+    *configabsent.READ_BY,
 }
 
 
@@ -52,19 +44,19 @@ def notices(session: Session) -> list[str]:
     return [line for line in session.lines if "Ferrite does not yet" in line]
 
 
-def test_a_printer_starts_without_display_and_sensors_and_says_so_once(tmp_path: Path) -> None:
-    session = Session(tmp_path, DISPLAY + SENSORS)
+def test_a_printer_starts_without_palette_and_sensors_and_says_so_once(tmp_path: Path) -> None:
+    session = Session(tmp_path, PALETTE + SENSORS)
     session.run(lambda s: s.sleep(5.0))
     assert session.state[1] == "ready"
     (notice,) = notices(session)
-    display, width, other = notice.splitlines()[1:]
-    assert display.startswith("// [display] (printer.cfg, line 1), [display_data] (printer.cfg, line 4), ")
-    assert "[menu] (printer.cfg, line 9): the display stays dark" in display
-    assert width.startswith("// [hall_filament_width_sensor] (printer.cfg, line 14), [tsl1401cl_")
-    assert "(printer.cfg, line 18): the filament's width is not measured" in width
+    probe, width, other, palette = notice.splitlines()[1:]
+    assert probe.startswith("// [load_cell_probe] (printer.cfg, line 3): there is no probe")
+    assert width.startswith("// [hall_filament_width_sensor] (printer.cfg, line 5), [tsl1401cl_")
+    assert "(printer.cfg, line 9): the filament's width is not measured" in width
     assert other.startswith(
-        "// [angle] (printer.cfg, line 16), [load_cell] (printer.cfg, line 20): the sensor"
+        "// [angle] (printer.cfg, line 7), [load_cell] (printer.cfg, line 11): the sensor"
     )
+    assert palette.startswith("// [palette2] (printer.cfg, line 1): the Palette is not driven")
     (warning,) = session.status("configfile")["warnings"]
     assert warning["type"] == "runtime_warning"
     assert warning["message"] == notice.replace("// ", "")
@@ -77,21 +69,24 @@ def test_without_such_sections_nothing_is_said(tmp_path: Path) -> None:
 
 
 def test_sections_of_an_included_file_are_named_with_that_file(tmp_path: Path) -> None:
-    (tmp_path / "lcd.cfg").write_text("# my display\n[display]\nlcd_type: uc1701\n")
-    session = Session(tmp_path, "[include lcd.cfg]\n").run(lambda s: None)
+    (tmp_path / "cell.cfg").write_text("# my sensor\n[load_cell]\nsensor_type: hx711\n")
+    session = Session(tmp_path, "[include cell.cfg]\n").run(lambda s: None)
     assert session.state[1] == "ready"
-    assert "[display] (lcd.cfg, line 2)" in notices(session)[0]
+    assert "[load_cell] (cell.cfg, line 2)" in notices(session)[0]
 
 
-def test_the_commands_that_come_with_a_display_are_there(tmp_path: Path) -> None:
-    session = Session(tmp_path, DISPLAY).run(lambda s: s.gcode.run_script("M117 hello\nM73 P50"))
-    assert session.status("display_status") == {"message": "hello", "progress": 0.5}
+def test_sections_that_only_a_display_reads_need_one(tmp_path: Path) -> None:
+    text = start_error(tmp_path, "[display_data a b]\n[menu __main]\ntype: list\n")
+    assert text.splitlines()[:2] == [
+        "Section 'display_data a b' needs a section [display] (printer.cfg, line 1).",
+        "Section 'menu __main' needs a section [display] (printer.cfg, line 2).",
+    ]
 
 
 def test_pins_of_a_section_that_is_left_out_stay_free(tmp_path: Path) -> None:
     config = (
         "[mcu]\nserial: x\n[printer]\nkinematics: none\nmax_velocity: 1\nmax_accel: 1\n"
-        f"{DISPLAY}{SENSORS}[output_pin light]\npin: PA1\n[output_pin beeper]\npin: !PA3\n"
+        f"{PALETTE}{SENSORS}[output_pin light]\npin: PA1\n[output_pin beeper]\npin: !PA3\n"
     )
     assert load(tmp_path, config).message == "Printer is ready"
 
@@ -99,7 +94,7 @@ def test_pins_of_a_section_that_is_left_out_stay_free(tmp_path: Path) -> None:
 def test_save_config_keeps_what_is_left_out(tmp_path: Path) -> None:
     """Both what the user wrote and what a calibration had saved."""
     saved = "\n#*# <---------------------- SAVE_CONFIG ---------------------->\n#*#\n#*# [angle]\n#*# rate = 1600\n"
-    session = Session(tmp_path, DISPLAY + SENSORS + saved)
+    session = Session(tmp_path, PALETTE + SENSORS + saved)
 
     def body(s: Session) -> None:
         assert s.state[1] == "ready", s.state[0]
@@ -108,7 +103,7 @@ def test_save_config_keeps_what_is_left_out(tmp_path: Path) -> None:
 
     session.run(body)
     text = session.config_path.read_text()
-    assert text.startswith(DISPLAY + SENSORS)
+    assert text.startswith(PALETTE + SENSORS)
     assert "#*# [angle]\n#*# rate = 1600\n" in text
     assert "#*# [pause_resume]\n#*# recover_velocity = 7\n" in text
 
@@ -144,7 +139,7 @@ def test_a_sensor_on_a_pin_that_is_left_out_stops_the_start(tmp_path: Path) -> N
 def test_sections_and_options_nobody_knows_are_refused_all_at_once(tmp_path: Path) -> None:
     text = start_error(
         tmp_path,
-        "[display_statuss]\n[pause_resume]\nrecover_velocty: 3\nlift: 1\n[display]\n[respnd]\n",
+        "[display_statuss]\n[pause_resume]\nrecover_velocty: 3\nlift: 1\n[angle]\n[respnd]\n",
     )
     assert text.splitlines()[:4] == [
         "Section 'display_statuss' is not a valid config section (printer.cfg, line 1). "

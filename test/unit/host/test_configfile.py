@@ -11,7 +11,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-import configaliases
 import configtext
 from base_rig import Session, start_error
 from configfile import ConfigWrapper
@@ -35,7 +34,7 @@ def wrapper(text: str, section: str = "a") -> ConfigWrapper:
 def test_names_of_earlier_versions_are_replaced_with_a_warning_that_says_where() -> None:
     text = "[a]\ncontrol: practical\npractical_turn: 1\n[b]\npractical_turn: 1\ntwo_period_turn: 2\n"
     data = parse(text)
-    messages = [warning["message"] for warning in configaliases.replace_old(data.sections)]
+    messages = [warning["message"] for warning in configtext.replace_old(data.sections)]
     found = {n: {k: o.value for k, o in s.options.items()} for n, s in data.sections.items()}
     assert found == {"a": {"control": "two_period", "two_period_turn": "1"}, "b": {"two_period_turn": "2"}}
     assert messages == [
@@ -43,7 +42,7 @@ def test_names_of_earlier_versions_are_replaced_with_a_warning_that_says_where()
         "Option 'practical_turn' in section 'a' is now called 'two_period_turn' (printer.cfg, line 3).",
         "Option 'practical_turn' in section 'b' is now called 'two_period_turn' (printer.cfg, line 5).",
     ]
-    assert list(configaliases.replace_old(data.sections)) == []
+    assert list(configtext.replace_old(data.sections)) == []
 
 
 # --- syntax ---

@@ -88,9 +88,9 @@ def test_a_command_to_rename_that_is_not_there_stops_the_start_only_if_no_sectio
         s.gcode.run_script("MEASURE_AXES_NOISE")
         assert "// mine" in s.lines or "echo: mine" in s.lines
         (warning,) = [w["message"] for w in s.status("configfile")["warnings"] if "_MEASURE" in w["message"]]
-        assert "no command to rename to _MEASURE" in warning and "display" in warning
+        assert "no command to rename to _MEASURE" in warning and "palette2" in warning
 
-    Session(tmp_path, "[respond]\n[display]\nlcd_type: st7920\n" + renaming).run(body)
+    Session(tmp_path, "[respond]\n[palette2]\n" + renaming).run(body)
 
 
 def test_a_macro_may_be_taken_away_and_put_back(tmp_path: Path) -> None:

@@ -98,3 +98,24 @@ def test_terminal_restart_and_end(tmp_path: Path) -> None:
     finally:
         program.kill()
         program.communicate()
+
+
+def test_a_host_that_waits_for_its_board_says_so_and_how_to_end_it(tmp_path: Path) -> None:
+    config = tmp_path / "printer.cfg"
+    config.write_text(
+        "[mcu]\nserial: /dev/no-board\n[printer]\nkinematics: none\nmax_velocity: 1\nmax_accel: 1\n"
+    )
+    program = subprocess.Popen(
+        [*PROGRAM, str(config), "-I", str(tmp_path / "tty")], stderr=subprocess.PIPE, text=True
+    )
+    try:
+        assert program.stderr is not None
+        line = program.stderr.readline()
+        assert "for the board at /dev/no-board (Ctrl-C ends the program)" in line
+        assert "there is no such device" in line
+        program.send_signal(signal.SIGINT)
+        assert program.wait(10) == 0
+        assert "Traceback" not in program.stderr.read()
+    finally:
+        program.kill()
+        program.communicate()

@@ -12,6 +12,7 @@ from thermal.models import heat_loss
 from thermal.sensing import heat_balance_monitor, supervision
 
 PARAMETERS = supervision.SuperviseParameters(0.0, 300.0)
+LOSS = heat_loss.LossLaw()
 NAN = math.nan
 
 
@@ -46,17 +47,22 @@ def test_a_nozzle_without_doubt_is_named_by_its_target_and_reading(
 ) -> None:
     memory, seen = watched()
     one = witness()
-    assert supervision.watch_reading(PARAMETERS, memory, seen, one, temp_c, target_c, 5.0) == ""
-    assert (memory.state, memory.limit_w) == (state, math.inf)
+    assert supervision.watch_reading(PARAMETERS, memory, seen, one, temp_c, target_c, LOSS) == ""
+    assert supervision.name_state(memory, one, temp_c, target_c) == state
+    assert memory.limit_w == math.inf
     assert one.inputs.target_c == target_c
 
 
 def test_a_doubt_holds_the_power_at_what_holds_the_reading_and_ends_with_it() -> None:
     memory, seen = watched()
-    assert supervision.watch_reading(PARAMETERS, memory, seen, witness(1.0), 200.0, 250.0, 4.5) == ""
-    assert (memory.state, memory.limit_w) == (supervision.DOUBT, 4.5)
-    assert supervision.watch_reading(PARAMETERS, memory, seen, witness(), 200.0, 250.0, 4.5) == ""
-    assert (memory.state, memory.limit_w) == (supervision.WARMING, math.inf)
+    assert supervision.watch_reading(PARAMETERS, memory, seen, witness(1.0), 200.0, 250.0, LOSS) == ""
+    assert supervision.name_state(memory, witness(1.0), 200.0, 250.0) == supervision.DOUBT
+    assert memory.limit_w == heat_loss.loss_w(LOSS, 200.0)
+    assert supervision.watch_reading(PARAMETERS, memory, seen, witness(1.0), NAN, 250.0, LOSS) == ""
+    assert memory.limit_w == 0.0
+    assert supervision.watch_reading(PARAMETERS, memory, seen, witness(), 200.0, 250.0, LOSS) == ""
+    assert supervision.name_state(memory, witness(), 200.0, 250.0) == supervision.WARMING
+    assert memory.limit_w == math.inf
 
 
 @pytest.mark.parametrize(
@@ -70,18 +76,20 @@ def test_a_doubt_holds_the_power_at_what_holds_the_reading_and_ends_with_it() ->
 def test_what_stays_in_doubt_is_a_fault_and_stays_one(trip: int, words: str) -> None:
     memory, seen = watched()
     tripped = witness(1.0, trip, missing_c=41.0, surplus_c=33.0, base_c=180.0)
-    text = supervision.watch_reading(PARAMETERS, memory, seen, tripped, 210.0, 180.0, 4.5)
+    text = supervision.watch_reading(PARAMETERS, memory, seen, tripped, 210.0, 180.0, LOSS)
     assert words in text
-    assert memory.state == supervision.FAULT
-    assert supervision.watch_reading(PARAMETERS, memory, seen, witness(), 180.0, 180.0, 4.5) == text
-    assert memory.state == supervision.FAULT
+    assert supervision.name_state(memory, witness(), 180.0, 180.0) == supervision.FAULT
+    for later in (witness(), witness(1.0)):
+        assert supervision.watch_reading(PARAMETERS, memory, seen, later, 180.0, 180.0, LOSS) == text
+    assert supervision.name_state(memory, witness(), 180.0, 180.0) == supervision.FAULT
 
 
 def test_a_reading_beyond_a_limit_is_left_to_the_limit_s_own_words() -> None:
     memory, seen = watched(seen_beyond=1)
-    tripped = witness(1.0, 1, missing_c=41.0)
-    assert supervision.watch_reading(PARAMETERS, memory, seen, tripped, 310.0, 250.0, 4.5) == ""
-    assert memory.limit_w == 4.5
+    for beyond_s in (NAN, 1.0):
+        tripped = witness(beyond_s, 1, missing_c=41.0)
+        assert supervision.watch_reading(PARAMETERS, memory, seen, tripped, 310.0, 250.0, LOSS) == ""
+    assert memory.limit_w == heat_loss.loss_w(LOSS, 310.0)
 
 
 @pytest.mark.parametrize("exact", [True, False])
