@@ -82,7 +82,7 @@ class NozzleMonitor:
         planned_mm3 = self._fed_mm3(news.time_s - LAG_S)
         reading = flow_monitor.HeatReading(
             news.time_s, news.temp_c, balance.second_c, balance.second_doubt_c, heat_j, planned_mm3,
-            self._heater.loop.fan.before,
+            self._heater.loop.fan.at(news.time_s),
         )  # fmt: skip
         was_lost = state.lost
         if not flow_monitor.observe(p, state, reading):

@@ -181,6 +181,7 @@ class ModelState(NamedTuple):
     swing_c: float = 0.0  # amplitude of innovations that swing to and fro
     half_c: float = 0.0  # peak of the present half wave
     before_c: float = 0.0  # size of the one before
+    ridden_c: float = 0.0  # added to the wanted temperature while the reading swings
     slant_c: float = 0.0  # what full drive by itself adds to the reading
     usual: float = 0.0  # share of full drive at which the reading is taken for the truth
     sent: tuple[Planned, ...] = ()  # own outputs, where the caller gives none that are pending
@@ -586,6 +587,7 @@ def _observe_piece(
         run.offset_output,
         lean,
         *swing,
+        state.ridden_c,
         slant_c,
         usual,
         state.sent,

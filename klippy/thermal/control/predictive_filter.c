@@ -101,7 +101,7 @@ model_begin(const struct model_params *p, struct model_state *s, double temp_c, 
     s->time_s = s->measured_s = time_s;
     s->gain = gain;
     s->disturbance_w = s->innovation_c = s->driven = s->offset_c = s->offset_output = s->lean = s->slant_c = 0.0;
-    s->swing_c = s->half_c = s->before_c = 0.0;
+    s->swing_c = s->half_c = s->before_c = s->ridden_c = 0.0;
     s->usual = s->output / p->output_high;
 }
 

@@ -76,6 +76,7 @@ struct model_state {
     double offset_output;       // ... since the output stepped to this
     double lean;                // decaying sum of innovations, each over its sigma
     double swing_c;             // amplitude of innovations that swing to and fro, the smaller of two half waves
+    double ridden_c;            // added to the wanted temperature while the reading swings, see predictive.c
     double half_c, before_c;    // peak of the present half wave, with sign, and size of the one before
     double slant_c;             // what full drive by itself adds to the reading
     double usual;               // share of full drive at which the reading is taken for the truth
