@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan bench-control bench-machines bench-studies soak soak-motion soak-api fuzz mutants clean distclean
+.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan bench-control bench-disturbance bench-machines bench-studies soak soak-motion soak-api fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -23,6 +23,7 @@ help:
 	@echo "make bench   print the 5 MB benchy in closed loop and report speed and memory (QUICK=1: the short file)"
 	@echo "make bench-thermometer  accuracy and latency of the estimate, beside the published chain"
 	@echo "make bench-control      every control law on the same plants, and on random machines (studies; QUICK=1)"
+	@echo "make bench-disturbance  a sine on the reading: how much of it reaches the true temperature (a study; QUICK=1)"
 	@echo "make bench-motion       moves a second, batch mode and print (PEER=\"CMD\": a peer beside it; QUICK=1)"
 	@echo "make bench-steady       printing in real time beside a busy computer; memory of ten hours (QUICK=1)"
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
@@ -88,6 +89,7 @@ bench-motion: ARGS = $(if $(PEER),--peer "$(PEER)")
 
 # Benches that are studies, and what each measures besides.
 STUDIES_bench-control := control control_machines
+STUDIES_bench-disturbance := disturbance
 STUDIES_bench-plan    := plan_prints plan_steps
 STUDIES_bench-machines := bench_machines
 STUDIES_bench-studies := machines calibrated sample_print real
@@ -96,7 +98,7 @@ BESIDE_bench-plan     = $(PYTHON) scripts/bench/bench_plan.py --json $(OUT)/benc
     $(PYTHON) scripts/bench/bench_plan_cost.py --memory benchy.gcode && \
     $(PYTHON) scripts/bench/bench_plan_cost.py --real-time 30
 
-bench-control bench-plan bench-machines bench-studies: setup sim chelper
+bench-control bench-disturbance bench-plan bench-machines bench-studies: setup sim chelper
 	@scripts/setup.sh study
 	@status=0; for study in $(STUDIES_$@); do \
 	    $(PYTHON) scripts/study.py config/studies/$$study.toml --out $(OUT)/studies/$$study $(if $(QUICK),--small) $(if $(RUNS),--runs $(RUNS)) || status=1; \

@@ -31,7 +31,7 @@ TEMP = Nodes._fields.index("temp_c")
 SETTLED_MM3_S = 0.2  # the flow at the nozzle still follows that of the motor when farther from it than this
 
 
-RIDDEN_C, RIDDEN_SWINGS, RIDDEN_S, RIDDEN_MAX_C = 0.5, 4.0, 1.0, 4.0  # a mean error while the reading swings
+RIDDEN_C, RIDDEN_SWINGS, RIDDEN_S, RIDDEN_MAX_C = 0.5, 2.5, 1.0, 4.0  # a mean error while the reading swings
 
 
 def _wanted(inputs: ControlInput, time_s: float) -> float:
