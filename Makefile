@@ -11,13 +11,14 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer test test-browser test-flash check format bench bench-plan bench-control bench-disturbance bench-machines bench-studies soak soak-motion soak-api fuzz mutants clean distclean
+.PHONY: help setup setup-test sim chelper demo printer deb test test-browser test-flash check format bench bench-plan bench-control bench-disturbance bench-machines bench-studies soak soak-motion soak-api fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
-	@echo "make printer a simulated printer in real time with Moonraker, for any web front end"
+	@echo "make printer a simulated printer in real time with Moonraker and a dashboard (FRONT_END=folder: another front end)"
+	@echo "make deb     a Debian package of the host: $(OUT)/ferrite_VERSION_all.deb"
 	@echo "make test    all checks and tests, except for:"
-	@echo "make test-browser the tests of the report in a browser (installs Chromium)"
+	@echo "make test-browser the tests of report and dashboard in a browser (installs Chromium)"
 	@echo "make test-flash   the tests of make flash with the boards' tools (installs avrdude, openocd)"
 	@echo "make check   the checks only: lint, types, layers, message formats, cross compilation"
 	@echo "make bench   print the 5 MB benchy in closed loop and report speed and memory (QUICK=1: the short file)"
@@ -73,7 +74,10 @@ demo: setup sim chelper
 
 printer: setup sim chelper
 	@scripts/setup.sh moonraker
-	@$(PYTHON) scripts/run_printer.py
+	@$(PYTHON) scripts/run_printer.py --front-end $(or $(FRONT_END),klippy/webhooks/dashboard)
+
+deb:
+	@scripts/build/build_deb.py --out $(OUT)
 
 # QUICK=1: what each bench leaves out then stands in its --help.
 BENCH = $(PYTHON) scripts/bench/bench_$*.py --json $(OUT)/bench/$*.json
@@ -122,6 +126,7 @@ test: setup-test sim chelper
 	exit $$status
 
 # What only these need is installed by these only.
+test-browser: sim chelper
 test-browser test-flash: test-%:
 	@scripts/setup.sh $*
 	@$(PYTHON) -m pytest -m $* $(TEST_ARGS)
@@ -157,7 +162,7 @@ check-c:
 	    $$(git ls-files -co --exclude-standard 'src/*.c' 'klippy/*.c')
 
 # The host's helper, which klippy/chelper/__init__.py compiles.
-HOST_C   := $(shell find klippy/chelper klippy/thermal -name '*.c' 2>/dev/null)
+HOST_C   := $(shell find klippy/chelper klippy/thermal klippy/vibration -name '*.c' 2>/dev/null)
 STRICT_C := -std=gnu11 -O2 -Wall -Wextra -Werror -fsyntax-only
 
 check-layers:

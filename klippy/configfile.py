@@ -76,6 +76,17 @@ class ConfigWrapper:
         self._data = data
         self._access = access
 
+    # --- what plugins look into ---
+    @property
+    def fileconfig(self) -> configtext.FileConfig:
+        """The text of the whole config."""
+        return configtext.FileConfig(self._data)
+
+    @property
+    def access_tracking(self) -> dict[tuple[str, str], Any]:
+        """(section, option), in lower case, that count as read, with their values."""
+        return self._access
+
     # --- the section itself ---
     def get_printer(self) -> Any:
         """The printer being configured."""

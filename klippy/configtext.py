@@ -80,6 +80,53 @@ class ConfigData:
         target.options[option] = OptionText(value, origin)
 
 
+class FileConfig:
+    """A config's text as plugins look at it and change it: with the methods of Python's configparser that they call."""
+
+    def __init__(self, data: ConfigData) -> None:
+        self._data = data
+
+    def sections(self) -> list[str]:
+        return list(self._data.sections)
+
+    def has_section(self, section: str) -> bool:
+        return section in self._data.sections
+
+    def add_section(self, section: str) -> None:
+        if self.has_section(section):
+            raise ConfigError(f"Section '{section}' is there already.")
+        self._data.sections[section] = SectionText(section, Origin("a plugin", 0))
+
+    def remove_section(self, section: str) -> bool:
+        return self._data.sections.pop(section, None) is not None
+
+    def _options(self, section: str) -> dict[str, OptionText]:
+        found = self._data.sections.get(section)
+        if found is None:
+            raise ConfigError(f"There is no section '{section}' in the config.")
+        return found.options
+
+    def options(self, section: str) -> list[str]:
+        return list(self._options(section))
+
+    def items(self, section: str) -> list[tuple[str, str]]:
+        return [(name, option.value) for name, option in self._options(section).items()]
+
+    def has_option(self, section: str, option: str) -> bool:
+        return self.has_section(section) and option.lower() in self._options(section)
+
+    def get(self, section: str, option: str) -> str:
+        if option.lower() not in self._options(section):
+            raise ConfigError(f"There is no option '{option}' in section '{section}'.")
+        return self._options(section)[option.lower()].value
+
+    def set(self, section: str, option: str, value: str) -> None:
+        self._options(section)[option.lower()] = OptionText(str(value), Origin("a plugin", 0))
+
+    def remove_option(self, section: str, option: str) -> bool:
+        return self._options(section).pop(option.lower(), None) is not None
+
+
 def strip_comment(line: str) -> str:
     """The line without its comment and trailing blanks."""
     return _SEMICOLON.sub("", line.partition("#")[0]).rstrip()

@@ -31,7 +31,9 @@ except ModuleNotFoundError as e:
     )
     sys.exit(_BAD_USE)
 
-__all__ = ["Printer", "main"]
+__all__ = ["APP_NAME", "Printer", "main"]
+
+APP_NAME = "Ferrite"  # plugins know the host by it
 
 _RESTART_DELAY_S = 0.5  # lets clients see the socket vanish
 _EXIT_ERROR = 255
@@ -157,10 +159,14 @@ def main(argv: list[str] | None = None) -> int:
         listener = start_log(options)
         start_args = build_start_args(options)
     except OSError as e:
-        print(f"klippy.py: unable to start: {e.strerror}: {e.filename}", file=sys.stderr)
+        reason = f"{e.strerror}: {e.filename}" if e.filename else str(e)
+        print(f"klippy.py: unable to start: {reason}", file=sys.stderr)
         return _EXIT_ERROR
     start_args["log_listener"] = listener
     logging.info("Starting Ferrite\n%s", _versions(start_args))
+    if not options.debuginput:
+        for note in util.take_priority():
+            logging.info(note)
     try:
         result = serve(start_args, listener)
     except KeyboardInterrupt:

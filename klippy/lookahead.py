@@ -74,7 +74,7 @@ class Move:
     Distances mm, speeds mm/s (`_v2`: squared), times s.
     """
 
-    __slots__ = ("extra_d", "print_time", "record", "timing_callbacks", "toolhead")
+    __slots__ = ("extra_d", "extra_start", "print_time", "record", "timing_callbacks", "toolhead")
 
     print_time: float  # of the start; set when the move is committed
     start_pos: tuple[float, float, float, float] = _field("start_pos", tuple)
@@ -110,6 +110,7 @@ class Move:
         self.toolhead = toolhead
         self.timing_callbacks: list[Callable[[float], None]] | None = None
         self.extra_d = tuple(b - a for a, b in zip(start_pos[4:], end_pos[4:], strict=False))
+        self.extra_start = tuple(start_pos[4:])
         self.record = ffi.new("struct lookahead_move *")
         others_mm = max(map(abs, self.extra_d)) if self.extra_d else 0.0
         lib.move_fill(self.record, [limits_of(toolhead)], start_pos[:4], end_pos[:4], speed, others_mm)
@@ -120,7 +121,7 @@ class Move:
         move = cls.__new__(cls)
         move.toolhead = toolhead
         move.timing_callbacks = None
-        move.extra_d = ()
+        move.extra_d = move.extra_start = ()
         move.record = chelper.get_ffi()[0].new("struct lookahead_move *", record)
         return move
 
@@ -132,6 +133,33 @@ class Move:
         """An error for the user that names the move's end."""
         x, y, z, e = self.end_pos
         return self.toolhead.printer.command_error(f"{msg}: {x:.3f} {y:.3f} {z:.3f} [{e:.3f}]")
+
+
+class AllAxesMove:
+    """A move as further axes see it: its vectors go on after x, y, z, e with theirs."""
+
+    def __init__(self, move: Move) -> None:
+        self._move = move
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._move, name)
+
+    @property
+    def start_pos(self) -> tuple[float, ...]:
+        return (*self._move.start_pos, *self._move.extra_start)
+
+    @property
+    def end_pos(self) -> tuple[float, ...]:
+        ends = zip(self._move.extra_start, self._move.extra_d, strict=False)
+        return (*self._move.end_pos, *(start + way for start, way in ends))
+
+    @property
+    def axes_d(self) -> tuple[float, ...]:
+        return (*self._move.axes_d, *self._move.extra_d)
+
+    @property
+    def axes_r(self) -> tuple[float, ...]:
+        return (*self._move.axes_r, *(way / self._move.move_d for way in self._move.extra_d))
 
 
 def done_in_c(method: Any) -> Any:
@@ -159,6 +187,9 @@ class LookAheadQueue:
         ffi, self._lib = chelper.get_ffi()
         self.row = ffi.gc(self._lib.lookahead_alloc(self.REVIEW_S), self._lib.lookahead_free)
         self._moves: dict[int, Move] = {}  # by number in the row
+
+    def set_flush_time(self, flush_time: float) -> None:
+        """Plugins say how much motion to gather; a queue that reviews its moves every REVIEW_S has no use for it."""
 
     def __len__(self) -> int:
         return self.row.next - self.row.first
@@ -242,7 +273,8 @@ class LookAheadQueue:
             extruder_v2 = extruder.calc_junction(before, move)
             for axis, way in enumerate(move.extra_d):
                 if way or before.extra_d[axis : axis + 1] not in ((), (0.0,)):
-                    axis_v2 = self._toolhead.extra_axes[axis].calc_junction(before, move, axis)
+                    views = AllAxesMove(before), AllAxesMove(move)
+                    axis_v2 = self._toolhead.extra_axes[axis].calc_junction(*views, 4 + axis)
                     extruder_v2 = min(extruder_v2, axis_v2)
         self._moves[number] = move
         return self._lib.lookahead_add(self.row, move.record, extruder_v2) != 0

@@ -21,7 +21,8 @@ from clocksync import ClockSync, SecondarySync
 from link import mcu_options, usb_power
 from link.mcu_homing import MULTI_TIMEOUT_S
 from link.mcu_io import MCU_adc, MCU_digital_out, MCU_endstop, MCU_pwm, MCU_trsync, TriggerDispatch
-from link.mcu_session import ConfigScript, TaskLoad, shutdown_help
+from link.mcu_session import ConfigScript, TaskLoad, missing_command, read_dictionary, shutdown_help
+from link.optional_board import CONNECT_S, OptionalBoard
 from serialhdl import CommandQueryWrapper, CommandWrapper
 
 __all__ = [
@@ -86,8 +87,7 @@ class MCU:
         section = config.get_name()
         self._name = "mcu" if section == "mcu" else section.removeprefix("mcu ").strip()
         self._options = mcu_options.read_options(config)
-        start_args = printer.get_start_args()
-        self._start_args = start_args
+        self._start_args = start_args = printer.get_start_args()
         self._is_fileoutput = start_args.get("debugoutput") is not None
         self._serial = serialhdl.SerialReader(
             self._reactor,
@@ -106,6 +106,12 @@ class MCU:
         self._emergency_stop: CommandWrapper | None = None
         self._step_writer: StepWriter | None = None
         self._watch_timer = self._reactor.register_timer(self._watch_link)
+        self._dictionary = b""
+        self._optional: OptionalBoard | None = None
+        if self._options.reconnect_s is not None:
+            self._optional = OptionalBoard(
+                printer, self._name, self._options.reconnect_s, self._serial, self._come_back
+            )
         self._register(printer)
         if self._options.can is not None:
             printer.load_object(config, f"canbus_stats {self._name}")
@@ -130,8 +136,19 @@ class MCU:
         if self._is_fileoutput:
             self._connect_file()
         else:
-            self._serial.connect(self._options.serial, self._options.baud)
+            wait_s = serialhdl.CONNECT_TIMEOUT_S if self._optional is None else CONNECT_S
+            try:
+                self._serial.connect(self._options.serial, self._options.baud, wait_s)
+            except serialhdl.error:
+                if self._optional is None:
+                    raise
+                self._optional.lose("it does not answer")
+                return
             self._clocksync.connect(self._serial)
+        self._note_firmware()
+
+    def _note_firmware(self) -> None:
+        self._dictionary = self._serial.get_msgparser().raw_identify_data
         self._check_firmware()
         self._reserve_pins()
         for name, handler in (
@@ -145,24 +162,11 @@ class MCU:
         self._printer.set_rollover_info(self._name, self._describe(), log=False)
 
     def _connect_file(self) -> None:
-        name = self._name
-        key = "dictionary" if name == "mcu" else f"dictionary_{name}"
-        path = self._start_args.get(key)
-        output = self._start_args["debugoutput"] + ("" if name == "mcu" else f"-{name}")
-        if path is None:
-            option = "-d FILE" if name == "mcu" else f"-d {name}=FILE"
-            self._fail(
-                f"mcu '{name}': batch mode (-o) needs the data dictionary of its firmware: give it with {option}."
-            )
         try:
-            with open(path, "rb") as handle:
-                dictionary = handle.read()
-            self._serial.connect_file(dictionary, output)
+            self._serial.connect_file(*read_dictionary(self._start_args, self._name))
             self._clocksync.connect_file(self._serial)
-        except OSError as e:
-            self._fail(f"mcu '{name}': the data dictionary '{path}' can not be read: {e.strerror}.")
-        except serialhdl.error as e:
-            self._fail(f"mcu '{name}': {e}")
+        except (serialhdl.error, ValueError) as e:
+            self._fail(f"mcu '{self._name}': {e}")
 
     def _check_firmware(self) -> None:
         parser = self._serial.get_msgparser()
@@ -197,16 +201,54 @@ class MCU:
     # --- start: configuration ---
 
     def _connect(self) -> None:
+        if self._optional is not None and self._optional.is_absent:
+            self._optional.look()
+            return
         self._configure()
         if not self._is_fileoutput:
             self._reactor.update_timer(self._watch_timer, self._reactor.monotonic() + WATCH_PERIOD_S)
 
+    def _come_back(self) -> None:
+        """An optional board that was absent is there; raises an error of the link, or of its configuration, if not."""
+        serial = self._serial
+        serial.connect(self._options.serial, self._options.baud, CONNECT_S)
+        if self._dictionary not in (b"", serial.get_msgparser().raw_identify_data):
+            raise serialhdl.error("its firmware is another than before: RESTART the host")
+        self._clocksync.connect(serial)
+        if not self._dictionary:
+            self._note_firmware()
+        init, restart, commands = self._build_script()
+        state = serial.send_with_response("get_config", "config")
+        if state["is_shutdown"] or (state["is_config"] and state["crc"] != self._script.crc):
+            serial.send("reset")
+            raise serialhdl.error("it has another configuration and is reset")
+        self._kept_configuration = bool(state["is_config"])
+        self._send_all([*(restart if state["is_config"] else commands), *init])
+        state = serial.send_with_response("get_config", "config")
+        if not state["is_config"] or state["is_shutdown"]:
+            raise serialhdl.error("it did not accept its configuration")
+        self._is_timeout = False
+        self._reactor.update_timer(self._watch_timer, self._reactor.monotonic() + WATCH_PERIOD_S)
+
+    def _lose(self, reason: str) -> bool:
+        """Is the board one that may vanish? Then it is gone from now on, and looked for."""
+        if self._optional is None or self._printer.is_shutdown():
+            return False
+        if not self._serial.is_absent:
+            self._optional.lose(reason)
+            self._disconnect()
+            self._optional.look()
+        return True
+
+    def _build_script(self) -> tuple[list[bytes], ...]:
+        """Commands at each start, for a board that kept its configuration, and for one that was reset."""
+        self._script.build(self._printer.lookup_object("pins").get_pin_resolver(self._name).update_command)
+        lists = (self._script.init_cmds, self._script.restart_cmds, self._script.config_cmds)
+        return tuple([self._encode_config(cmd) for cmd in cmds] for cmds in lists)
+
     def _configure(self) -> None:
         script = self._script
-        script.build(self._printer.lookup_object("pins").get_pin_resolver(self._name).update_command)
-        commands = [self._encode_config(cmd) for cmd in script.config_cmds]
-        init = [self._encode_config(cmd) for cmd in script.init_cmds]
-        restart = [self._encode_config(cmd) for cmd in script.restart_cmds]
+        init, restart, commands = self._build_script()
         state = self._query_config(first=True)
         if not state["is_config"]:
             logging.info("Sending MCU '%s' printer configuration...", self._name)
@@ -293,7 +335,7 @@ class MCU:
         self._stop_printer(f"{previous}MCU '{self._name}' shutdown: {reason}", reason)
 
     def _on_mcu_starting(self, params: dict[str, Any]) -> None:
-        if not self._is_shutdown:
+        if not self._is_shutdown and not self._lose("it started again"):
             self._is_shutdown = True
             self._shutdown_msg = "spontaneous restart"
             self._stop_printer(f"MCU '{self._name}' spontaneous restart", self._shutdown_msg)
@@ -315,6 +357,8 @@ class MCU:
         if self._clocksync.is_active() or self._is_timeout:
             return eventtime + WATCH_PERIOD_S
         self._is_timeout = True
+        if self._lose("it does not answer"):
+            return self._reactor.NEVER
         logging.error("Timeout with MCU '%s' (eventtime=%f)", self._name, eventtime)
         self._stop_printer(f"Lost communication with MCU '{self._name}'", "")
         return self._reactor.NEVER
@@ -345,6 +389,8 @@ class MCU:
         self._disconnect()
 
     def _disconnect(self) -> None:
+        if self._optional is not None:
+            self._optional.stop()
         self._reactor.update_timer(self._watch_timer, self._reactor.NEVER)
         self._clocksync.disconnect()
         self._serial.disconnect()
@@ -394,14 +440,12 @@ class MCU:
     # --- messages, for modules ---
 
     def _missing_command_text(self, msgformat: str, e: msgproto.error) -> str:
+        if self._serial.is_absent:
+            return (
+                f"MCU '{self._name}' is not connected, and the config has sections that need it at the start."
+            )
         version = self._serial.get_msgparser().get_version_info()[0] or "unknown"
-        name = msgformat.partition(" ")[0]
-        section = "mcu" if self._name == "mcu" else f"mcu {self._name}"
-        return (
-            f"The configuration asks the board of section [{section}] for the command '{name}', which its firmware"
-            f" (version {version}) does not have in this form ({e}). Build and flash the firmware again from this"
-            " version, with the feature enabled, or remove the config section that needs it."
-        )
+        return missing_command(self._name, version, msgformat, e)
 
     def lookup_command(self, msgformat: str, cq: Any = None) -> CommandWrapper:
         """A command by its exact format; a config error if the firmware has none."""
@@ -441,6 +485,13 @@ class MCU:
         """Call `cb(messages, count)` with undecoded messages, when there are `batch_max` or one is `seconds` old."""
         try:
             self._serial.register_batch(cb, msgformat, seconds, batch_max)
+        except msgproto.error as e:
+            self._fail(self._missing_command_text(msgformat, e))
+
+    def let_wait(self, msgformat: str) -> None:
+        """Messages of this format wake nobody: they come with the next of another. One format only."""
+        try:
+            self._serial.let_wait(msgformat)
         except msgproto.error as e:
             self._fail(self._missing_command_text(msgformat, e))
 
@@ -512,6 +563,11 @@ class MCU:
     def is_shutdown(self) -> bool:
         return self._is_shutdown
 
+    def require_connected(self) -> None:
+        """Raise command_error if this board may vanish, and did."""
+        if self._optional is not None:
+            self._optional.require()
+
     def get_shutdown_clock(self) -> int:
         return self._shutdown_clock
 
@@ -521,7 +577,7 @@ class MCU:
         text = f"{self._name}: {load} {self._serial.stats(eventtime)} {self._clocksync.stats(eventtime)}"
         return False, text
 
-    def get_status(self, eventtime: float) -> dict[str, Any]:
+    def get_status(self, eventtime: float = 0.0) -> dict[str, Any]:
         parser = self._serial.get_msgparser()
         version, build_versions = parser.get_version_info()
         clock = {"freq": round(self._clocksync.line.freq)}
@@ -530,6 +586,7 @@ class MCU:
             "mcu_version": version,
             "mcu_build_versions": build_versions,
             "mcu_constants": self.get_constants(),
+            "non_critical_disconnected": self._optional is not None and self._optional.is_absent,
             "last_stats": {**self._load.as_stats(), **self._serial.get_stats(), **clock},
         }
 

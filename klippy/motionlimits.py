@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from gcode_command import CommandError
@@ -140,3 +140,50 @@ def parse_set_velocity_limit(gcmd: Any, accel: float) -> dict[str, float]:
     if given["cruise_ratio"] is None and to_decel is not None:
         given["cruise_ratio"] = 1.0 - min(1.0, to_decel / (given["accel"] or accel))
     return {name: value for name, value in given.items() if value is not None}
+
+
+class VelocityLimited:
+    """The part of a toolhead that keeps its limits, and the commands that change them."""
+
+    printer: Any
+    max_velocity: float
+    max_accel: float
+    min_cruise_ratio: float
+    square_corner_velocity: float
+    junction_deviation: float
+    max_accel_to_decel: float
+
+    def _velocity_limits(self) -> VelocityLimits:
+        return VelocityLimits(
+            self.max_velocity, self.max_accel, self.min_cruise_ratio, self.square_corner_velocity
+        )
+
+    def _set_limits(self, limits: VelocityLimits) -> None:
+        self.max_velocity, self.max_accel = limits.velocity, limits.accel
+        self.min_cruise_ratio, self.square_corner_velocity = limits.cruise_ratio, limits.corner_velocity
+        self.junction_deviation, self.max_accel_to_decel = limits.junction_deviation, limits.accel_to_decel
+
+    def _calc_junction_deviation(self) -> None:
+        """A plugin has set limits by their attributes."""
+        self._set_limits(self._velocity_limits())
+
+    def get_max_velocity(self) -> tuple[float, float]:
+        """(mm/s, mm/s^2)."""
+        return self.max_velocity, self.max_accel
+
+    def cmd_M204(self, gcmd: Any) -> None:
+        """M204 S<accel>, or P<print> T<travel>."""
+        self._change_limits(parse_m204(gcmd))
+
+    def cmd_SET_VELOCITY_LIMIT(self, gcmd: Any) -> None:
+        """SET_VELOCITY_LIMIT VELOCITY= ACCEL= MINIMUM_CRUISE_RATIO= SQUARE_CORNER_VELOCITY=; without any: report."""
+        changes = parse_set_velocity_limit(gcmd, self.max_accel)
+        text = self._change_limits(changes).describe()
+        self.printer.set_rollover_info("toolhead", f"toolhead: {text}")
+        if not changes:
+            gcmd.respond_info(text, log=False)
+
+    def _change_limits(self, changes: dict[str, float]) -> VelocityLimits:
+        limits = replace(self._velocity_limits(), **changes)
+        self._set_limits(limits)
+        return limits

@@ -96,6 +96,7 @@ class SerialReader:
         self._stats = self._ffi.new("struct serialqueue_stats *")
         self._tables = _Tables()
         self._notify_id = 0
+        self.is_absent = False  # of a board that may vanish: its commands go nowhere
         self._clock = _Clock()
         self._is_file = False
         # freed with its last user: step writers may outlive the connection
@@ -206,6 +207,11 @@ class SerialReader:
         message_id = self.msgparser.lookup_command(msgformat).id_bytes
         self._on_batch = callback
         self._lib.serialqueue_set_batch(self._sq, message_id, len(message_id), seconds, batch_max)
+
+    def let_wait(self, msgformat: str) -> None:
+        """Messages of this format wake nobody: they come with the next of another. One format only."""
+        message_id = self.msgparser.lookup_command(msgformat).id_bytes
+        self._lib.serialqueue_set_patient(self._sq, message_id, len(message_id))
 
     def _drain(self) -> None:
         """Take what the queue has received. Called by the port in the reactor thread."""
@@ -429,7 +435,8 @@ class CommandWrapper:
 
     def send(self, data: Sequence[Any] = (), minclock: int = 0, reqclock: int = 0) -> None:
         """Queue it: not sent before MCU clock `minclock`, needed by `reqclock` (0: at once)."""
-        self._serial.raw_send(self._message.encode(data), minclock, reqclock, self._queue)
+        if not self._serial.is_absent:
+            self._serial.raw_send(self._message.encode(data), minclock, reqclock, self._queue)
 
 
 class CommandQueryWrapper:
@@ -453,6 +460,8 @@ class CommandQueryWrapper:
         self._error = error_class
 
     def _ask(self, data: Sequence[Any], minclock: int, reqclock: int, retry: bool) -> Params:
+        if self._serial.is_absent:
+            raise self._error(f"{self._serial.warn_prefix}the board is not connected")
         message = self._message.encode(data)
         try:
             return self._serial.query(
@@ -477,5 +486,6 @@ class CommandQueryWrapper:
         retry: bool = True,
     ) -> Params:
         """Ask, with another command right before it."""
-        self._serial.raw_send(preface_cmd.encode(preface_data), minclock, reqclock, self._queue)
+        if not self._serial.is_absent:
+            self._serial.raw_send(preface_cmd.encode(preface_data), minclock, reqclock, self._queue)
         return self._ask(data, minclock, reqclock, retry)

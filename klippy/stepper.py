@@ -14,6 +14,7 @@ from typing import Any
 import chelper
 import motionlimits
 import stepstream
+from link import optional_board
 from motionlimits import LENGTH, POSITION, SPEED, TRAVEL
 
 QUEUE_STEP = "queue_step oid=%c interval=%u count=%hu add=%hi"
@@ -345,6 +346,7 @@ def PrinterStepper(config: Any, units_in_radians: bool = False) -> MCU_stepper:
     """Make the stepper a section describes and register it with stepper_enable."""
     printer = config.get_printer()
     ppins = printer.lookup_object("pins")
+    optional_board.refuse(config, "step_pin")
     step_pin_params = ppins.lookup_pin(config.get("step_pin"), can_invert=True)
     dir_pin_params = ppins.lookup_pin(config.get("dir_pin"), can_invert=True)
     rotation_dist, steps_per_rotation = parse_step_distance(config, units_in_radians, True)

@@ -27,6 +27,10 @@ HISTORY_S = 30.0
 CLOCK_BASELINE_S = 10.0
 END_OF_TIME_CLOCK = 2**63
 
+# A move that may be cut short is worked out this far ahead of the MCU, in pieces this long.
+DRIP_AHEAD_S = 0.100
+DRIP_PIECE_S = 0.050
+
 # An MCU with no free place in its move queue at all cannot step; config_stepper would already have failed.
 MIN_PLACES = 1
 
@@ -116,13 +120,22 @@ class StepStream:
             self._fail(-1)
 
 
+class Generators(list[Callable[[float], None]]):
+    """Called with the print_time up to which steps are worked out."""
+
+    def remove(self, handler: Callable[[float], None]) -> None:
+        """Also of one that is not there: plugins take steppers out, which need no call."""
+        if handler in self:
+            super().remove(handler)
+
+
 class StepStreams:
     """All MCUs that step. Printer object 'step_streams'."""
 
     def __init__(self, reactor: Any) -> None:
         self._reactor = reactor
         self.streams: dict[Any, StepStream] = {}
-        self.generators: list[Callable[[float], None]] = []
+        self.generators = Generators()
         self._waking: list[Stepper] = []
         self._done_time = 0.0
         self._ffi, self._lib = chelper.get_ffi()
@@ -162,6 +175,11 @@ class StepStreams:
         """
         return self._done_time + self.look_ahead_s()
 
+    @property
+    def worked_out_time(self) -> float:
+        """print_time up to which there are steps."""
+        return self._done_time
+
     def _follow_clocks(self, print_time: float) -> None:
         """From print_time on, further MCUs may correct their relation to the main one's clock; after a rest (a dwell of
         minutes is worked out at its beginning) from their last step on."""
@@ -186,6 +204,31 @@ class StepStreams:
             stream.flush(send_time)
         for trapq in self._trapqs:
             self._lib.trapq_forget_before(trapq, self._done_time - HISTORY_S)
+
+    def drip(self, mcu: Any, start: float, end: float, completion: Any) -> float:
+        """Work out the steps from start to end only just in time, until the completion is set; returns how far it came.
+
+        In batch mode all of them, at once."""
+        if mcu.is_fileoutput():
+            self.advance(end, hold_back=False)
+            return end
+        time = start
+        while time < end:
+            eventtime = self._reactor.monotonic()
+            spare = time - mcu.estimated_print_time(eventtime) - DRIP_AHEAD_S
+            if spare > 0.0:
+                completion.wait(eventtime + spare)
+            if completion.test():
+                break
+            time = min(end, time + DRIP_PIECE_S)
+            self.advance(time, hold_back=False)
+        return time
+
+    def cut(self, trapq: Any, print_time: float) -> None:
+        """Motion in this queue rests from print_time on, where it is then."""
+        place, speed = self._ffi.new("double[3]"), self._ffi.new("double *")
+        if self._lib.trapq_state_at(trapq, print_time, place, speed):
+            self._lib.trapq_set_position(trapq, print_time, *place)
 
 
 def lookup_streams(printer: Any) -> StepStreams:

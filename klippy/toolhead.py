@@ -19,14 +19,13 @@ import importlib
 import logging
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any
 
 import chelper
 import motionlimits
 import stepstream
-from lookahead import Coord, LookAheadQueue, Move, done_in_c, is_done_in_c
-from motionlimits import VelocityLimits
+from lookahead import AllAxesMove, Coord, LookAheadQueue, Move, done_in_c, is_done_in_c
+from motionlimits import VelocityLimited
 
 __all__ = ["Coord", "LookAheadQueue", "Move", "ToolHead", "add_printer_objects"]
 
@@ -43,10 +42,11 @@ STEP_BATCH_S = 0.200
 # A stop forced by a low buffer followed by a new move within this time counts as a stall.
 STALL_WINDOW_S = 1.0
 STALL_REPORT_S = 60.0
-# Homing: the steps run that far ahead of the MCU: little has to be thrown away at the trigger.
-DRIP_AHEAD_S = 0.100
-DRIP_STEP_S = 0.050
 WAIT_POLL_S = 0.100
+TIME_ROUNDING_S = 1e-6
+# Names that plugins read for toolheads of their own.
+BUFFER_TIME_HIGH = BUFFER_FULL_S
+SDS_CHECK_TIME = stepstream.BORDER_S
 # Motion beside the head's while it rests: worked out this far ahead, this often.
 OTHERS_AHEAD_S = 0.200
 OTHERS_PERIOD_S = 0.050
@@ -56,7 +56,7 @@ class DripModeEndSignal(Exception):
     """Kept for plugins that catch it; homing ends a drip move by its completion."""
 
 
-class ToolHead:
+class ToolHead(VelocityLimited):
     """Printer object 'toolhead'."""
 
     def __init__(self, config: Any) -> None:
@@ -67,28 +67,11 @@ class ToolHead:
         self.commanded_pos = [0.0, 0.0, 0.0, 0.0]  # and of further axes
         self.extra_axes: list[Any] = []  # of G1 beside x, y, z, e; their positions follow those four
         self.lookahead = LookAheadQueue(self)
-        self._streams = stepstream.lookup_streams(self.printer)
-        ffi, lib = chelper.get_ffi()
-        self._commit_in_c = lib.lookahead_commit
-        self._filament_mm = ffi.new("double *")
-        self._lib, self._cut_xyz, self._cut_speed = lib, ffi.new("double[3]"), ffi.new("double *")
-        self._no_trapq = ffi.NULL
-        self._trapq_append = lib.trapq_append
-        self._trapq_set_position = lib.trapq_set_position
-        self.trapq = self._streams.new_trapq()
-        self._listeners: list[Callable[[Sequence[Move]], None]] = []
-        self._record_listeners: list[Callable[[Any, int, float], None]] = []
         self._set_limits(motionlimits.read_velocity_limits(config))
-
+        self._set_up_motion()
+        self.trapq = self._streams.new_trapq()
         self.print_time = 0.0
-        self._at_rest = True  # nothing planned runs on: print_time may have passed
-        self._next_check_time = -math.inf
-        self._motion_end = 0.0  # print_time at which the head's last motion ends
-        self._forced_stop = False
-        self._drip_done = 0.0  # print_time before which steps are out already after a drip move
-        self._others_end = 0.0  # print_time up to which others move beside the head
-        self.print_stall, self._next_stall_report = 0, 0.0
-        self._watch_timer, self._watching = self.reactor.register_timer(self._watch), False
+        self.print_stall = 0
 
         from kinematics.extruder import DummyExtruder  # the extruder module needs this one
 
@@ -98,10 +81,33 @@ class ToolHead:
 
     # -- set-up --
 
-    def _set_limits(self, limits: VelocityLimits) -> None:
-        self.max_velocity, self.max_accel = limits.velocity, limits.accel
-        self.min_cruise_ratio, self.square_corner_velocity = limits.cruise_ratio, limits.corner_velocity
-        self.junction_deviation, self.max_accel_to_decel = limits.junction_deviation, limits.accel_to_decel
+    def _set_up_motion(self) -> None:
+        """What motion needs beside the public attributes."""
+        self._streams = stepstream.lookup_streams(self.printer)
+        ffi, lib = chelper.get_ffi()
+        self._commit_in_c = lib.lookahead_commit
+        self._filament_mm = ffi.new("double *")
+        self._lib, self._cut_xyz, self._cut_speed = lib, ffi.new("double[3]"), ffi.new("double *")
+        self._no_trapq = ffi.NULL
+        self._trapq_append = lib.trapq_append
+        self._trapq_set_position = lib.trapq_set_position
+        self._listeners: list[Callable[[Sequence[Move]], None]] = []
+        self._record_listeners: list[Callable[[Any, int, float], None]] = []
+        self._at_rest = True  # nothing planned runs on: print_time may have passed
+        self._next_check_time = -math.inf
+        self._motion_end = 0.0  # print_time at which the head's last motion ends
+        self._forced_stop = False
+        self._others_end = 0.0  # print_time up to which others move beside the head
+        self._next_stall_report = 0.0
+        self._watch_timer, self._watching = self.reactor.register_timer(self._watch), False
+
+    def __getattr__(self, name: str) -> Any:
+        """A plugin's toolhead sets only public attributes: the others are made when the first of them is missing."""
+        if name.startswith("__") or "_streams" in self.__dict__ or "reactor" not in self.__dict__:
+            raise AttributeError(f"A toolhead has no attribute '{name}'")
+        self.extra_axes = []
+        self._set_up_motion()
+        return getattr(self, name)
 
     def _load_kinematics(self, config: Any) -> Any:
         name = config.get("kinematics")
@@ -162,8 +168,10 @@ class ToolHead:
         """Motion comes: print_time is where it may begin."""
         if self._at_rest:
             self._start_motion()
-        elif self.print_time < self._drip_done:
-            self.print_time = self._drip_done
+        elif (
+            self.print_time < self._streams.done_time - TIME_ROUNDING_S
+        ):  # a drip move, or another toolhead's motion
+            self.print_time = self._streams.done_time
 
     def _commit(self, count: int) -> None:
         """The first `count` moves, whose speeds are fixed, get their times and go to the motion queues. Python handles
@@ -198,7 +206,7 @@ class ToolHead:
             self.extruder.process_move(print_time, move)
         for number, way in enumerate(move.extra_d):
             if way:
-                self.extra_axes[number].process_move(print_time, move, number)
+                self.extra_axes[number].process_move(print_time, AllAxesMove(move), 4 + number)
 
     def _make_steps(self) -> None:
         """Work out steps as far as the plan reaches, once it is worth it."""
@@ -316,7 +324,7 @@ class ToolHead:
             self.extruder.check_move(move)
         for number, way in enumerate(move.extra_d):
             if way:
-                self.extra_axes[number].check_move(move, number)
+                self.extra_axes[number].check_move(AllAxesMove(move), 4 + number)
         self.commanded_pos[:4] = move.end_pos
         if move.extra_d:
             self.commanded_pos[4:] = newpos[4:]
@@ -404,24 +412,14 @@ class ToolHead:
         return start
 
     def _drip(self, start: float, completion: Any) -> None:
-        """Work out the steps of the queued drip move, DRIP_AHEAD_S ahead of the MCU."""
+        """Work out the steps of the queued drip move, just in time."""
         # shaping and smoothing spread the motion over this much after its end
         end = self.print_time + self._streams.look_ahead_s()
-        time = start if self.can_pause else end
-        while time < end:
-            eventtime = self.reactor.monotonic()
-            spare = time - self.mcu.estimated_print_time(eventtime) - DRIP_AHEAD_S
-            if spare > 0.0:
-                completion.wait(eventtime + spare)
-            if completion.test():
-                break
-            time = min(end, time + DRIP_STEP_S)
-            self._streams.advance(time, hold_back=False)
+        time = self._streams.drip(self.mcu, start, end, completion) if self.can_pause else end
         if time < end:  # stopped by the trigger: the rest of the plan is void
             self._cut_plan(min(self.print_time, time + self._streams.look_ahead_s()))
         # all of it now: once the motors have reported where they halted, no step of this move may follow
         self._streams.advance(self.print_time + self._streams.look_ahead_s(), hold_back=False)
-        self._drip_done = self._streams.done_time
         self._start_watch()  # the timer may have gone to sleep until the end of the whole, uninterrupted move
 
     def _cut_plan(self, print_time: float) -> None:
@@ -448,13 +446,26 @@ class ToolHead:
         else:
             last.timing_callbacks.append(callback)
 
+    @property
+    def step_generators(self) -> stepstream.Generators:
+        return self._streams.generators
+
+    @step_generators.setter
+    def step_generators(self, generators: list[Callable[[float], None]]) -> None:
+        """Plugins begin with an empty list. There is one for all toolheads."""
+
+    def _flush_handler(self, *times: float) -> float:
+        """Plugins hand it to a timer or to motion_queuing. `_watch` does the work."""
+        return self.reactor.NEVER
+
+    _handle_step_flush = _check_flush_lookahead = _flush_handler
+
     def register_step_generator(self, handler: Callable[[float], None]) -> None:
         """Call handler(print_time) whenever steps up to print_time are being worked out."""
         self._streams.generators.append(handler)
 
     def unregister_step_generator(self, handler: Callable[[float], None]) -> None:
-        if handler in self._streams.generators:
-            self._streams.generators.remove(handler)
+        self._streams.generators.remove(handler)
 
     def note_mcu_movequeue_activity(self, mq_time: float, set_step_gen_time: bool = False) -> None:
         """Something else than a stepper uses an MCU's move queue up to mq_time: steps must not lag behind it.
@@ -499,10 +510,6 @@ class ToolHead:
     def get_extra_axes(self) -> list[Any]:
         """What stands behind each number of a position: nothing for x, y, z, then the extruder and further axes."""
         return [None, None, None, self.extruder, *self.extra_axes]
-
-    def get_max_velocity(self) -> tuple[float, float]:
-        """(mm/s, mm/s^2)."""
-        return self.max_velocity, self.max_accel
 
     # -- reports --
 
@@ -551,26 +558,6 @@ class ToolHead:
     def cmd_M400(self, gcmd: Any) -> None:
         """Wait for the moves to end."""
         self.wait_moves()
-
-    def cmd_M204(self, gcmd: Any) -> None:
-        """M204 S<accel>, or P<print> T<travel>."""
-        self._change_limits(motionlimits.parse_m204(gcmd))
-
-    def cmd_SET_VELOCITY_LIMIT(self, gcmd: Any) -> None:
-        """SET_VELOCITY_LIMIT VELOCITY= ACCEL= MINIMUM_CRUISE_RATIO= SQUARE_CORNER_VELOCITY=; without any: report."""
-        changes = motionlimits.parse_set_velocity_limit(gcmd, self.max_accel)
-        text = self._change_limits(changes).describe()
-        self.printer.set_rollover_info("toolhead", f"toolhead: {text}")
-        if not changes:
-            gcmd.respond_info(text, log=False)
-
-    def _change_limits(self, changes: dict[str, float]) -> VelocityLimits:
-        before = VelocityLimits(
-            self.max_velocity, self.max_accel, self.min_cruise_ratio, self.square_corner_velocity
-        )
-        limits = replace(before, **changes)
-        self._set_limits(limits)
-        return limits
 
 
 def add_printer_objects(config: Any) -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import errno
 import fcntl
 import logging
 import os
 import pty
+import resource
 import stat
 import subprocess
 import termios
@@ -128,3 +130,30 @@ def get_software_version(root: str) -> str:
         logging.debug("git is not available")
         return version
     return "-".join(filter(None, (version, answer.stdout.strip())))
+
+
+REAL_TIME_PRIORITY = 1
+_MCL_CURRENT_AND_FUTURE = 3
+
+
+def take_priority() -> list[str]:
+    """Real-time priority and locked memory where the system grants them by its limits; what came of it, for the log."""
+    priority_max, _ = resource.getrlimit(resource.RLIMIT_RTPRIO)
+    if priority_max < REAL_TIME_PRIORITY and priority_max != resource.RLIM_INFINITY:
+        return ["Real-time priority: not granted (LimitRTPRIO of the service is 0)"]
+    notes = []
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(REAL_TIME_PRIORITY))
+        notes.append(f"Real-time priority: SCHED_FIFO {REAL_TIME_PRIORITY}")
+    except OSError as e:
+        notes.append(f"Real-time priority: refused ({e.strerror})")
+    if resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] != resource.RLIM_INFINITY:
+        return [*notes, "Locked memory: not granted (LimitMEMLOCK of the service is not infinity)"]
+    libc = ctypes.CDLL(None, use_errno=True)
+    failed = libc.mlockall(_MCL_CURRENT_AND_FUTURE) and os.strerror(ctypes.get_errno())
+    return [*notes, f"Locked memory: refused ({failed})" if failed else "Locked memory: all"]
+
+
+def at_ordinary_priority(command: list[str]) -> list[str]:
+    """The command of a program for long computations, which must not hold up the host: it inherits no priority."""
+    return command if os.sched_getscheduler(0) == os.SCHED_OTHER else ["chrt", "--other", "0", *command]

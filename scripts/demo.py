@@ -1,7 +1,8 @@
 #!/usr/bin/env python3
-"""Prints a sliced part on the simulated induction printer and reports on it (`make demo`).
+"""Prints a part on the simulated induction printer and reports on it (`make demo`).
 
-Runs scripts/simulate.py, then writes the page and the picture from its trace and shows the figures.
+Slices the part (klippy/simulation/demo_part.py), runs scripts/simulate.py, then writes from its trace a page, a sheet
+of charts and a picture of the part, and shows the figures.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import in_venv  # noqa: F401  # isort: skip
 
 import argparse
+import json
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -20,8 +22,11 @@ from rich.table import Table
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "klippy"))
 
-from simulation.report import ReportError, write_report  # noqa: E402  (the path above comes first)
-from simulation.report.figures import Figure  # noqa: E402
+from simulation import demo_part  # noqa: E402  (the path above comes first)
+from simulation.report import ReportError, write_report  # noqa: E402
+from simulation.report.data import read_trace  # noqa: E402
+from simulation.report.figures import Figure, PrintRun  # noqa: E402
+from simulation.report.portrait import draw_portrait  # noqa: E402
 from simulation.sample_gcode import SampleMissing, sample_path  # noqa: E402
 
 INTERRUPT_WAIT_S = 5.0
@@ -32,7 +37,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     parser.add_argument(
         "--out", type=Path, default=ROOT / "out" / "demo", help="folder for what the print leaves"
     )
-    parser.add_argument("--sample", default="cubhelix", help="sample file to print (default: cubhelix)")
+    parser.add_argument("--sample", help="print this sample file (cubhelix, benchy, ...), not the lighthouse")
     parser.add_argument("--config", type=Path, default=ROOT / "config" / "sim-induction.cfg")
     return parser.parse_args(argv)
 
@@ -52,6 +57,15 @@ def simulate(config: Path, gcode: Path, out: Path) -> int:
                 raise
 
 
+def part_of(options: argparse.Namespace) -> Path:
+    """The file to print."""
+    if options.sample:
+        return sample_path(options.sample)
+    path: Path = options.out / "lighthouse.gcode"
+    path.write_text(demo_part.gcode(), encoding="utf-8")
+    return path
+
+
 def show(figures: Sequence[Figure]) -> None:
     table = Table(box=None, show_header=False, padding=(0, 2, 0, 0))
     table.add_column(style="dim", no_wrap=True)
@@ -66,19 +80,24 @@ def main(argv: Sequence[str]) -> int:
     options = parse(argv)
     out: Path = options.out
     try:
-        gcode = sample_path(options.sample)
         out.mkdir(parents=True, exist_ok=True)
+        gcode = part_of(options)
         status = simulate(options.config, gcode, out)
         if status != 0:
             return status
         figures = write_report(
             out / "trace.csv", out / "summary.json", gcode, html=out / "report.html", png=out / "report.png"
         )
+        summary = json.loads((out / "summary.json").read_text(encoding="utf-8"))
+        picture = out / "part.png"
+        draw_portrait(picture, gcode.stem.capitalize(), PrintRun.of(read_trace(out / "trace.csv"), summary))
     except (SampleMissing, ReportError) as e:
         print(f"demo: {e}", file=sys.stderr)
         return 2
     show(figures)
-    print(f"\nOpen {out / 'report.html'} in a browser; {out / 'report.png'} shows the same in one picture.")
+    print(
+        f"\nThe part: {picture}. Open {out / 'report.html'} in a browser; {out / 'report.png'} has its charts."
+    )
     return 0
 
 

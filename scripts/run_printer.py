@@ -225,6 +225,14 @@ def host_programs(options: argparse.Namespace, folder: printer_data.PrinterData)
     return [Program("host", [*host, "--seed", str(options.seed)], output)]
 
 
+def front_end_program(options: argparse.Namespace, folder: printer_data.PrinterData) -> Program:
+    """The server of the pages, and of Moonraker behind them."""
+    server = ROOT / "klippy" / "webhooks" / "front_end.py"
+    command = [sys.executable, str(server), str(options.front_end), "--port", str(options.front_end_port)]
+    command += ["--host", "127.0.0.1", "--moonraker", str(options.port)]
+    return Program("front end", command, folder.logs / "front_end.log")
+
+
 def moonraker_program(options: argparse.Namespace, folder: printer_data.PrinterData) -> Program | None:
     """Moonraker, if it is wanted and there."""
     if options.no_moonraker:
@@ -257,6 +265,12 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     )
     parser.add_argument("--no-moonraker", action="store_true", help="host and machine only")
     parser.add_argument("--port", type=int, default=7125, help="Moonraker's port on 127.0.0.1 (default 7125)")
+    parser.add_argument(
+        "--front-end", type=Path, metavar="FOLDER", help="serve an unpacked release of Mainsail, Fluidd, ..."
+    )
+    parser.add_argument(
+        "--front-end-port", type=int, default=8080, help="its port on 127.0.0.1 (default 8080)"
+    )
     parser.add_argument("--speed", type=float, default=1.0, help="simulated seconds a second (default 1)")
     parser.add_argument("--seed", type=int, default=1, help="fixes noise and line damage (default 1)")
     parser.add_argument(
@@ -265,6 +279,8 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
     options = parser.parse_args(argv)
     if not 0.05 <= options.speed <= 100.0:
         parser.error("--speed must be between 0.05 and 100")
+    if options.front_end and not (options.front_end / "index.html").is_file():
+        parser.error(f"--front-end: {options.front_end} has no index.html, it is no unpacked front end")
     if options.separate and options.speed != 1.0:
         parser.error("--separate runs in real time only: leave --speed out")
     return options
@@ -283,6 +299,9 @@ def main(argv: Sequence[str]) -> int:
         return 2
     say(f"run_printer: data in {folder.root}; {note}")
     programs = host_programs(options, folder)
+    if options.front_end and moonraker:
+        programs.append(front_end_program(options, folder))
+        say(f"front end: http://127.0.0.1:{options.front_end_port}/")
     supervisor = Supervisor(
         folder, programs + ([moonraker] if moonraker else []), options.port if moonraker else None
     )

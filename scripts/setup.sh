@@ -5,9 +5,10 @@
 #   scripts/setup.sh study      that, and what studies of many prints need (scripts/study.py)
 #   scripts/setup.sh moonraker  demo, and Moonraker in an environment of its own
 #   scripts/setup.sh test       what `make test` needs: study, Moonraker, clang, cross compilers, mypy, pytest, ...
-#   scripts/setup.sh browser    what `make test-browser` needs: pytest and Chromium
+#   scripts/setup.sh browser    what `make test-browser` needs: pytest, Moonraker and Chromium
 #   scripts/setup.sh flash      what `make test-flash` needs: pytest, cross compilers, avrdude, openocd
 #   scripts/setup.sh host       what the host needs on a printer (scripts/install.sh)
+#   scripts/setup.sh printer    that, and Moonraker in .moonraker
 #
 # Safe to run again and again: what is there is left alone, and when nothing is missing it takes
 # well under a second. Silent unless it installs something, waits for something or cannot.
@@ -39,6 +40,10 @@ moonraker_packages=(
   "libsodium23       /usr/lib/*/libsodium.so.23"
   "iproute2          ip"
 )
+printer_packages=(
+  "${host_packages[@]}"
+  "${moonraker_packages[@]:2}"
+)
 cross_packages=(
   "gcc-arm-none-eabi        arm-none-eabi-gcc"
   "libnewlib-arm-none-eabi  /usr/include/newlib/stdio.h"
@@ -54,7 +59,7 @@ test_packages=(
   "libsimavr-dev            /usr/include/simavr/sim_avr.h"
 )
 browser_packages=(
-  "${demo_packages[@]}"
+  "${moonraker_packages[@]}"
   "chromium          chromium"
 )
 flash_packages=(
@@ -90,7 +95,7 @@ quietly() { # runs a command; shows what it printed only if it fails
 
 # On a printer the person in front of it may be asked for a password; a build asks nobody.
 sudo=(sudo -n)
-if [ "$level" = host ] && [ -t 0 ]; then sudo=(sudo); fi
+if [[ $level = @(host|printer) ]] && [ -t 0 ]; then sudo=(sudo); fi
 
 as_root() {
   if [ "$(id -u)" -eq 0 ]; then "$@"; else "${sudo[@]}" "$@"; fi
@@ -206,8 +211,8 @@ need_python_for() { # a level with lists of its own: nothing is done if it or a 
   done
 }
 
-need_moonraker() { # its own environment: its pins are not ours
-  local own=out/moonraker-venv list=requirements-moonraker.txt python
+need_moonraker() { # folder: its own environment, its pins are not ours
+  local own=$1 list=requirements-moonraker.txt python
   local pinned; pinned=$(sha256sum $list | cut -d' ' -f1)
   if [ -x $own/bin/moonraker ] && [ "$(cat $own/.ferrite 2>/dev/null)" = "$pinned" ]; then return; fi
   say "installing Moonraker into $own"
@@ -233,8 +238,8 @@ need_registers() { # the vendor's register table, for scripts/check/check_regist
 }
 
 case $level in
-  demo|study|moonraker|test|browser|flash|host) ;;
-  *) fail "say 'demo', 'study', 'moonraker', 'test', 'browser', 'flash' or 'host', not '$level'" ;;
+  demo|study|moonraker|test|browser|flash|host|printer) ;;
+  *) fail "say 'demo', 'study', 'moonraker', 'test', 'browser', 'flash', 'host' or 'printer', not '$level'" ;;
 esac
 # One set-up at a time: two makes started together would install over each other.
 mkdir -p out
@@ -249,8 +254,12 @@ need_debian "${packages[@]}"
 make_venv
 case $level in
   host|study) need_python_for "$level" ;;
+  printer) need_python_for host ;;
   demo|moonraker) need_python_for demo ;;
   *) need_python_for test ;;
 esac
-case $level in moonraker|test) need_moonraker ;; esac
+case $level in
+  moonraker|test|browser) need_moonraker out/moonraker-venv ;;
+  printer) need_moonraker .moonraker ;;
+esac
 if [ "$level" = test ]; then need_registers; fi

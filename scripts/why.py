@@ -138,7 +138,8 @@ def causes() -> dict[str, tuple[str, str]]:
 
 LATE_TEXT = (
     "Timer too close|Missed scheduling|No next step|Rescheduled timer in the past|Stepper too far in past"
-    "|no phase command|Lost communication|no samples from the induction unit|exceed max_duration|not refreshed in time"
+    "|no phase command|no control for|Lost communication"
+    "|no samples from the induction unit|exceed max_duration|not refreshed in time"
 )
 STEPS_TEXT = (
     "Timer too close|No next step|Stepper too far in past|Rescheduled timer in the past|Missed scheduling"

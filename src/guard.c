@@ -2,9 +2,11 @@
 #include "guard.h"
 
 void
-guard_init(struct guard *g, uint16_t adc_max, uint32_t max_duration)
+guard_init(struct guard *g, uint16_t adc_max, uint32_t max_duration, uint32_t silence)
 {
-    *g = (struct guard){.adc_max = adc_max, .max_duration = max_duration, .flat_code = UINT16_MAX};
+    *g = (struct guard){
+        .adc_max = adc_max, .max_duration = max_duration, .silence = silence, .flat_code = UINT16_MAX
+    };
 }
 
 uint8_t
@@ -89,18 +91,47 @@ guard_fed(struct guard *g, uint32_t clock, uint16_t phase)
 {
     g->fed_clock = clock;
     g->powered = phase > 0;
+    g->lapsed = 0;
+}
+
+void
+guard_off(struct guard *g)
+{
+    g->powered = g->lapsed = 0;
+}
+
+uint8_t
+guard_is_waiting(const struct guard *g)
+{
+    return g->powered || g->lapsed;
 }
 
 uint32_t
 guard_deadline(const struct guard *g)
 {
-    return g->fed_clock + g->max_duration;
+    return g->fed_clock + (g->powered ? g->max_duration : g->silence);
+}
+
+static uint8_t
+is_overdue(const struct guard *g, uint32_t clock)
+{
+    return (int32_t)(clock - guard_deadline(g)) >= 0;
+}
+
+uint8_t
+guard_lapse(struct guard *g, uint32_t clock)
+{
+    if (!g->powered || !is_overdue(g, clock))
+        return 0;
+    g->powered = 0;
+    g->lapsed = 1;
+    return 1;
 }
 
 enum guard_trip
-guard_check_deadline(struct guard *g, uint32_t clock)
+guard_check_silence(struct guard *g, uint32_t clock)
 {
-    if (!g->powered || (int32_t)(clock - guard_deadline(g)) < 0)
+    if (!g->lapsed || !is_overdue(g, clock))
         return GUARD_TRIP_NONE;
     return latch(g, GUARD_TRIP_TIMEOUT, clock, 0);
 }

@@ -11,7 +11,8 @@
  * in this order of precedence.  trip_blocks bad blocks in a row trip, whatever is wrong with each; a good block, or
  * one that is not judged, starts the count again.  low = 0 and high = 65535 leave only the last two.
  *
- * Dead host: with power on, a phase command must be applied at least every max_duration ticks.
+ * Silent host: with power on, a phase command must be applied at least every max_duration ticks.  Else the power lapses:
+ * the caller switches off, and the next phase command ends the lapse.  No command for `silence` ticks in all trips.
  *
  * The first trip is latched with the value that caused it; only guard_init clears it.
  * Formats: u16 limits and counts, u32 sums; low * count <= 65535 * 65535 < 2^32.
@@ -47,6 +48,7 @@ struct guard_input {
 
 struct guard {
     uint32_t max_duration; /* ticks */
+    uint32_t silence;      /* ticks */
     uint32_t fed_clock;    /* when a phase command was last applied */
     uint32_t trip_value;   /* sum of the tripping block; for TIMEOUT the clock */
     uint16_t trip_count;   /* samples in that sum */
@@ -55,21 +57,28 @@ struct guard {
     uint8_t bad_blocks;    /* in a row */
     uint8_t row_count;
     uint8_t powered;       /* phase > 0 in force */
+    uint8_t lapsed;        /* was in force, but no command came in time */
     uint8_t is_stuck;      /* still on flat_code after a step of the phase */
     uint16_t flat_code, flat_phase; /* the one code of the newest blocks, UINT16_MAX: none; phase of their first */
     struct guard_row rows[GUARD_ROWS_MAX];
 };
 
-void guard_init(struct guard *g, uint16_t adc_max, uint32_t max_duration);
+void guard_init(struct guard *g, uint16_t adc_max, uint32_t max_duration, uint32_t silence);
 /* 0 if the table is full, the phase does not ascend or low > high; 1 if taken. */
 uint8_t guard_add_row(struct guard *g, struct guard_row row);
 /* Judge a block; returns the trip it causes (GUARD_TRIP_NONE also when already tripped). */
 enum guard_trip guard_block(struct guard *g, const struct guard_input *block);
 /* A phase command was applied at `clock`. */
 void guard_fed(struct guard *g, uint32_t clock, uint16_t phase);
-/* The clock by which the next one must have come.  Meaningful while powered. */
+/* The bridge is off for good: nobody need command it. */
+void guard_off(struct guard *g);
+/* Must a command come? */
+uint8_t guard_is_waiting(const struct guard *g);
+/* The clock by which it must have come.  Meaningful while waiting. */
 uint32_t guard_deadline(const struct guard *g);
-/* Has it passed?  Trips if so. */
-enum guard_trip guard_check_deadline(struct guard *g, uint32_t clock);
+/* 1 when the power lapses now. */
+uint8_t guard_lapse(struct guard *g, uint32_t clock);
+/* Has the silence lasted too long?  Trips if so. */
+enum guard_trip guard_check_silence(struct guard *g, uint32_t clock);
 
 #endif

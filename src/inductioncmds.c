@@ -17,6 +17,7 @@
  *
  * Safety.  The bridge is off at boot, on every shutdown, on a trip of the guard, and max_duration after the last applied
  * phase command: all in interrupts, host alive or not.  A tripped guard refuses phases until the next configuration.
+ * A host that was only late goes on with its next command: what it had queued before is forgotten.
  *
  * Sample n is taken at start_clock + n * period_ticks.  A phase set now holds from sample sync_adc_position() on.
  */
@@ -48,6 +49,7 @@ enum {
     RECORDS_MAX = 7,
     LONE_RECORD_US = 20000,  /* a record that would wait longer for others goes without them */
     LATE_MARGIN_US = 20,     /* a late phase command is applied so much after its arrival */
+    SILENCE_US = 3000000,    /* a host that is silent for longer is dead; queued motion lasts no longer */
 };
 
 DECL_CONSTANT("INDUCTION_FREQUENCY", INDUCTION_FREQUENCY);
@@ -115,11 +117,17 @@ apply_phase(struct induction *u, uint16_t phase, uint32_t clock)
 
 /* Any context, interrupts disabled. */
 static void
-switch_off(struct induction *u)
+bridge_off(struct induction *u)
 {
     bridge_pwm_off(u->bridge);
     phase_applied(&u->schedule, sync_adc_position(u->adc), 0);
-    u->guard.powered = 0;
+}
+
+static void
+switch_off(struct induction *u)
+{
+    bridge_off(u);
+    guard_off(&u->guard);
 }
 
 static _Noreturn void
@@ -139,12 +147,22 @@ static uint8_t
 next_event(const struct induction *u, uint32_t *clock)
 {
     const struct phase_node *pending = u->schedule.first;
-    if (!pending && !u->guard.powered)
+    if (!pending && !guard_is_waiting(&u->guard))
         return 0;
     *clock = pending ? pending->due : guard_deadline(&u->guard);
-    if (pending && u->guard.powered && timer_is_before(guard_deadline(&u->guard), *clock))
+    if (pending && guard_is_waiting(&u->guard) && timer_is_before(guard_deadline(&u->guard), *clock))
         *clock = guard_deadline(&u->guard);
     return 1;
+}
+
+static void
+free_nodes(struct phase_node *node)
+{
+    while (node) {
+        struct phase_node *next = node->next;
+        move_free(node);
+        node = next;
+    }
 }
 
 static uint8_t
@@ -156,7 +174,12 @@ phase_timer(struct timer *t)
         apply_phase(u, node->phase, now);
         move_free(node);
     }
-    enum guard_trip tripped = guard_check_deadline(&u->guard, now);
+    if (guard_lapse(&u->guard, now)) {
+        bridge_off(u);
+        free_nodes(u->schedule.first);
+        phase_forget(&u->schedule);
+    }
+    enum guard_trip tripped = guard_check_silence(&u->guard, now);
     if (tripped != GUARD_TRIP_NONE)
         trip(u, tripped);
     return next_event(u, &t->waketime) ? SF_RESCHEDULE : SF_DONE;
@@ -384,7 +407,7 @@ command_config_induction(const struct command_args *args)
     u->records = INDUCTION_RECORDS;
     u->timer.func = phase_timer;
     phase_init(&u->schedule, (uint16_t)phase_max);
-    guard_init(&u->guard, SYNC_ADC_MAX, max_duration);
+    guard_init(&u->guard, SYNC_ADC_MAX, max_duration, timer_from_us(SILENCE_US));
     oversample_init(&u->oversample, (struct oversample_config){.y = INDUCTION_OVERSAMPLE,
                                                                 .settle_samples = INDUCTION_SETTLE_SAMPLES,
                                                                 .block_len = INDUCTION_BLOCK_SAMPLES});
@@ -452,6 +475,14 @@ start_sampling(struct induction *u)
     irq_restore(flag);
 }
 
+/* Did the line hold back a step for so long that its time is over?  Then it gives no power. */
+static uint8_t
+is_stale(const struct induction *u, uint32_t at)
+{
+    int32_t late = (int32_t)(timer_read_time() - at);
+    return late > (int32_t)u->guard.max_duration;
+}
+
 /* One step of the bridge at a clock, after all that are queued. */
 static void
 queue_step(struct induction *u, uint32_t at, uint32_t phase)
@@ -463,7 +494,7 @@ queue_step(struct induction *u, uint32_t at, uint32_t phase)
     start_sampling(u);
     struct phase_node *node = move_alloc();
     node->clock = at;
-    node->phase = (uint16_t)phase;
+    node->phase = is_stale(u, at) ? 0 : (uint16_t)phase;
     irqstatus_t flag = irq_save();
     uint32_t clock, earliest = timer_read_time() + timer_from_us(LATE_MARGIN_US);
     if (!phase_push(&u->schedule, node, earliest)) {
@@ -494,11 +525,7 @@ command_queue_induction_plan(const struct command_args *args)
     irqstatus_t flag = irq_save();
     struct phase_node *stale = phase_cut(&u->schedule, clock);
     irq_restore(flag);
-    while (stale) {
-        struct phase_node *node = stale;
-        stale = node->next;
-        move_free(node);
-    }
+    free_nodes(stale);
     for (; p < end; p += PLAN_STEP_SIZE) {
         clock += (uint32_t)(p[0] | p[1] << 8) * u->period_ticks;
         queue_step(u, clock, (uint32_t)p[2] | (uint32_t)p[3] << 8);

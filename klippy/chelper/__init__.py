@@ -1,6 +1,6 @@
 """The C helper: compiles the host's C files into one shared library when stale and loads it through cffi.
 
-The C files of motion and link are below this folder, those of the thermal chain beside their Python in klippy/thermal/.
+The C files of motion and link are below this folder, the others beside their Python in thermal/ and vibration/.
 helper_api.h includes the headers that Python sees. cffi's form of them is made with the library and lies beside it.
 Both are named after a hash of all that goes into them: an unchanged tree never compiles, and two trees never mix.
 """
@@ -23,7 +23,7 @@ from .compiler import HelperError, read_headers, run_compiler
 __all__ = ["HelperError", "build", "get_ffi"]
 
 HOST_DIR = Path(__file__).resolve().parents[1]
-SOURCE_DIRS = (HOST_DIR / "chelper", HOST_DIR / "thermal")
+SOURCE_DIRS = (HOST_DIR / "chelper", HOST_DIR / "thermal", HOST_DIR / "vibration")
 API_HEADER = "chelper/helper_api.h"
 BUILD_DIR = HOST_DIR.parent / "out" / "chelper"
 # -fno-math-errno: sqrt() inline in the step solver. Kept strict otherwise: results must not depend on the machine.

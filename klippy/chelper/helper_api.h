@@ -10,10 +10,12 @@
 #include "chelper/motion/gcode_rows.h"
 #include "chelper/motion/kinematics.h"
 #include "chelper/motion/lookahead.h"
+#include "chelper/plugin_names.h"
 #include "chelper/motion/stepcompress.h"
 #include "chelper/motion/steppersync.h"
 #include "thermal/control/bridge.h"
 #include "thermal/plan/path_pieces.h"
 #include "thermal/sensing/pipeline.h"
+#include "vibration/mount_band.h"
 
 #endif

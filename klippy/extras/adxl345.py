@@ -5,6 +5,9 @@ from __future__ import annotations
 from configfile import ConfigWrapper
 
 from .accelerometer import sensor
+from .accelerometer.commands import AccelCommandHelper
+
+__all__ = ("AccelCommandHelper", "load_config", "load_config_prefix")
 
 
 def load_config(config: ConfigWrapper) -> sensor.Accelerometer:

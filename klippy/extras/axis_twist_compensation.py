@@ -8,7 +8,7 @@ height is corrected by it, linear between the places of the calibration and cons
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from configfile import ConfigWrapper
@@ -44,6 +44,10 @@ class Twist:
     start: float
     end: float
     values: Sequence[float]
+
+    @property
+    def is_usable(self) -> bool:
+        return len(self.values) >= 2 and self.start != self.end
 
     def at(self, place: float) -> float:
         steps = len(self.values) - 1
@@ -81,7 +85,7 @@ def _read_twist(config: ConfigWrapper, axis: int, travel: Travel | None) -> Twis
     end = config.getfloat(end_name, travel.end if travel else None)
     if not values:
         return None
-    if len(values) < 2 or start is None or end is None or start == end:
+    if start is None or end is None or not Twist(axis, start, end, values).is_usable:
         raise config.error(
             f"Option '{values_name}' in section '{config.get_name()}' needs two values or more, and {start_name} and "
             f"{end_name} at different places ({config.where(values_name)})"
@@ -89,8 +93,32 @@ def _read_twist(config: ConfigWrapper, axis: int, travel: Travel | None) -> Twis
     return Twist(axis, start, end, values)
 
 
+def _of_twist(axis: int, name: str) -> Any:
+    """An attribute for plugins: a field of one rail's correction."""
+
+    def get(self: Any) -> Any:
+        return getattr(self.twists[axis], name, [] if name == "values" else None)
+
+    def put(self: Any, value: Any) -> None:
+        twist = self.twists[axis] or Twist(axis, 0.0, 0.0, ())
+        self.twists[axis] = replace(twist, **{name: value})
+
+    return property(get, put)
+
+
+def _of_travel(axis: int, name: str) -> Any:
+    """An attribute for plugins: an option of the calibration."""
+    return property(lambda self: getattr(self.travels[axis], name, None))
+
+
 class AxisTwistCompensation:
     """Printer object 'axis_twist_compensation'."""
+
+    z_compensations, zy_compensations = _of_twist(0, "values"), _of_twist(1, "values")
+    compensation_start_x, compensation_end_x = _of_twist(0, "start"), _of_twist(0, "end")
+    compensation_start_y, compensation_end_y = _of_twist(1, "start"), _of_twist(1, "end")
+    calibrate_start_x, calibrate_end_x, calibrate_y = (_of_travel(0, n) for n in ("start", "end", "across"))
+    calibrate_start_y, calibrate_end_y, calibrate_x = (_of_travel(1, n) for n in ("start", "end", "across"))
 
     def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
@@ -110,7 +138,15 @@ class AxisTwistCompensation:
 
     def get_z_compensation_value(self, pos: Sequence[float]) -> float:
         """What to add to a height that was probed with the nozzle at a place."""
-        return sum(twist.at(pos[twist.axis]) for twist in self.twists if twist is not None)
+        return sum(
+            twist.at(pos[twist.axis]) for twist in self.twists if twist is not None and twist.is_usable
+        )
+
+    def clear_compensations(self, axis: str | None = None) -> None:
+        """Probed heights of one axis' rail (X, Y), or of both, count as they are."""
+        for number, letter in enumerate(LETTERS):
+            if axis is None or axis.lower() == letter:
+                self.twists[number] = None
 
     def _update_z_compensation_value(self, pos: list[Any]) -> None:
         """`pos`: one ProbeResult, or x, y, z as older plugins send it."""

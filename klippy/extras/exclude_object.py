@@ -132,7 +132,7 @@ class ExcludeObject:
         ):
             self.gcode.register_command(name, getattr(self, f"cmd_{name}"), desc=text)
 
-    def get_status(self, eventtime: float) -> dict[str, Any]:
+    def get_status(self, eventtime: float = 0.0) -> dict[str, Any]:
         """Known objects with what the slicer said of them, names of the excluded ones, the one being printed."""
         return {
             "objects": self.objects,

@@ -8,6 +8,7 @@ from typing import Any
 
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
+from link import optional_board
 
 from . import pulse_counter
 from .outputs.scheduled_pin import ScheduledPin
@@ -99,6 +100,7 @@ class Fan:
 
     def set_speed_from_command(self, value: float) -> None:
         """Set the speed in step with the moves queued so far."""
+        optional_board.require_connected(self.get_mcu())
         toolhead = self.printer.lookup_object("toolhead")
         toolhead.register_lookahead_callback(lambda print_time: self._schedule(print_time, value))
 

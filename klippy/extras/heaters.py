@@ -14,6 +14,7 @@ from typing import Any, Protocol
 
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
+from link import optional_board
 from roles import Printer
 
 from .heater import onoff as heater_onoff
@@ -46,6 +47,8 @@ SensorFactory = Callable[[Any], AnySensor]
 def build_heater(config: ConfigWrapper, sensor: AnySensor) -> Heater:
     """Heater of a section with heater_pin; loads its verify_heater watch."""
     printer = config.get_printer()
+    for option in ("heater_pin", "sensor_pin"):
+        optional_board.refuse(config, option)
     settings = read_settings(config)
     law = read_law(config, settings.max_power, settings.smooth_time_s)
     if law.name == "mcu_onoff":

@@ -14,6 +14,7 @@ from dataclasses import replace
 from typing import Any, Protocol
 
 from configfile import ConfigWrapper
+from link import optional_board
 from roles import Printer
 from thermal.control import loop
 from thermal.identification.run import OutputRun, as_control
@@ -34,6 +35,7 @@ from .induction.mcu import InductionUnit
 from .outputs import output_file
 
 QUIET_S = 0.5  # how often it is looked whether melt or fan take heat
+LAPSE_MESSAGE_S = 60.0
 MEAN_POWER_S = 1.0  # a calibration visits all powers, some ms each: what is shown is the mean
 
 
@@ -104,6 +106,7 @@ class InductionHeater:
         self.planner: Planner | None = None
         self._quiet_s = -math.inf
         self._warned = ""
+        self._next_lapse_message = 0.0
         self._ahead: induction_flow.FlowAhead | None = None
         self._running = False
         self._smoothed_c = 0.0
@@ -229,6 +232,7 @@ class InductionHeater:
             self._quiet_s = eventtime
             self.loop.quiet = self._is_quiet(eventtime)
             self._warn()
+            self._report_lapse(eventtime)
         if now_s - self.loop.state.decided_s >= period_s:
             self._send(self.loop.on_timer(now_s), now_s)
         return eventtime + period_s if self._running else self._reactor.NEVER
@@ -272,6 +276,20 @@ class InductionHeater:
                 f"Induction heater '{self.section_name}': {text}"
             )
         self._warned = kind
+
+    def _report_lapse(self, eventtime: float) -> None:
+        """Heat lapsed and was resumed: a line in the log each time, a message not too often."""
+        lapse_s, self.loop.state.lapse_s = self.loop.state.lapse_s, 0.0
+        if lapse_s <= self.unit.settings.max_duration_s:
+            return
+        text = (
+            f"Induction heater '{self.section_name}': no control for {lapse_s:.2f} s, the bridge was off meanwhile."
+            " The print goes on. The computer was too busy, or the line to the board was interrupted."
+        )
+        logging.warning("%s", text)
+        if eventtime >= self._next_lapse_message:
+            self._next_lapse_message = eventtime + LAPSE_MESSAGE_S
+            self.printer.lookup_object("gcode").respond_info(text, log=False)
 
     def warning(self) -> str:
         """What is not as it should be, "" while all is well."""
@@ -539,6 +557,7 @@ def load_config_prefix(config: ConfigWrapper) -> InductionSection:
     printer = config.get_printer()
     printer.load_object(config, "heaters")
     name = config.get_name().split()[-1]
+    optional_board.refuse(config, "sense_pin")
     sense = printer.lookup_object("pins").lookup_pin(config.get("sense_pin"))
     unit_settings = settings.read_unit(config)
     parameters = settings.read_parameters(config, unit_settings)

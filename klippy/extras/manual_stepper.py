@@ -23,9 +23,6 @@ DEFAULT_SPEED_MM_S = 5.0
 DEFAULT_CORNER_VELOCITY = 1.0
 # Letters of G1 that mean something already.
 TAKEN_LETTERS = "XYZEFN"
-# Homing moves: steps are worked out this far ahead, in pieces this long.
-DRIP_AHEAD_S = 0.100
-DRIP_PIECE_S = 0.050
 
 
 @dataclass(slots=True)
@@ -190,17 +187,7 @@ class ManualStepper:
         self.flush_step_generation()
         time = self._end_time
         end = self._queue(time, newpos[0], speed, self._homing_accel) if newpos[0] != self._position else time
-        paced = not self.mcu.is_fileoutput()
-        while time < end:
-            if paced:
-                eventtime = self.reactor.monotonic()
-                spare = time - self.mcu.estimated_print_time(eventtime) - DRIP_AHEAD_S
-                if spare > 0.0:
-                    drip_completion.wait(eventtime + spare)
-                if drip_completion.test():
-                    break
-            time = min(end, time + DRIP_PIECE_S)
-            self._streams.advance(time, hold_back=False)
+        time = self._streams.drip(self.mcu, time, end, drip_completion)
         if time < end:  # the rest of the plan is void
             self._lib.trapq_set_position(self._trapq, time, self._position, 0.0, 0.0)
         self._end_time = time
@@ -223,12 +210,11 @@ class ManualStepper:
     def get_trapq(self) -> Any:
         return self._trapq
 
-    def check_move(self, move: Any, number: int) -> None:
+    def check_move(self, move: Any, index: int) -> None:
         """Raise if the axis leaves its range; slow the move down to the axis' bounds."""
-        way = move.extra_d[number]
-        start = self._toolhead().get_position()[4 + number]
+        way = move.axes_d[index]
         check_way(f"manual_stepper {self.name}", way)
-        self._check_range(start + way)
+        self._check_range(move.end_pos[index])
         bounds = self._limits
         alone = not move.is_kinematic_move and not move.axes_d[3]
         stretch = move.move_d / abs(way)  # of the path, per mm of this axis
@@ -239,17 +225,17 @@ class ManualStepper:
             speed = move.max_cruise_v2**0.5 if bounds.velocity is None else bounds.velocity * stretch
             move.limit_speed(speed, move.accel if accel is None else accel * stretch)
 
-    def calc_junction(self, before: Any, move: Any, number: int) -> float:
+    def calc_junction(self, before: Any, move: Any, index: int) -> float:
         """Highest squared speed at the junction: the axis' speed may jump by corner_velocity at most."""
-        ratios = [m.extra_d[number] / m.move_d if number < len(m.extra_d) else 0.0 for m in (before, move)]
+        ratios = [m.axes_r[index] if index < len(m.axes_r) else 0.0 for m in (before, move)]
         change = abs(ratios[1] - ratios[0])
         if change * move.max_cruise_v2**0.5 <= self._limits.corner_velocity:
             return move.max_cruise_v2
         return (self._limits.corner_velocity / change) ** 2
 
-    def process_move(self, print_time: float, move: Any, number: int) -> None:
+    def process_move(self, print_time: float, move: Any, index: int) -> None:
         """Queue the axis' part of a planned move."""
-        way = move.extra_d[number]
+        way = move.axes_d[index]
         self._lib.trapq_append(
             self._trapq, print_time, move.accel_t, move.cruise_t, move.decel_t, self._position, 0.0, 0.0,
             way / move.move_d, 0.0, 0.0, move.start_v, move.cruise_v, move.accel,

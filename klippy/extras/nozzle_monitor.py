@@ -1,7 +1,8 @@
-"""[nozzle_monitor]: is filament lost between motor and nozzle? By the heat that the melt takes from the nozzle.
+"""[nozzle_monitor]: is the hole narrowed, or filament lost? By the melt's heat and the extruder mount's vibration.
 
-The heater's loop gives each tenth of a second a temperature and the heat put in; here stands what the extruder has fed
-meanwhile. thermal/sensing/flow_monitor.py judges. It sees lost flow (runout, grinding, skipping), not a diameter.
+heater's loop ── each 0.1 s temperature, heat put in ──► thermal/sensing/flow_monitor.py ──┐
+extruder ── filament fed ──────────────────────────┬─────▲                                 ├─► condition, diameter
+accelerometer/mount.py (with accel_chip) ──────────┴──► vibration/mount_witness.py ────────┘
 """
 
 from __future__ import annotations
@@ -17,18 +18,49 @@ from gcode import GCodeCommand
 from roles import Printer
 from thermal.records import TempEstimate
 from thermal.sensing import flow_monitor
+from vibration import mount_witness, nozzle_condition
+
+from .accelerometer.axes import axis_number
+from .accelerometer.mount import MountVibration
 
 HISTORY_ROWS = 2000
 HISTORY_S = 30.0  # between rows while the condition stays
 NEW_FILAMENT_MM = 50.0  # from the farthest place: filament is changed
 LAG_S = 0.06  # from the motor to the heat: compliance and the wall of the bore
 CALIBRATED_SIGMA = 0.03  # of a saved gain: one spool and temperature to another
+GOOD = (flow_monitor.CLEAR, flow_monitor.UNKNOWN)
+MOUNTS = {"direct": (200.0, 20.0, 3.86), "bowden": (16.0, 10.0, 4.91)}  # Hz, quality, exponent: Tlegenov 2018
+
+
+class FedFilament:
+    """Filament that goes beyond its farthest place; what returns from a retraction is no flow."""
+
+    def __init__(self) -> None:
+        self._peak_mm = math.nan
+
+    def since(self, extruder: Any, print_time: float) -> float:
+        """mm3 since the call before."""
+        place_mm = extruder.find_past_position(print_time)
+        new_mm = place_mm - self._peak_mm
+        if not abs(new_mm) < NEW_FILAMENT_MM:
+            self._peak_mm = place_mm
+            return 0.0
+        self._peak_mm = max(self._peak_mm, place_mm)
+        return float(max(0.0, new_mm) * extruder.filament_area)
 
 
 class NozzleMonitor:
     """The object `nozzle_monitor`."""
 
-    def __init__(self, printer: Printer, name: str, where: str, options: dict[str, Any], alarm: Any) -> None:
+    def __init__(
+        self,
+        printer: Printer,
+        name: str,
+        where: str,
+        options: dict[str, Any],
+        alarm: Any,
+        vibration: MountVibration | None,
+    ) -> None:
         self.printer = printer
         self.name, self._where = name, where
         self.history: deque[dict[str, Any]] = deque(maxlen=HISTORY_ROWS)
@@ -39,11 +71,17 @@ class NozzleMonitor:
         self._extruder: Any = None
         self._parameters: flow_monitor.FlowMonitorParameters | None = None
         self._state: flow_monitor.FlowMonitorState | None = None
-        self._peak_mm = math.nan  # farthest place of the filament
+        self._fed = FedFilament()
         self._models: tuple[Any, ...] = ()
+        self._vibration = vibration
+        self._news = 0.0  # of the vibration, since the heat's last reading
+        self._temp_c = math.nan
+        self._condition = flow_monitor.UNKNOWN
 
     def register(self) -> None:
         self.printer.register_event_handler("klippy:connect", self._on_connect)
+        if self._vibration is not None:
+            self.printer.register_event_handler("klippy:ready", self._vibration.start)
         for name, handler, text in (
             ("NOZZLE_REPORT", self.cmd_NOZZLE_REPORT, "Condition of the nozzle and of its feed"),
             (
@@ -64,6 +102,12 @@ class NozzleMonitor:
         self._heater = section.heater
         self._extruder = self.printer.lookup_object(self._heater.served_by)
         self._heater.loop.on_balance = self._on_balance
+        if self._vibration is not None:
+            self._vibration.connect(self._where)
+            fed = FedFilament()
+            self._vibration.fed_mm3 = lambda print_time: fed.since(self._extruder, print_time)
+            self._vibration.temp_c = lambda: self._temp_c
+            self._vibration.on_step = self._on_vibration
 
     def _take_models(self) -> flow_monitor.FlowMonitorState:
         """The nozzle's models as they are now; another calibration starts anew."""
@@ -79,43 +123,59 @@ class NozzleMonitor:
         state = self._take_models()
         p, balance = self._parameters, self._heater.loop.state.heat_balance
         assert p is not None
-        planned_mm3 = self._fed_mm3(news.time_s - LAG_S)
+        planned_mm3 = self._fed.since(self._extruder, news.time_s - LAG_S)
+        self._temp_c = news.temp_c
         reading = flow_monitor.HeatReading(
             news.time_s, news.temp_c, balance.second_c, balance.second_doubt_c, heat_j, planned_mm3,
-            self._heater.loop.fan.at(news.time_s),
+            self._heater.loop.fan.at(news.time_s), self._news,
         )  # fmt: skip
-        was_lost = state.lost
-        if not flow_monitor.observe(p, state, reading):
-            return
-        self._note(flow_monitor.condition(p, state))
-        if state.lost and not was_lost:
-            self._reactor.register_callback(self._on_alarm)
+        self._news = 0.0
+        if flow_monitor.observe(p, state, reading):
+            self._judge()
 
-    def _fed_mm3(self, print_time: float) -> float:
-        """Filament that went beyond its farthest place; what returns from a retraction takes no heat."""
-        place_mm = self._extruder.find_past_position(print_time)
-        new_mm = place_mm - self._peak_mm
-        if not abs(new_mm) < NEW_FILAMENT_MM:
-            self._peak_mm = place_mm
-            return 0.0
-        self._peak_mm = max(self._peak_mm, place_mm)
-        return float(max(0.0, new_mm) * self._extruder.filament_area)
+    def _on_vibration(self) -> None:
+        """A step of that witness."""
+        assert self._vibration is not None
+        self._news += self._vibration.state.news
+        self._judge()
+
+    def _witnesses(self) -> tuple[nozzle_condition.Heat, nozzle_condition.Vibration]:
+        vibration = self._vibration
+        usable = vibration is not None and vibration.fault is None
+        return (
+            nozzle_condition.Heat(self._parameters, self._state),
+            nozzle_condition.Vibration(vibration.parameters, vibration.state)
+            if usable and vibration is not None
+            else nozzle_condition.Vibration(),
+        )
+
+    def _judge(self) -> None:
+        before, self._condition = self._condition, nozzle_condition.condition(*self._witnesses())
+        self._note(self._condition)
+        if self._condition not in GOOD and before in GOOD:
+            self._reactor.register_callback(self._on_alarm)
 
     def _note(self, condition: str) -> None:
         """One row when the condition changes, and now and then."""
         now_s = self._reactor.monotonic()
         last = self.history[-1] if self.history else None
         if last is None or last["condition"] != condition or now_s - last["t_s"] >= HISTORY_S:
-            self.history.append({"t_s": now_s, "condition": condition, "diameter_mm": None, "sigma_mm": None})
+            diameter_mm, sigma_mm = self._diameter()
+            self.history.append(
+                {"t_s": now_s, "condition": condition, "diameter_mm": diameter_mm, "sigma_mm": sigma_mm}
+            )
+
+    def _diameter(self) -> tuple[float | None, float | None]:
+        """mm, and its standard deviation."""
+        _, vibration = self._witnesses()
+        lost = self._condition not in GOOD and vibration.state is not None and not vibration.state.is_narrowed
+        if lost or not vibration.judges or vibration.parameters is None or vibration.state is None:
+            return None, None
+        hole_mm = vibration.parameters.hole_mm * vibration.diameter_share()
+        return round(hole_mm, 4), round(hole_mm * vibration.state.log_sigma, 4)
 
     def _on_alarm(self, eventtime: float) -> None:
-        state = self._state
-        assert state is not None
-        percent = 100.0 * state.lost_share
-        text = (
-            f"Nozzle monitor: the melt takes {percent:.0f} % less heat than its planned flow needs: the filament ran"
-            " out, the drive grinds it, or the nozzle is clogged"
-        )
+        text = f"Nozzle monitor: {self._describe_alarm()}"
         logging.warning("%s", text)
         self._gcode.respond_info(text, log=False)
         if self._alarm is None:
@@ -125,20 +185,47 @@ class NozzleMonitor:
         except self.printer.command_error as e:
             self._gcode.respond_error(f"Nozzle monitor: alarm_gcode failed: {e}")
 
+    def _describe_alarm(self) -> str:
+        """What was seen, and what it may be."""
+        _, vibration = self._witnesses()
+        diameter_mm, _ = self._diameter()
+        if vibration.judges and vibration.state is not None and vibration.state.is_narrowed:
+            percent = 100.0 * (1.0 - vibration.diameter_share())
+            return (
+                f"the mount vibrates as with a hole of {diameter_mm:.2f} mm, {percent:.0f} % less than before: the"
+                " nozzle is partly clogged, or too cold for this filament"
+            )
+        if self._state is not None and self._state.lost:
+            percent = 100.0 * self._state.lost_share
+            return (
+                f"the melt takes {percent:.0f} % less heat than its planned flow needs: the filament ran"
+                " out, the drive grinds it, or the nozzle is clogged"
+            )
+        percent = 100.0 * vibration.lost_share()
+        return f"the mount vibrates as with {percent:.0f} % less flow: the filament ran out, or the drive grinds it"
+
     def get_status(self, eventtime: float) -> dict[str, Any]:
         p, state = self._parameters, self._state
+        heat, vibration = self._witnesses()
+        diameter_mm, sigma_mm = self._diameter()
+        status: dict[str, Any] = {
+            "condition": nozzle_condition.condition(heat, vibration),
+            "diameter": diameter_mm,
+            "diameter_sigma": sigma_mm,
+            "lost_flow": None,
+            "evidence": 0.0,
+            "heat_gain": None,
+            "heat_gain_sigma": None,
+            "sensor_fault": self._vibration.fault if self._vibration is not None else None,
+        }
+        if vibration.judges and vibration.state is not None and vibration.parameters is not None:
+            sums = max(vibration.state.narrowed, vibration.state.lost)
+            status["evidence"] = round(sums / vibration.parameters.threshold, 3)
         if p is None or state is None:
-            return {
-                "condition": flow_monitor.UNKNOWN, "diameter": None, "diameter_sigma": None, "lost_flow": None,
-                "evidence": 0.0, "heat_gain": None, "heat_gain_sigma": None,
-            }  # fmt: skip
-        found = flow_monitor.condition(p, state)
-        return {
-            "condition": found,
-            "diameter": None,
-            "diameter_sigma": None,
-            "lost_flow": None if found == flow_monitor.UNKNOWN else round(state.lost_share, 3),
-            "evidence": round(state.evidence / p.threshold, 3),
+            return status
+        return status | {
+            "lost_flow": None if heat.condition() == flow_monitor.UNKNOWN else round(state.lost_share, 3),
+            "evidence": max(status["evidence"], round(state.evidence / p.threshold, 3)),
             "heat_gain": round(state.unknowns[0], 4),
             "heat_gain_sigma": round(math.sqrt(state.covariance[0][0]), 4),
         }
@@ -153,7 +240,16 @@ class NozzleMonitor:
             lines.append(f"Evidence of a change: {100.0 * status['evidence']:.0f} % of what an alarm needs")
             gain, sigma = status["heat_gain"], status["heat_gain_sigma"]
             lines.append(f"Heat of the melt: {gain:.3f} +- {sigma:.3f} of that of the model")
-        lines.append("Diameter: not measured, this needs a vibration sensor")
+        if self._vibration is None:
+            lines.append(
+                "Diameter: not measured, this needs an accelerometer on the extruder's mount (accel_chip)"
+            )
+        elif self._vibration.fault is not None:
+            lines.append(f"Diameter: not measured, the accelerometer is {self._vibration.fault}")
+        elif status["diameter"] is None:
+            lines.append("Diameter: not yet known")
+        else:
+            lines.append(f"Diameter: {status['diameter']:.3f} +- {status['diameter_sigma']:.3f} mm")
         gcmd.respond_info("\n".join(lines))
 
     def cmd_NOZZLE_MONITOR_CALIBRATE(self, gcmd: GCodeCommand) -> None:
@@ -180,6 +276,32 @@ class NozzleMonitor:
         )
 
 
+def _load_vibration(config: ConfigWrapper, options: dict[str, Any]) -> MountVibration | None:
+    """The witness of an accelerometer, if there is one."""
+    printer = config.get_printer()
+    section = config.get("accel_chip", None)
+    frequency_hz, quality, exponent = config.getchoice("mount", MOUNTS, "direct")
+    frequency_hz = config.getfloat("mount_frequency", frequency_hz, minval=5.0, maxval=1000.0)
+    hole_mm = config.getfloat("nozzle_diameter", 0.4, minval=0.1, maxval=2.0)
+    parameters = mount_witness.MountParameters(
+        frequency_hz=frequency_hz,
+        quality=config.getfloat("mount_quality", quality, minval=2.0, maxval=100.0),
+        hole_mm=hole_mm,
+        exponent=config.getfloat("amplitude_exponent", exponent, minval=1.0, maxval=8.0),
+        amplitude_m_s2=config.getfloat("mount_amplitude", None, above=0.0, maxval=1000.0),
+        flow_exponent=config.getfloat("flow_exponent", None, minval=0.3, maxval=2.0),
+        restriction=config.getfloat("restriction", 0.1, minval=0.03, maxval=0.5),
+        lost_share=options["lost_share"],
+        false_alarm_s=options["false_alarm_s"],
+    )
+    axis = axis_number(config, "mount_axis", "z")
+    notches = config.getlists("notch_frequencies", [], parser=float)
+    if section is None:
+        return None
+    respond = printer.lookup_object("gcode").respond_info
+    return MountVibration(printer, section, axis, parameters, notches, lambda text: respond(text, log=True))
+
+
 def load_config(config: ConfigWrapper) -> NozzleMonitor:
     printer = config.get_printer()
     options = {
@@ -193,6 +315,7 @@ def load_config(config: ConfigWrapper) -> NozzleMonitor:
     template = None
     if config.get("alarm_gcode", None) is not None:
         template = printer.load_object(config, "gcode_macro").load_template(config, "alarm_gcode")
-    monitor = NozzleMonitor(printer, config.get("heater"), config.where(), options, template)
+    vibration = _load_vibration(config, options)
+    monitor = NozzleMonitor(printer, config.get("heater"), config.where(), options, template, vibration)
     monitor.register()
     return monitor

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 from configfile import ConfigWrapper
@@ -10,6 +12,22 @@ from gcode import GCodeCommand
 from .outputs.scheduled_pin import ScheduledPin
 
 _MAX_KEEP_ALIVE_S = 5.0
+
+
+class GCodeRequestQueue(ScheduledPin):
+    """Values for a plugin's pin, in order of time: callback(print_time, value)."""
+
+    def __init__(self, config: ConfigWrapper, mcu: Any, callback: Callable[[float, float], Any]) -> None:
+        super().__init__(config.get_printer(), mcu, callback, math.nan)
+
+    def queue_gcode_request(self, value: float) -> None:
+        self.queue_from_command(value)
+
+    def send_async_request(self, value: float, print_time: float | None = None) -> None:
+        if print_time is None:
+            self.set_now(value)
+        else:
+            self.request(print_time, value)
 
 
 class PrinterOutputPin:

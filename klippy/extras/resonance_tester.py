@@ -14,9 +14,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import chelper
+import util
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
 from motionlimits import SPEED, Range
@@ -86,6 +88,30 @@ class ResonanceTester:
         self._max_smoothing = max_smoothing
         self._sensors: dict[str, Any] = {}
         _ffi, self._lib = chelper.get_ffi()
+
+    # --- what plugins read ---
+
+    @property
+    def probe_points(self) -> list[tuple[float, ...]]:
+        return [tuple(point) for point in self._points]
+
+    @property
+    def accel_chip_names(self) -> list[tuple[str, str]]:
+        """(axis or axes, section of the chip)."""
+        names = list(self._chip_names.items())
+        return [("xy", names[0][1])] if len(set(self._chip_names.values())) == 1 else names
+
+    @property
+    def generator(self) -> Any:
+        e = self._excitation
+        pulses = SimpleNamespace(
+            min_freq=e.min_hz, max_freq=e.max_hz, accel_per_hz=e.accel_per_hz, hz_per_sec=e.hz_per_s
+        )
+        return SimpleNamespace(
+            vibration_generator=pulses, sweeping_accel=e.sweeping_accel, sweeping_period=e.sweeping_period_s
+        )
+
+    # --- set-up ---
 
     def register(self) -> None:
         gcode = self.printer.lookup_object("gcode")
@@ -258,6 +284,7 @@ class ResonanceTester:
         with open_result(gcmd, out) as stream:
             path = stream.name
         command = [sys.executable, "-m", "vibration.fit_shaper", *map(str, raw), "--out", path, *options]
+        command = util.at_ordinary_priority(command)
         run = partial(subprocess.run, command, cwd=HOST_FOLDER, capture_output=True, text=True, check=False)
         done = self.printer.get_reactor().run_beside(run).wait()
         if isinstance(done, Exception) or done.returncode:

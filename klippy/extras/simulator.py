@@ -208,6 +208,15 @@ class FrameSettings:
     motor_hz: float
 
 
+@dataclass(frozen=True, slots=True)
+class MountSettings:
+    """[simulator mount NOZZLE]: the vibration that its melt drives; `values`: fields of struct world_mount."""
+
+    nozzle: str
+    axis: int
+    values: Mapping[str, float]
+
+
 ACCELEROMETER_FAULTS = ("none", "unplugged", "frozen", "saturated")
 
 
@@ -231,6 +240,24 @@ def _read_frame(config: ConfigWrapper, name: str) -> FrameSettings:
         frequency_hz=of_axes("frequency", 50.0, 200.0),
         damping_ratio=of_axes("damping", 0.05, 0.9),
         motor_hz=config.getfloat("motor_frequency", 300.0, minval=50.0, maxval=2000.0),
+    )
+
+
+def _read_mount(config: ConfigWrapper, name: str) -> MountSettings:
+    def number(option: str, default: float, low: float, high: float) -> float:
+        return config.getfloat(option, default, minval=low, maxval=high)
+
+    return MountSettings(
+        nozzle=name,
+        axis="xyz".index(config.getchoice("axis", {axis: axis for axis in "xyz"}, "z")),
+        values={
+            "frequency_hz": number("frequency", 200.0, 1.0, 1000.0),
+            "quality": number("quality", 20.0, 1.0, 200.0),
+            "amplitude_m_s2": number("amplitude", 0.6, 0.0, 100.0),
+            "exponent": number("exponent", 3.86, 0.5, 10.0),
+            "flow_exponent": number("flow_exponent", 1.0, 0.1, 3.0),
+            "motion_share": number("motion_share", 0.03, 0.0, 1.0),
+        },
     )
 
 
@@ -422,6 +449,7 @@ _READERS: dict[str, Callable[[Any, str], Any]] = {
     "fan": _read_fan,
     "probe": _read_probe,
     "frame": _read_frame,
+    "mount": _read_mount,
     "accelerometer": _read_accelerometer,
 }
 

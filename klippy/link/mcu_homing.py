@@ -35,7 +35,7 @@ class Stepper(Protocol):
     def note_homing_end(self) -> None: ...
 
 
-class MCU_trsync:
+class Trsync:
     """The trsync of one board and the steppers it stops."""
 
     REASON_ENDSTOP_HIT = 1
@@ -140,10 +140,10 @@ class MCU_trsync:
 class TriggerDispatch:
     """All boards that take part in stopping; the first one has the endstop."""
 
-    def __init__(self, mcu: Mcu) -> None:
+    def __init__(self, mcu: Mcu, trsyncs: list[Trsync] | None = None) -> None:
         self._mcu = mcu
         self._reactor = mcu.get_printer().get_reactor()
-        self._trsyncs = [MCU_trsync(mcu, self)]
+        self._trsyncs = [Trsync(mcu, self)] if trsyncs is None else trsyncs
         self._completion: Any = None
         self._end_clock = 0  # of the board with the endstop; 0: not yet known
         self._silence_timer: Any = None
@@ -161,23 +161,30 @@ class TriggerDispatch:
             if trsync.get_mcu() is stepper.get_mcu():
                 trsync.add_stepper(stepper)
                 return
-        trsync = MCU_trsync(stepper.get_mcu(), self)
+        trsync = Trsync(stepper.get_mcu(), self)
         trsync.add_stepper(stepper)
+        self._trsyncs.append(trsync)
+
+    def add_trsync(self, trsync: Trsync) -> None:
         self._trsyncs.append(trsync)
 
     def get_steppers(self) -> list[Stepper]:
         return [s for trsync in self._trsyncs for s in trsync.get_steppers()]
 
+    def begin(self, completion: Any) -> None:
+        """The completion is given the reason of the next trigger."""
+        self._completion = completion
+        self._end_clock = 0
+
     def start(self, print_time: float) -> Any:
         """Arm all boards; returns a completion that is given the reason of the trigger."""
-        self._completion = self._reactor.completion()
-        self._end_clock = 0
+        self.begin(self._reactor.completion())
         several = len(self._trsyncs) > 1
         times_s = (MULTI_TIMEOUT_S, MULTI_REPORT_S) if several else (SINGLE_TIMEOUT_S, SINGLE_REPORT_S)
         for number, trsync in enumerate(self._trsyncs):
             trsync.start(print_time, number / len(self._trsyncs), *times_s)
         if self._mcu.is_fileoutput():
-            self._completion.complete(MCU_trsync.REASON_ENDSTOP_HIT)
+            self._completion.complete(Trsync.REASON_ENDSTOP_HIT)
         else:
             self._silence_timer = self._reactor.register_timer(self._check_silence, self._reactor.NOW)
         return self._completion
@@ -191,7 +198,7 @@ class TriggerDispatch:
             return float(self._reactor.NEVER)
         for trsync in self._trsyncs:
             if trsync.get_mcu().estimated_print_time(eventtime) > trsync.alive_time() + SILENCE_S:
-                self._stop_all(None, MCU_trsync.REASON_COMMS_TIMEOUT)
+                self._stop_all(None, Trsync.REASON_COMMS_TIMEOUT)
                 return float(self._reactor.NEVER)
         return eventtime + SHUTDOWN_POLL_S
 
@@ -200,27 +207,31 @@ class TriggerDispatch:
         if self._completion is None or self._completion.test():
             return
         if self._end_clock and self._trsyncs[0].alive_clock >= self._end_clock:
-            self._stop_all(None, MCU_trsync.REASON_PAST_END_TIME)
+            self._stop_all(None, Trsync.REASON_PAST_END_TIME)
             return
         alive_time = min(trsync.alive_time() for trsync in self._trsyncs)
         for trsync in self._trsyncs:
             trsync.put_off_timeout(alive_time)
 
-    def note_trigger(self, source: MCU_trsync, reason: int) -> None:
+    def note_trigger(self, source: Trsync, reason: int) -> None:
         """A board has stopped: stop the others."""
         if self._completion is not None and not self._completion.test():
             self._stop_all(source, reason)
 
-    def _stop_all(self, source: MCU_trsync | None, reason: int) -> None:
+    def _stop_all(self, source: Trsync | None, reason: int) -> None:
         self._completion.complete(reason)
-        passed_on = reason if source is None else MCU_trsync.REASON_HOST_REQUEST
+        passed_on = reason if source is None else Trsync.REASON_HOST_REQUEST
         for trsync in self._trsyncs:
             if trsync is not source:
                 trsync.trigger(passed_on)
 
+    def set_end(self, end_time: float) -> None:
+        """The move ends at this print time."""
+        self._end_clock = self._mcu.print_time_to_clock(end_time)
+
     def wait_end(self, end_time: float) -> None:
         """Wait for the trigger, or for the end of the move at print time end_time."""
-        self._end_clock = self._mcu.print_time_to_clock(end_time)
+        self.set_end(end_time)
         while self._completion.wait(self._reactor.monotonic() + SHUTDOWN_POLL_S) is None:
             if any(trsync.get_mcu().is_shutdown() for trsync in self._trsyncs):
                 raise self._mcu.get_printer().command_error("Homing was interrupted by a shutdown.")
@@ -233,10 +244,14 @@ class TriggerDispatch:
             self._reactor.unregister_timer(self._silence_timer)
             self._silence_timer = None
         reasons = [trsync.stop() for trsync in self._trsyncs]
-        self._completion = None
-        if MCU_trsync.REASON_COMMS_TIMEOUT in reasons:
-            return MCU_trsync.REASON_COMMS_TIMEOUT
+        self.end()
+        if Trsync.REASON_COMMS_TIMEOUT in reasons:
+            return Trsync.REASON_COMMS_TIMEOUT
         return reasons[0]
+
+    def end(self) -> None:
+        """Reports that are still on their way count no more."""
+        self._completion = None
 
 
 class MCU_endstop:
@@ -300,6 +315,7 @@ class MCU_endstop:
         if sample_count < 1:
             raise pins.error("an endstop needs at least one sample")
         mcu = self._mcu
+        mcu.require_connected()
         clock = mcu.print_time_to_clock(print_time)
         self._rest_ticks = mcu.print_time_to_clock(print_time + rest_time) - clock
         completion = self._dispatch.start(print_time)
@@ -312,7 +328,7 @@ class MCU_endstop:
                 self._rest_ticks,
                 int(triggered) ^ self._invert,
                 self._dispatch.get_oid(),
-                MCU_trsync.REASON_ENDSTOP_HIT,
+                Trsync.REASON_ENDSTOP_HIT,
             ],
             reqclock=clock,
         )
@@ -325,9 +341,9 @@ class MCU_endstop:
         reason = self._dispatch.stop()
         if self._mcu.is_fileoutput():
             return home_end_time
-        if reason == MCU_trsync.REASON_COMMS_TIMEOUT:
+        if reason == Trsync.REASON_COMMS_TIMEOUT:
             raise self._mcu.get_printer().command_error("Communication timeout during homing")
-        if reason != MCU_trsync.REASON_ENDSTOP_HIT:
+        if reason != Trsync.REASON_ENDSTOP_HIT:
             return 0.0
         params = self._query.send([self._oid])
         next_clock = self._mcu.clock32_to_clock64(params["next_clock"])

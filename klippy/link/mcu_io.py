@@ -13,7 +13,8 @@ from typing import Any
 
 import pins
 
-from .mcu_homing import MCU_endstop, MCU_trsync, TriggerDispatch
+from .mcu_homing import MCU_endstop, TriggerDispatch
+from .plugin_trsync import MCU_trsync
 from .roles import Mcu
 
 __all__ = ["MCU_adc", "MCU_digital_out", "MCU_endstop", "MCU_pwm", "MCU_trsync", "TriggerDispatch"]
@@ -58,6 +59,7 @@ class MCU_digital_out:
         self._max_duration_s = MAX_DURATION_DEFAULT_S
         self._oid = mcu.create_oid()
         self._last_clock = 0
+        self._last_value: int | None = None
         self._set: Any = None
         mcu.register_config_callback(self._build_config)
 
@@ -86,6 +88,9 @@ class MCU_digital_out:
             f" max_duration={_duration_ticks(mcu, self._pin, self._max_duration_s)}"
         )
         mcu.add_config_cmd(f"update_digital_out oid={oid} value={self._start_value}", on_restart=True)
+        if self._last_value is not None:  # the board was absent
+            mcu.add_config_cmd(f"update_digital_out oid={oid} value={self._last_value}", is_init=True)
+        self._last_clock = 0
         self._set = mcu.lookup_command(
             "queue_digital_out oid=%c clock=%u on_ticks=%u", cq=mcu.alloc_command_queue()
         )
@@ -95,7 +100,7 @@ class MCU_digital_out:
         clock = self._mcu.print_time_to_clock(print_time)
         on_ticks = int(bool(value)) ^ self._invert
         self._set.send([self._oid, clock, on_ticks], minclock=self._last_clock, reqclock=clock)
-        self._last_clock = clock
+        self._last_clock, self._last_value = clock, on_ticks
 
 
 class MCU_pwm:
@@ -113,6 +118,7 @@ class MCU_pwm:
         self._pwm_max = 0.0  # value of a duty cycle of 1, in what the command takes
         self._start_clock = 0  # of the start value, if that was sent as a queued command
         self._clocks = deque([0], maxlen=1)  # of the last values
+        self._last_duty: float | None = None
         self._set: Any = None
         mcu.register_config_callback(self._build_config)
 
@@ -156,6 +162,7 @@ class MCU_pwm:
         max_ticks = _duration_ticks(mcu, self._pin, self._max_duration_s)
         # The clock is chosen once at each start: it must not be in the configuration's CRC.
         self._start_clock = mcu.get_query_slot(self._oid)
+        self._clocks = deque([0] * len(self._clocks), maxlen=len(self._clocks))
         if self._hardware_pwm:
             self._build_hardware(cycle_ticks, max_ticks)
         else:
@@ -171,9 +178,11 @@ class MCU_pwm:
         self._set = mcu.lookup_command(
             "queue_pwm_out oid=%c clock=%u value=%hu", cq=mcu.alloc_command_queue()
         )
-        start_raw = self._raw(self._start_value)
+        raw, is_back = self._raw(self._first_duty()), self._last_duty is not None
         mcu.add_config_cmd(
-            f"queue_pwm_out oid={oid} clock={self._start_clock} value={start_raw}", on_restart=True
+            f"queue_pwm_out oid={oid} clock={self._start_clock} value={raw}",
+            is_init=is_back,
+            on_restart=not is_back,
         )
 
     def _build_software(self, cycle_ticks: int, max_ticks: int) -> None:
@@ -189,12 +198,16 @@ class MCU_pwm:
         self._set = mcu.lookup_command(
             "queue_digital_out oid=%c clock=%u on_ticks=%u", cq=mcu.alloc_command_queue()
         )
-        by_queue = self._starts_by_queue()
+        by_queue = self._starts_by_queue() or self._last_duty is not None
         mcu.add_config_cmd(
-            f"queue_digital_out oid={oid} clock={self._start_clock} on_ticks={self._raw(self._start_value)}",
+            f"queue_digital_out oid={oid} clock={self._start_clock} on_ticks={self._raw(self._first_duty())}",
             is_init=by_queue,
             on_restart=not by_queue,
         )
+
+    def _first_duty(self) -> float:
+        """At a start, or when a board that was absent is back."""
+        return self._start_value if self._last_duty is None else self._last_duty
 
     def _starts_by_queue(self) -> bool:
         """config_digital_out can only set on or off."""
@@ -203,9 +216,12 @@ class MCU_pwm:
     def set_pwm(self, print_time: float, value: float) -> None:
         """The duty cycle from print_time on; times must not decrease."""
         clock = self._mcu.print_time_to_clock(print_time)
-        if not self._clocks[-1] and (self._starts_by_queue() or self._mcu.kept_configuration()):
+        if not self._clocks[-1] and (
+            self._starts_by_queue() or self._last_duty is not None or self._mcu.kept_configuration()
+        ):
             clock = max(clock, self._start_clock + 1)
-        data = [self._oid, clock, self._raw(self._duty(value))]
+        self._last_duty = self._duty(value)
+        data = [self._oid, clock, self._raw(self._last_duty)]
         self._set.send(data, minclock=self._clocks[0], reqclock=clock)
         self._clocks.append(clock)
 

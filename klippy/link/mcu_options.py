@@ -29,6 +29,7 @@ class McuOptions:
     restart_method: str | None  # None: by command if the firmware can, else by the port
     max_stepper_error_s: float
     can: CanAddress | None
+    reconnect_s: float | None  # of a board that may vanish: how often it is looked for
 
 
 def _read_can(config: Any) -> CanAddress | None:
@@ -63,7 +64,19 @@ def read_options(config: Any) -> McuOptions:
         restart_method,
         config.getfloat("max_stepper_error", 0.000025, minval=0.0),
         can,
+        _read_optional(config),
     )
+
+
+def _read_optional(config: Any) -> float | None:
+    is_optional = config.getboolean("is_non_critical", False)
+    interval_s = config.getfloat("reconnect_interval", 2.0, minval=0.5)
+    if is_optional and config.get_name() == "mcu":
+        raise config.error(
+            f"Option 'is_non_critical' in section 'mcu' ({config.where('is_non_critical')}): the printer's time is that"
+            " of this board, it must stay. Only a board of a section [mcu NAME] may vanish."
+        )
+    return float(interval_s) if is_optional else None
 
 
 def port_opener(options: McuOptions, given: serialport.OpenPort | None) -> serialport.OpenPort:

@@ -26,13 +26,21 @@ class ConfigScript:
     init_cmds: list[str] = field(default_factory=list)  # at each start, when the configuration is in force
     restart_cmds: list[str] = field(default_factory=list)  # only if the MCU was configured already
     crc: int = 0
+    _given: tuple[Any, ...] | None = None  # before the callbacks added theirs
 
     def add(self, cmd: str, is_init: bool, on_restart: bool) -> None:
         target = self.init_cmds if is_init else self.restart_cmds if on_restart else self.config_cmds
         target.append(cmd)
 
     def build(self, resolve: Callable[[str], str]) -> None:
-        """Let the callbacks add their commands, put real pin names in, and compute the CRC of the text."""
+        """Let the callbacks add their commands, put real pin names in, and compute the CRC of the text.
+
+        Again for a board that returns: its clock is another, and so are the times in its commands."""
+        if self._given is None:
+            lists = (self.callbacks, self.config_cmds, self.init_cmds, self.restart_cmds)
+            self._given = (self.reserved_move_slots, *(tuple(part) for part in lists))
+        self.reserved_move_slots, *lists_given = self._given
+        self.callbacks, self.config_cmds, self.init_cmds, self.restart_cmds = map(list, lists_given)
         for callback in self.callbacks:  # may add callbacks
             callback()
         for commands in (self.config_cmds, self.init_cmds, self.restart_cmds):
@@ -40,6 +48,30 @@ class ConfigScript:
         self.config_cmds.insert(0, f"allocate_oids count={self.oid_count}")
         self.crc = zlib.crc32("\n".join(self.config_cmds).encode()) & 0xFFFFFFFF
         self.config_cmds.append(f"finalize_config crc={self.crc}")
+
+
+def read_dictionary(start_args: dict[str, Any], name: str) -> tuple[bytes, str]:
+    """Batch mode: an MCU's data dictionary, and the path for what would be sent. Raises ValueError."""
+    key = "dictionary" if name == "mcu" else f"dictionary_{name}"
+    path = start_args.get(key)
+    if path is None:
+        option = "-d FILE" if name == "mcu" else f"-d {name}=FILE"
+        raise ValueError(f"batch mode (-o) needs the data dictionary of its firmware: give it with {option}.")
+    try:
+        with open(path, "rb") as handle:
+            return handle.read(), start_args["debugoutput"] + ("" if name == "mcu" else f"-{name}")
+    except OSError as e:
+        raise ValueError(f"the data dictionary '{path}' can not be read: {e.strerror}.") from None
+
+
+def missing_command(name: str, version: str, msgformat: str, problem: Exception) -> str:
+    """The config asks for what the firmware does not have."""
+    section = "mcu" if name == "mcu" else f"mcu {name}"
+    return (
+        f"The configuration asks the board of section [{section}] for the command '{msgformat.partition(' ')[0]}',"
+        f" which its firmware (version {version}) does not have in this form ({problem}). Build and flash the firmware"
+        " again from this version, with the feature enabled, or remove the config section that needs it."
+    )
 
 
 @dataclass(slots=True)
@@ -110,8 +142,8 @@ SHUTDOWN_HELP = (
     ),
     (
         ("Induction bridge off: no phase command",),
-        "The board received nothing from the host for max_duration of the induction heater and switched the bridge off"
-        " by itself. The host program ended, the host computer was too busy or swapping memory, or the cable came off.",
+        "The board received nothing from the host for 3 s; it had switched the bridge off before. The host program"
+        " ended, the host computer was too busy or swapping memory, or the cable came off.",
     ),
     (
         ("Thermocouple reader fault",),

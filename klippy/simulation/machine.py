@@ -26,6 +26,7 @@ from extras.simulator import (
     FrameSettings,
     LoadSettings,
     McuSettings,
+    MountSettings,
     NozzleSettings,
     ProbeSettings,
     ReferenceSettings,
@@ -46,6 +47,7 @@ Settings = (
     | ReferenceSettings
     | ProbeSettings
     | FrameSettings
+    | MountSettings
     | AccelerometerSettings
 )
 _T = TypeVar("_T")
@@ -111,6 +113,9 @@ def assemble(
         machine.fans[fan.name] = world.add_fan(pin, fan.spin_up_s)
     for nozzle in _of(things, NozzleSettings):
         machine.nozzles[nozzle.name] = _add_nozzle(machine, nozzle, config)
+    for mount in _of(things, MountSettings):
+        nozzle_number = _index(machine.nozzles, mount.nozzle, "nozzle", f"simulator mount {mount.nozzle}")
+        world.add_mount(nozzle_number, mount.axis, mount.values)
     for reference in _of(things, ReferenceSettings):
         _add_reference(machine, reference, config)
     for load in _of(things, LoadSettings):

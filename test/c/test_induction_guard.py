@@ -12,9 +12,9 @@ ffi, lib = load_induction()
 NONE, LOW, HIGH, CLIPPED, STUCK, TIMEOUT = range(6)
 
 
-def guard(*rows: tuple[int, int, int, int], max_duration: int = 7_200_000):
+def guard(*rows: tuple[int, int, int, int], max_duration: int = 7_200_000, silence: int = 216_000_000):
     g = ffi.new("struct guard *")
-    lib.guard_init(g, 4095, max_duration)
+    lib.guard_init(g, 4095, max_duration, silence)
     for row in rows:
         assert lib.guard_add_row(g, row) == 1
     return g
@@ -102,7 +102,7 @@ def test_first_trip_is_kept_with_what_caused_it():
     assert judge(g, 100) == NONE
     assert (g.trip, g.trip_value, g.trip_count) == (HIGH, 500_000, 500)
     lib.guard_fed(g, 0, 10)
-    assert lib.guard_check_deadline(g, 2**31 - 1) == NONE
+    assert lib.guard_lapse(g, 2**31 - 1) and lib.guard_check_silence(g, 2**31 - 1) == NONE
     assert g.trip == HIGH
 
 
@@ -132,21 +132,56 @@ def test_a_full_table_refuses_more():
 
 
 @pytest.mark.parametrize("fed", [0, 123456, 2**32 - 1000])
-def test_silence_trips_exactly_at_max_duration(fed):
-    g = guard(max_duration=7200)
+def test_silence_has_the_power_lapse_at_max_duration_and_trips_at_its_end(fed):
+    g = guard(max_duration=7200, silence=90000)
     lib.guard_fed(g, fed, 1)  # the smallest phase is power, too
     assert lib.guard_deadline(g) == (fed + 7200) & 0xFFFFFFFF
-    assert lib.guard_check_deadline(g, (fed + 7199) & 0xFFFFFFFF) == NONE
-    assert lib.guard_check_deadline(g, (fed + 7200) & 0xFFFFFFFF) == TIMEOUT
-    assert (g.trip, g.trip_value, g.trip_count) == (TIMEOUT, (fed + 7200) & 0xFFFFFFFF, 0)
+    assert not lib.guard_lapse(g, (fed + 7199) & 0xFFFFFFFF)
+    assert lib.guard_check_silence(g, (fed + 90000) & 0xFFFFFFFF) == NONE, "power comes first"
+    assert lib.guard_lapse(g, (fed + 7200) & 0xFFFFFFFF)
+    assert not lib.guard_lapse(g, (fed + 7201) & 0xFFFFFFFF), "once"
+    assert lib.guard_is_waiting(g)
+    assert (g.powered, g.trip, lib.guard_deadline(g)) == (0, NONE, (fed + 90000) & 0xFFFFFFFF)
+    assert lib.guard_check_silence(g, (fed + 89999) & 0xFFFFFFFF) == NONE
+    assert lib.guard_check_silence(g, (fed + 90000) & 0xFFFFFFFF) == TIMEOUT
+    assert (g.trip, g.trip_value, g.trip_count) == (TIMEOUT, (fed + 90000) & 0xFFFFFFFF, 0)
+
+
+@pytest.mark.parametrize("phase", [0, 2012])
+def test_the_next_command_ends_a_lapse(phase):
+    g = guard(max_duration=7200, silence=90000)
+    lib.guard_fed(g, 0, 2012)
+    assert lib.guard_lapse(g, 7200)
+    lib.guard_fed(g, 89999, phase)
+    assert lib.guard_check_silence(g, 90000) == NONE
+    assert lib.guard_is_waiting(g) == (phase > 0)
+
+
+def test_a_silence_shorter_than_max_duration_trips_as_soon_as_the_power_lapses():
+    g = guard(max_duration=7200, silence=5000)
+    lib.guard_fed(g, 0, 2012)
+    assert lib.guard_lapse(g, 7200) and lib.guard_check_silence(g, 7200) == TIMEOUT
 
 
 def test_silence_without_power_is_no_fault():
-    g = guard(max_duration=7200)
-    assert lib.guard_check_deadline(g, 10**9) == NONE
+    g = guard(max_duration=7200, silence=90000)
+    assert not lib.guard_is_waiting(g)
+    assert not lib.guard_lapse(g, 10**9) and lib.guard_check_silence(g, 10**9) == NONE
     lib.guard_fed(g, 0, 2012)
+    assert lib.guard_is_waiting(g)
     lib.guard_fed(g, 100, 0)
-    assert lib.guard_check_deadline(g, 10**9) == NONE
+    assert not lib.guard_lapse(g, 10**9) and lib.guard_check_silence(g, 10**9) == NONE
+
+
+def test_a_bridge_that_is_off_for_good_waits_for_nobody():
+    g = guard(max_duration=7200, silence=90000)
+    lib.guard_fed(g, 0, 2012)
+    assert lib.guard_lapse(g, 7200)
+    lib.guard_off(g)
+    assert not lib.guard_is_waiting(g) and lib.guard_check_silence(g, 10**9) == NONE
+    lib.guard_fed(g, 0, 2012)
+    lib.guard_off(g)
+    assert not lib.guard_is_waiting(g) and not lib.guard_lapse(g, 10**9)
 
 
 @settings(max_examples=200, deadline=None)

@@ -164,8 +164,9 @@ def test_the_same_phase_again_feeds_the_watchdog_and_costs_no_block():
     held = [r for r in unit.records() if r.phase == 9000]
     assert len(held) > 150 and {r.count for r in held} == {192}
     assert [r.discarded for r in held] == [SETTLE] + [0] * (len(held) - 1)
+    assert unit.mcu.bridge_sets[-1][1] == 9000
     unit.mcu.run(0.005)
-    assert unit.mcu.shutdown_reason() == TIMEOUT
+    assert unit.mcu.bridge_sets[-1][1] == 0
 
 
 @pytest.mark.parametrize("records", [0, 8])
@@ -289,6 +290,21 @@ def test_a_late_phase_is_applied_at_once():
     assert unit.mcu.shutdown_reason() is None
 
 
+def test_power_that_comes_later_than_max_duration_is_not_given_but_off_is_off():
+    unit = Unit()
+    unit.mcu.run(0.3)
+    unit.phase(3000, -0.102)
+    unit.mcu.run(0.001)
+    assert unit.mcu.bridge_sets[-1][1] == 0
+    unit.phase(3000, -0.098)
+    unit.mcu.run(0.001)
+    assert unit.mcu.bridge_sets[-1][1] == 3000
+    unit.phase(0, -0.097)
+    unit.mcu.run(0.001)
+    assert unit.mcu.bridge_sets[-1][1] == 0
+    assert unit.mcu.shutdown_reason() is None
+
+
 def test_phase_above_the_configured_maximum_is_held_to_it():
     unit = Unit(phase_max=20125)
     unit.phase(30000)
@@ -297,24 +313,48 @@ def test_phase_above_the_configured_maximum_is_held_to_it():
 
 
 @pytest.mark.parametrize("last_phase", [2012, 45000])
-def test_a_dead_host_has_the_bridge_off_within_max_duration(last_phase):
+def test_a_dead_host_has_the_bridge_off_within_max_duration_and_the_board_stopped_after_three_seconds(
+    last_phase,
+):
     unit = Unit()
     clock = unit.phase(last_phase)
-    unit.mcu.run(0.2)
+    unit.mcu.run(2.99)
     at, phase = unit.mcu.bridge_sets[-1]
     assert phase == 0
     assert clock < at <= clock + MAX_DURATION + PERIOD
+    assert unit.mcu.shutdown_reason() is None
+    unit.mcu.run(0.02)
     assert unit.mcu.shutdown_reason() == TIMEOUT
     assert unit.state()["trip"] == 5
 
 
-def test_a_phase_queued_too_far_ahead_does_not_keep_the_bridge_on():
+def test_a_late_host_has_the_bridge_off_until_its_next_command():
+    unit = Unit()
+    unit.phase(2012)
+    unit.mcu.run(0.8)
+    assert unit.mcu.bridge_sets[-1][1] == 0
+    clock = unit.phase(3000)
+    unit.mcu.run(0.05)
+    at, phase = unit.mcu.bridge_sets[-1]
+    assert phase == 3000 and clock < at <= clock + PERIOD
+    unit.phase(0)
+    unit.mcu.run(4.0)
+    assert unit.mcu.shutdown_reason() is None
+    assert unit.state()["trip"] == 0
+
+
+def test_a_phase_queued_too_far_ahead_does_not_turn_the_bridge_on_again():
     unit = Unit()
     clock = unit.phase(2012)
     unit.phase(2012, 0.15)
     unit.mcu.run(0.3)
     assert unit.mcu.bridge_sets[-1][1] == 0
     assert unit.mcu.bridge_sets[-1][0] <= clock + MAX_DURATION + PERIOD
+    for _ in range(500):  # many times the move queue: what was forgotten is free again
+        unit.phase(2012, 0.15)
+        unit.phase(2012, 0.05)
+        unit.mcu.run(0.2)
+    assert unit.mcu.shutdown_reason() is None
 
 
 def test_a_live_host_keeps_it_on_and_phase_0_needs_no_host():
@@ -402,7 +442,7 @@ def test_one_code_trips_once_the_phase_has_moved():
 def test_a_tripped_guard_refuses_power_after_clear_shutdown():
     unit = Unit()
     unit.phase(2012)
-    unit.mcu.run(0.2)
+    unit.mcu.run(3.1)
     unit.mcu.send("clear_shutdown")
     unit.phase(2012)
     unit.mcu.run(0.01)

@@ -75,7 +75,8 @@ commands(struct life *l)
         guard_fed(&l->g, l->clock, node->phase);
         free(node);
     }
-    guard_check_deadline(&l->g, l->clock);
+    guard_lapse(&l->g, l->clock);
+    guard_check_silence(&l->g, l->clock);
 }
 
 int
@@ -88,7 +89,7 @@ main(void)
             .y = (uint8_t)(3 + dice(3)), .ema_shift = (uint8_t)dice(9), .settle_samples = (uint16_t)dice(50)};
         oversample_init(&l.o, config);
         phase_init(&l.t, 40000);
-        guard_init(&l.g, 4095, 7200000);
+        guard_init(&l.g, 4095, 7200000, 216000000);
         for (uint32_t row = 0; row < 20; row++)
             guard_add_row(&l.g, (struct guard_row){(uint16_t)(row * 3000), 0, (uint16_t)dice(65536), (uint8_t)dice(4)});
         for (uint32_t half = 0; half < 400; half++) {

@@ -92,15 +92,15 @@ def test_a_shaped_machine_homes_to_the_same_place(sim) -> None:
 
 def test_homing_survives_four_lost_reports_in_a_row(sim, monkeypatch) -> None:
     """Every fifth report arrives, 0.2 s after the one before; the board stops by itself after 0.25 s."""
-    on_state, taken = mcu_homing.MCU_trsync._on_state, [0, 0]  # by the board, by the host
+    on_state, taken = mcu_homing.Trsync._on_state, [0, 0]  # by the board, by the host
 
-    def mostly_deaf(trsync: mcu_homing.MCU_trsync, params: dict[str, Any]) -> None:
+    def mostly_deaf(trsync: mcu_homing.Trsync, params: dict[str, Any]) -> None:
         taken[0] += 1
         if not params["can_trigger"] or taken[0] % 5 == 0:
             taken[1] += 1
             on_state(trsync, params)
 
-    monkeypatch.setattr(mcu_homing.MCU_trsync, "_on_state", mostly_deaf)
+    monkeypatch.setattr(mcu_homing.Trsync, "_on_state", mostly_deaf)
     status, reason, _ = sim("G28\n")
     assert status == PRINTED, reason
     assert taken[0] - taken[1] > 60  # lost

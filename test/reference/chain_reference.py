@@ -16,6 +16,7 @@ from thermal.records import PHASE_MAX_TICKS, Sample, SampleBlock, TempEstimate
 from thermal.sensing import block_temperature, features, laws, supervision, temperature_filter
 
 NAN = math.nan
+UNKNOWN_S = 0.020  # blocks missing for longer: the heat of that time is not known
 NO_READING = (NAN, NAN)
 
 
@@ -163,6 +164,8 @@ class Chain:
         end_s = block.time_s + block.duration_s
         sine = math.sin(math.pi / 2 * block.phase_ticks / self.drive.phase_max_ticks)
         heat_w = self.drive.power_max_w * sine**self.drive.exponent
+        if block.time_s - self.last_block_s > UNKNOWN_S:
+            self.heat_j = math.nan
         self.heat_j += heat_w * block.duration_s * (1 + block.discarded / block.count)
         if self.supervise.calibrated and own.valid:
             own = self._without_drive(block, own, heat_w)

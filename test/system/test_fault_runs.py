@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
-from system.conftest import Simulate, square
+from system.conftest import Run, Simulate, square
 
 HOLD = "M109 S250\nG4 P4000\n"
 
@@ -84,3 +86,53 @@ def test_a_fault_of_a_running_printer_is_a_command(simulate: Simulate) -> None:
 def test_two_prints_with_the_same_fault_are_the_same(simulate: Simulate) -> None:
     first, second = (simulate(square(1), more=["--fault", "emi:2,37@6", "--until", "12"]) for _ in range(2))
     assert first.trace.read_bytes() == second.trace.read_bytes()
+
+
+LATE = (
+    "host_stall:0.3",
+    "host_stall:0.8",
+    "link_cut:0.3",
+    "link_cut:0.8",
+    "uplink_cut:0.3",
+    "uplink_cut:0.8",
+)
+PRINT = "M109 S250\n" + square(3)  # begins to print at 8 s, ends at 17.6 s
+
+
+def phases(run: Run, since_s: float, until_s: float = math.inf) -> set[float]:
+    rows = zip(run.column("t_s"), run.column("phase_ticks"), strict=True)
+    return {phase for t, phase in rows if since_s < t < until_s}
+
+
+@pytest.mark.parametrize("fault", LATE)
+def test_a_late_host_or_a_line_cut_for_a_moment_costs_heat_not_the_print(
+    simulate: Simulate, fault: str
+) -> None:
+    run = simulate(PRINT, more=["--fault", f"{fault}@12"])
+    assert run.status == 0, run.stderr
+    record = run.summary["injected"][0]
+    assert record["detected_by"] is None
+    assert "the bridge was off meanwhile" in record["warning"]
+    assert record["peak_above_target_c"] < 5.0
+    assert phases(run, 12.2, 12.29) == {0.0}
+    assert max(phases(run, 14.0)) > 0.0
+    assert run.column("t_s")[-1] == pytest.approx(17.6, abs=0.2), "the motion went on"
+
+
+@pytest.mark.parametrize(
+    ("fault", "says"),
+    [
+        ("host_stall:1.3", "no control for 1.3 s"),
+        ("link_cut", "no samples"),
+        ("uplink_cut", "no samples"),
+    ],
+)
+def test_a_longer_silence_stops_the_printer_with_the_bridge_off(
+    simulate: Simulate, fault: str, says: str
+) -> None:
+    run = simulate(PRINT, more=["--fault", f"{fault}@12"])
+    assert run.status == 3
+    record = run.summary["injected"][0]
+    assert says in record["detected_by"]
+    assert record["peak_above_target_c"] < 1.0
+    assert phases(run, 12.26) == {0.0}

@@ -5,6 +5,7 @@ Each runs in a copy of the checkout's scripts with a PATH of the test's own: apt
 
 from __future__ import annotations
 
+import hashlib
 import os
 import shutil
 import subprocess
@@ -23,11 +24,14 @@ TOOLS = (
     "env",
     "flock",
     "grep",
+    "ln",
     "mkdir",
     "mktemp",
+    "readlink",
     "rm",
     "sed",
     "sha256sum",
+    "uname",
 )
 ID = "#!/bin/sh\ncase $1 in -u) echo {uid} ;; -un) echo anna ;; -nG) echo dialout ;; esac\n"
 # Both note how they were called. apt-get fails with $APT_SAYS as often as $APT_FAILS says.
@@ -72,11 +76,16 @@ class Computer:
         path.chmod(0o755)
 
     def with_environment(self) -> None:
-        """A finished .venv, whose Python notes its calls."""
+        """A finished .venv, whose Python notes its calls, and Moonraker's."""
         python = self.checkout / ".venv" / "bin" / "python"
         python.parent.mkdir(parents=True)
         python.write_text(NOTED.format(name="python"))
         python.chmod(0o755)
+        moonraker = self.checkout / ".moonraker"
+        (moonraker / "bin").mkdir(parents=True)
+        shutil.copy(python, moonraker / "bin" / "moonraker")
+        pinned = (self.checkout / "requirements-moonraker.txt").read_bytes()
+        (moonraker / ".ferrite").write_text(hashlib.sha256(pinned).hexdigest())
 
     def run(self, script: str, *options: str, **environment: str) -> subprocess.CompletedProcess[str]:
         clean = {
@@ -183,10 +192,11 @@ def test_studies_have_a_list_of_their_own_that_serves_the_demo_too(root_computer
 
 @pytest.fixture
 def anna(tmp_path: Path) -> Computer:
-    """A user's computer with apt and systemd, and without compiler or sudo."""
+    """A user's computer with apt, systemd and sudo, and without a compiler."""
     computer = Computer(tmp_path, uid=1000)
     computer.program("apt-get", APT_GET)
-    computer.program("systemctl")
+    for name in ("systemctl", "sudo"):
+        computer.program(name)
     return computer
 
 
@@ -201,41 +211,119 @@ def refused(computer: Computer, *options: str) -> str:
     return done.stderr
 
 
-def test_install_without_sudo_names_what_root_is_to_install(anna: Computer) -> None:
-    errors = refused(anna)
-    assert "there is no sudo here" in errors
-    assert "run as root: apt-get install gcc" in errors
-    assert anna.calls("apt-get") == []
+@pytest.fixture
+def anna_with_all(anna: Computer) -> Computer:
+    """What is needed is there; a front end has been unpacked."""
+    for name in ("gcc", "ip", "loginctl"):
+        anna.program(name)
+    anna.with_environment()
+    (anna.home / "mainsail").mkdir()
+    (anna.home / "mainsail" / "index.html").touch()
+    return anna
 
 
-def test_install_where_sudo_refuses_names_what_is_to_be_run(anna: Computer) -> None:
+def test_install_where_sudo_refuses_says_what_to_do(anna: Computer) -> None:
     anna.program("sudo", "#!/bin/sh\necho 'sudo: a password is required' >&2\nexit 1\n")
-    assert "run: sudo apt-get install gcc" in refused(anna)
+    errors = refused(anna)
+    assert "sudo gives anna no rights here" in errors
+    assert "--no-start writes the files and says what root is to do" in errors
 
 
+@pytest.mark.parametrize("program", ["systemctl", "sudo"])
 @pytest.mark.parametrize("options", [(), ("--no-packages",), ("--uninstall",)])
-def test_install_without_systemd_says_so(anna: Computer, options: tuple[str, ...]) -> None:
-    (anna.bin / "systemctl").unlink()
+def test_install_without_systemd_or_sudo_says_so(
+    anna: Computer, program: str, options: tuple[str, ...]
+) -> None:
+    (anna.bin / program).unlink()
     errors = refused(anna, *options)
-    assert "there is no systemd here" in errors
+    assert f"no {program}" in errors
     assert "--no-start" in errors
 
 
-def test_install_without_a_login_that_systemd_knows_says_so(anna: Computer) -> None:
-    anna.program("systemctl", "#!/bin/sh\necho 'Failed to connect to bus' >&2\nexit 1\n")
-    assert "log in as that user" in refused(anna)
+def test_install_without_a_compiler_and_without_the_right_to_install_one_names_it(anna: Computer) -> None:
+    anna.program("sudo", '#!/bin/sh\n[ "$2" = true ]\n')
+    anna.program("apt-get", "#!/bin/sh\nexit 1\n")
+    done = anna.run("install.sh", "--front-end", "none")
+    assert done.returncode == 1
+    assert "could not install them; run: sudo apt-get install gcc" in done.stderr
+    assert not (anna.home / "printer_data").exists()
 
 
-def test_install_with_all_that_it_needs_starts_the_service(anna: Computer) -> None:
-    for name in ("gcc", "sudo", "loginctl"):
-        anna.program(name)
-    anna.with_environment()
+def test_install_sets_up_host_moonraker_and_front_end_as_services(anna_with_all: Computer) -> None:
+    anna = anna_with_all
     done = anna.run("install.sh")
     assert done.returncode == 0, done.stderr
-    assert "--user enable --now ferrite" in anna.calls("systemctl")
+    data, made = anna.home / "printer_data", anna.home / "printer_data" / "systemd"
+    services = ["front-end.service", "klipper.service", "moonraker.service"]
+    assert sorted(path.name for path in made.iterdir()) == services
+    host = (made / "klipper.service").read_text()
+    assert f'"{anna.checkout}/klippy/klippy.py" "{data}/config/printer.cfg"' in host
+    assert "User=anna\n" in host and "LimitRTPRIO=1\nLimitMEMLOCK=infinity\n" in host
+    front_end = (made / "front-end.service").read_text()
+    assert f'"{anna.home}/mainsail" --port 80 --moonraker 7125' in front_end
+    assert "AmbientCapabilities=CAP_NET_BIND_SERVICE" in front_end
+    calls = [call.removeprefix("-n ") for call in anna.calls("sudo")]
+    copied = " ".join(str(made / name) for name in services)
+    assert calls[-3:] == [
+        f"cp {copied} /etc/systemd/system/",
+        "systemctl daemon-reload",
+        "systemctl enable --now klipper moonraker front-end",
+    ]
     assert any("-r requirements.txt" in call for call in anna.calls("python"))
-    assert (anna.home / ".config/systemd/user/ferrite.service").exists()
-    assert os.access(anna.home / "printer_data/config/printer.cfg", os.R_OK)
+    assert (anna.home / "klipper" / "klippy").resolve() == anna.checkout / "klippy"
+    assert (anna.home / "klippy-env" / "bin" / "python").resolve().parent == anna.checkout / ".venv" / "bin"
+    conf = (data / "config" / "moonraker.conf").read_text()
+    for text in (
+        f"klippy_uds_address: {data}/comms/klippy.sock",
+        "*://my.mainsail.xyz",
+        "*://app.fluidd.xyz",
+        "[update_manager mainsail]\ntype: web",
+    ):
+        assert text in conf
+    assert os.access(data / "config" / "printer.cfg", os.R_OK)
+
+
+def test_install_asks_for_the_group_of_serial_ports(anna_with_all: Computer) -> None:
+    anna_with_all.program("id", ID.format(uid=1000).replace("dialout", "users"))
+    assert anna_with_all.run("install.sh").returncode == 0
+    assert any("usermod -a -G dialout anna" in call for call in anna_with_all.calls("sudo"))
+
+
+def test_install_without_a_network_goes_on_with_a_plain_dashboard(anna_with_all: Computer) -> None:
+    python = anna_with_all.checkout / ".venv" / "bin" / "python"
+    python.write_text(python.read_text() + "case $1 in */fetch_pages.py) exit 1 ;; esac\n")
+    done = anna_with_all.run("install.sh", "--front-end", "fluidd")
+    assert done.returncode == 0, done.stderr
+    assert (
+        "unpack https://github.com/fluidd-core/fluidd/releases/latest/download/fluidd.zip into" in done.stdout
+    )
+    assert "http://app.fluidd.xyz" in done.stdout
+    unit = anna_with_all.home / "printer_data" / "systemd" / "front-end.service"
+    assert f'"{anna_with_all.checkout}/klippy/webhooks/dashboard" --port 80' in unit.read_text()
+
+
+def test_install_keeps_what_is_there_and_uninstall_removes_what_it_made(anna_with_all: Computer) -> None:
+    anna = anna_with_all
+    (anna.home / "klipper").mkdir()
+    assert "is there already and stays" in anna.run("install.sh").stdout
+    config = anna.home / "printer_data" / "config"
+    for name in ("printer.cfg", "moonraker.conf"):
+        (config / name).write_text("mine")
+    assert anna.run("install.sh").returncode == 0
+    done = anna.run("install.sh", "--uninstall")
+    assert done.returncode == 0, done.stderr
+    assert {(config / name).read_text() for name in ("printer.cfg", "moonraker.conf")} == {"mine"}
+    assert (anna.home / "klipper").is_dir() and not (anna.home / "klippy-env").is_symlink()
+    assert any(call.endswith("disable --now front-end") for call in anna.calls("sudo"))
+
+
+def test_install_says_which_service_did_not_start(anna_with_all: Computer) -> None:
+    anna_with_all.program("sudo", '#!/bin/sh\ncase "$*" in *"enable --now"*) exit 1 ;; esac\n')
+    done = anna_with_all.run("install.sh")
+    assert done.returncode == 1
+    assert (
+        done.stderr == "install: a service did not start; see: systemctl status klipper moonraker front-end\n"
+    )
 
 
 # ---------------------------------------------------------------- .ci/run

@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = (
     "M112 in the file",
     "host stall, swapping",
-    "host stall 0.8 s",
+    "host stall 1.2 s",
     "line damage 20 %",
     "line cut",
     "killed in the middle",

@@ -110,6 +110,8 @@ struct serialqueue {
     uint8_t batch_id[4];
     int batch_id_len, batch_max;
     double batch_patience_s;
+    uint8_t patient_id[4];
+    int patient_id_len, patient; // of the received messages, so many wake nobody
     struct file_buffer file;
     struct serialqueue_stats stats;
 };

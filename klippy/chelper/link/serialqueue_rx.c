@@ -4,15 +4,20 @@
 #include <stdlib.h>
 #include <string.h>
 
+static int
+begins_with(const struct pull_message *message, const uint8_t *id, int id_len)
+{
+    return id_len && message->len >= id_len && !memcmp(message->data, id, (size_t)id_len);
+}
+
 static void
 deliver(struct serialqueue *sq, const struct pull_message *message)
 {
     struct rx_node *node = sq_checked_alloc(NULL, sizeof(*node));
     node->message = *message;
     node->next = NULL;
-    int apart = sq->batch_id_len && message->len >= sq->batch_id_len
-                && !memcmp(message->data, sq->batch_id, (size_t)sq->batch_id_len);
-    struct rx_list *list = apart ? &sq->batch : &sq->received;
+    struct rx_list *list = begins_with(message, sq->batch_id, sq->batch_id_len) ? &sq->batch : &sq->received;
+    sq->patient += begins_with(message, sq->patient_id, sq->patient_id_len);
     if (list->first)
         list->last->next = node;
     else
@@ -180,7 +185,7 @@ serialqueue_receive(struct serialqueue *sq, const uint8_t *data, int len, double
         len -= part;
         parse_rx(sq, now);
     }
-    int waiting = sq->received.count + (batch_due(sq) <= now ? sq->batch.count : 0);
+    int waiting = sq->received.count - sq->patient + (batch_due(sq) <= now ? sq->batch.count : 0);
     pthread_mutex_unlock(&sq->lock);
     return waiting;
 }
@@ -196,11 +201,20 @@ serialqueue_set_batch(struct serialqueue *sq, const uint8_t *id, int id_len, dou
     pthread_mutex_unlock(&sq->lock);
 }
 
+void
+serialqueue_set_patient(struct serialqueue *sq, const uint8_t *id, int id_len)
+{
+    pthread_mutex_lock(&sq->lock);
+    sq->patient_id_len = id_len > 0 && id_len <= (int)sizeof(sq->patient_id) ? id_len : 0;
+    memcpy(sq->patient_id, id, (size_t)sq->patient_id_len);
+    pthread_mutex_unlock(&sq->lock);
+}
+
 double
 serialqueue_host_due(struct serialqueue *sq)
 {
     pthread_mutex_lock(&sq->lock);
-    double due = sq->received.count ? 0.0 : batch_due(sq);
+    double due = sq->received.count > sq->patient ? 0.0 : batch_due(sq);
     pthread_mutex_unlock(&sq->lock);
     return due;
 }
@@ -224,6 +238,7 @@ serialqueue_pull(struct serialqueue *sq, struct pull_message *out, int max)
 {
     pthread_mutex_lock(&sq->lock);
     int count = pull(&sq->received, out, max);
+    sq->patient = 0; // what is left is looked at soon
     pthread_mutex_unlock(&sq->lock);
     return count;
 }
@@ -252,6 +267,7 @@ void
 sq_drop_received(struct serialqueue *sq)
 {
     drop(&sq->received);
+    sq->patient = 0;
     drop(&sq->batch);
     sq->rx_len = 0;
 }

@@ -28,6 +28,11 @@ def read_axes_map(config: ConfigWrapper, option: str = "axes_map") -> AxesMap:
         ) from None
 
 
+def axis_number(config: ConfigWrapper, option: str, default: str) -> int:
+    """0 to 2 of x, y or z."""
+    return "xyz".index(config.getchoice(option, {axis: axis for axis in "xyz"}, default))
+
+
 def mounted_as(axes_map: AxesMap) -> AxesMap:
     """The printer's axis that each of the sensor's own points along."""
     found = {abs(sensor): (axis if sensor > 0 else -axis) for axis, sensor in enumerate(axes_map, 1)}

@@ -12,7 +12,7 @@ taken, clock); a line through the last ones is the chip's own rate, which may be
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from roles import Printer
@@ -23,6 +23,7 @@ STATUS_S = 0.1
 POINTS_MAX = 256  # of the line
 MAX_QUERY_S = 0.001  # a count that took longer to read says little about when
 Params = dict[str, Any]
+RawHandler = Callable[[int, bytes], None]
 
 
 class SampleClock:
@@ -31,12 +32,19 @@ class SampleClock:
     def __init__(self, nominal_ticks: float) -> None:
         self._nominal = nominal_ticks
         self._points: deque[tuple[float, float]] = deque(maxlen=POINTS_MAX)
+        self._line: tuple[float, float] | None = None
 
     def add(self, taken: int, clock: float) -> None:
         self._points.append((taken, clock))
+        self._line = None
 
     def line(self) -> tuple[float, float]:
         """(clock of sample 0, ticks a sample)."""
+        if self._line is None:
+            self._line = self._fit()
+        return self._line
+
+    def _fit(self) -> tuple[float, float]:
         points = self._points
         mean_n = sum(n for n, _ in points) / len(points)
         mean_clock = sum(clock for _, clock in points) / len(points)
@@ -64,6 +72,7 @@ class BulkReader:
     def build(self, chip: str, cmd_queue: Any) -> None:
         """Called when the MCU's commands are known."""
         self._status = messages.status(self._mcu, chip, self._oid, cmd_queue)
+        self._mcu.let_wait(messages.DATA)  # asking for the status fetches them
 
     def start(self, rate_hz: float) -> None:
         """The firmware has begun anew."""
@@ -83,8 +92,17 @@ class BulkReader:
             self._clock.add(taken, clock)
         return int(taken)
 
-    def take(self, sample: Callable[[bytes, float], None]) -> None:
-        """Each sample that has come, with its print time."""
+    def rate_hz(self) -> float:
+        """Samples a second, by the MCU's clock."""
+        return float(self._mcu.seconds_to_clock(1.0) / self._clock.line()[1])
+
+    def time_of(self, number: float) -> float:
+        """Print time of a sample."""
+        first_clock, ticks = self._clock.line()
+        return float(self._mcu.clock_to_print_time(first_clock + number * ticks))
+
+    def take(self, sample: Callable[[bytes, float], None] | None, raw: Sequence[RawHandler] = ()) -> None:
+        """Each sample that has come, with its print time; `raw` gets whole messages: first sample's number, bytes."""
         messages, self._messages[:] = list(self._messages), []
         if not messages:
             return
@@ -95,6 +113,10 @@ class BulkReader:
             number = (self._next_sequence + gap) * self._per_message
             self._next_sequence += gap + 1
             data = params["data"]
+            for handler in raw:
+                handler(number, data)
+            if sample is None:
+                continue
             for place in range(len(data) // self._sample_bytes):
                 at = place * self._sample_bytes
                 clock = first_clock + (number + place) * ticks
@@ -118,23 +140,30 @@ class Batches:
         self._printer = printer
         self._reactor = printer.get_reactor()
         self._collect, self._start, self._stop, self._report_error = collect, start, stop, report_error
-        self._clients: list[Callable[[Params], bool]] = []
+        self._clients: list[tuple[Callable[[Params], bool], float]] = []
         self._timer: Any = None
 
-    def add_client(self, client: Callable[[Params], bool]) -> None:
+    def add_client(self, client: Callable[[Params], bool], period_s: float = STATUS_S) -> None:
         """Called with each batch; raises the printer's command_error if the source does not start."""
+        now = self._reactor.monotonic()
         if self._timer is None:
             self._start()
-            self._timer = self._reactor.register_timer(self._on_timer, self._reactor.monotonic() + STATUS_S)
-        self._clients.append(client)
+            self._timer = self._reactor.register_timer(self._on_timer, now + period_s)
+        else:
+            self._reactor.update_timer(self._timer, now)
+        self._clients.append((client, period_s))
+
+    @property
+    def is_running(self) -> bool:
+        return self._timer is not None
 
     def _on_timer(self, eventtime: float) -> float:
         """Timer of the reactor; may wait for the MCU's answer."""
         try:
             batch = self._collect()
-            self._clients = [client for client in self._clients if client(batch)]
+            self._clients = [(client, period_s) for client, period_s in self._clients if client(batch)]
             if self._clients and not self._printer.is_shutdown():
-                return eventtime + STATUS_S
+                return eventtime + min(period_s for _, period_s in self._clients)
             self._end()
         except self._printer.command_error as problem:
             self._end(problem)

@@ -6,12 +6,14 @@ import re
 import tempfile
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, TextIO
 
 from gcode import GCodeCommand
 from roles import Printer
 
 from ..outputs import output_file
+from .recording import HEADER
 
 QUERY_S = 0.5
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
@@ -71,7 +73,7 @@ class AccelerometerCommands:
         recording.finish_measurements()
         words = [*self.sensor.section.split(), name]
         with open_result(gcmd, f"{'-'.join(words)}.csv") as stream:
-            recording.write(stream)
+            write_samples(stream, recording)
         gcmd.respond_info(f"Writing raw accelerometer data to {stream.name} file")
         report_quality(gcmd, recording)
 
@@ -111,13 +113,47 @@ FAULTS = {
 
 def report_quality(gcmd: GCodeCommand, recording: Any) -> None:
     """Say what is wrong with a measurement, if anything."""
-    if recording.fault is not None:
+    if getattr(recording, "fault", None) is not None:
         gcmd.respond_info(f"[{recording.section}]: {recording.fault}: {FAULTS[recording.fault]}.")
-    if recording.overflows:
+    if getattr(recording, "overflows", 0):
         gcmd.respond_info(
             f"[{recording.section}]: {recording.overflows} gaps in the samples: the board or its line is too slow for"
             " the rate."
         )
+
+
+def write_samples(stream: TextIO, recording: Any) -> None:
+    """As CSV, ours or a plugin's: print time in s, mm/s^2."""
+    stream.write(HEADER)
+    for sample in recording.get_samples():
+        stream.write("%.6f,%.6f,%.6f,%.6f\n" % tuple(sample))  # noqa: UP031
+
+
+class _PluginRegisters:
+    def __init__(self, chip: Any) -> None:
+        self.read, self.write = chip.read_reg, chip.set_reg
+
+
+class _PluginSensor:
+    """A plugin's accelerometer as the commands see it."""
+
+    chip = SimpleNamespace(max_register=127)
+
+    def __init__(self, section: str, chip: Any) -> None:
+        self.section, self.name = section, section.rsplit(maxsplit=1)[-1]
+        self.registers = _PluginRegisters(chip)
+        self.start_internal_client = chip.start_internal_client
+
+
+class AccelCommandHelper(AccelerometerCommands):
+    """The commands of a plugin's chip. It also answers to no name, unless there is an [adxl345]."""
+
+    def __init__(self, config: Any, chip: Any) -> None:
+        sensor = _PluginSensor(config.get_name(), chip)
+        super().__init__(config.get_printer(), sensor)
+        self.register(sensor.name)
+        if sensor.name == sensor.section and not config.has_section("adxl345"):
+            self.register(None)
 
 
 def register(printer: Printer, sensor: Any) -> None:

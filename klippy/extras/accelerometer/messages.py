@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+DATA = "sensor_bulk_data oid=%c sequence=%hu data=%*s"
 STATUS = (
     "sensor_bulk_status oid=%c clock=%u query_ticks=%u next_sequence=%hu buffered=%u possible_overflows=%hu"
 )

@@ -13,7 +13,7 @@ from roles import Printer
 from .. import bus
 from . import commands, messages
 from .axes import AxesMap, read_axes_map
-from .bulk import Batches, BulkReader, Params
+from .bulk import Batches, BulkReader, Params, RawHandler
 from .chips import CHIPS, Chip, Write, Writes
 from .recording import Recording
 
@@ -83,6 +83,8 @@ class Accelerometer:
         self._query: Any = None
         self._bulk = BulkReader(self._mcu, self._oid, chip.samples_per_message, chip.sample_bytes)
         self._batches = Batches(printer, self._collect, self._start, self._stop, self._report_error)
+        self._raw_handlers: list[RawHandler] = []
+        self._row_clients = 0
         self._rows: list[Row] = []
         self._errors = 0
         self._same = 0
@@ -148,7 +150,39 @@ class Accelerometer:
 
     def add_client(self, client: Callable[[Params], bool]) -> None:
         """Each batch goes to `client` until it returns False. Raises command_error if the chip does not answer."""
-        self._batches.add_client(client)
+        self._row_clients += 1
+
+        def counted(batch: Params) -> bool:
+            wants_more = client(batch)
+            self._row_clients -= not wants_more
+            return wants_more
+
+        try:
+            self._batches.add_client(counted)
+        except self.printer.command_error:
+            self._row_clients -= 1
+            raise
+
+    def add_raw_client(self, handler: RawHandler, client: Callable[[Params], bool], period_s: float) -> None:
+        """Each message goes to `handler`; then `client` gets the batch, its rows only if others want them."""
+        self._batches.add_client(client, period_s)
+        self._raw_handlers.append(handler)
+
+    @property
+    def is_running(self) -> bool:
+        return self._batches.is_running
+
+    def rate_hz(self) -> float:
+        """Of the chip's own clock, while it runs."""
+        return self._bulk.rate_hz()
+
+    def time_of(self, number: float) -> float:
+        """Print time of a sample, while it runs."""
+        return self._bulk.time_of(number)
+
+    @property
+    def axes(self) -> AxesMap:
+        return self._axes
 
     def start_internal_client(self) -> Recording:
         """Measure from now on, until finish_measurements() of what is returned."""
@@ -193,6 +227,8 @@ class Accelerometer:
         self._last_raw, self._is_clipped = b"", False
 
     def _stop(self) -> None:
+        self._raw_handlers = []
+        self._row_clients = 0
         self._query.send([self._oid, 0])
         self.registers.write_all(self.chip.stop)
 
@@ -201,7 +237,7 @@ class Accelerometer:
         self._bulk.update()
         self._rows = []
         errors = self._errors
-        self._bulk.take(self._take_sample)
+        self._bulk.take(self._take_sample if self._row_clients else None, self._raw_handlers)
         new = self._bulk.overflows + self._bulk.lost_messages - before
         return {
             "data": self._rows,

@@ -20,6 +20,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import util
 from gcode import GCodeCommand
 from roles import Printer
 from thermal.identification.run import Run
@@ -181,7 +182,7 @@ class Runner:
 
     def _evaluate(self, command: list[str]) -> dict[str, Any]:
         """On a thread of its own."""
-        pipe = subprocess.PIPE
+        pipe, command = subprocess.PIPE, util.at_ordinary_priority(command)
         self._fit = subprocess.Popen(command, cwd=HOST_FOLDER, stdout=pipe, stderr=pipe, text=True)
         output, errors = self._fit.communicate()
         if self._is_aborted or self._fit.returncode:

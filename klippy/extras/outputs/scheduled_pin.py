@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from link import optional_board
 from roles import Printer
 
 MIN_GAP_S = 0.1  # between two values: an MCU keeps one value waiting per pin
@@ -49,6 +50,7 @@ class ScheduledPin:
 
     def queue_from_command(self, value: float) -> None:
         """Set the pin in step with the moves queued so far."""
+        optional_board.require_connected(self._mcu)
         toolhead = self._printer.lookup_object("toolhead")
         toolhead.register_lookahead_callback(lambda print_time: self.request(print_time, value))
 

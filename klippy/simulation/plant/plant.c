@@ -269,6 +269,14 @@ static struct heat_flows heat_flows(const struct plant *p, double power_w, doubl
                                nozzle_air_w + second_air_w, nozzle_air_w};
 }
 
+// Against the filament at a flow of force_at_mm3_s, N.
+static double force_at_flow(const struct plant *p)
+{
+    const struct plant_values *v = &p->v;
+    const double thin = exp(v->force_arrhenius_k * (1 / (p->bore_c + kelvin) - 1 / (force_at_c + kelvin)));
+    return v->melt_force_n * thin * pow(force_at_hole_mm / v->hole_mm, v->force_hole_exponent);
+}
+
 // Flow that the drive brings through the hole. Power law of the melt: where the force would be more, the drive slips.
 static double passed_flow(const struct plant *p)
 {
@@ -278,9 +286,18 @@ static double passed_flow(const struct plant *p)
         return 0;
     if (v->drive_force_n <= 0 || v->melt_force_n <= 0 || fed <= 0)
         return fed;
-    const double thin = exp(v->force_arrhenius_k * (1 / (p->bore_c + kelvin) - 1 / (force_at_c + kelvin)));
-    const double force_n = v->melt_force_n * thin * pow(force_at_hole_mm / v->hole_mm, v->force_hole_exponent);
-    return fmin(fed, force_at_mm3_s * pow(v->drive_force_n / force_n, 1 / v->force_flow_exponent));
+    return fmin(fed, force_at_mm3_s * pow(v->drive_force_n / force_at_flow(p), 1 / v->force_flow_exponent));
+}
+
+double plant_back_force(const struct plant *p)
+{
+    const struct plant_values *v = &p->v;
+    if (p->flow_in * v->flow_share <= 0)
+        return 0;
+    if (v->hole_mm <= 0)
+        return v->drive_force_n;
+    const double force_n = force_at_flow(p) * pow(p->flow / force_at_mm3_s, v->force_flow_exponent);
+    return v->drive_force_n > 0 ? fmin(force_n, v->drive_force_n) : force_n;
 }
 
 static void update_lags(struct plant *p, double dt_s)

@@ -112,6 +112,7 @@ void plant_sample(struct plant *p, uint16_t *out, uint32_t n, double period_s);
 void plant_read(const struct plant *p, struct plant_outputs *out);
 double plant_phase_in_force(const struct plant *p);
 int plant_fault_is(const struct plant *p, enum plant_fault fault);
+double plant_back_force(const struct plant *p); // of the melt against the filament, N; what the drive can give at most
 double plant_supply(const struct plant *p);        // at the bridge, ripple included
 double plant_electrical_power(const struct plant *p, double metal_w); // at full supply, metal_w at least
 double plant_loaded_supply(const struct plant *p); // what it settles to at this drive, without ripple

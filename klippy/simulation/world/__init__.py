@@ -229,6 +229,11 @@ class World:
         options = self.ffi.new("struct world_frame *", (frequency_hz, damping_ratio, motor_hz))
         self._index(self.lib.world_add_frame(self.pointer, options))
 
+    def add_mount(self, nozzle: int, axis: int, values: Mapping[str, float]) -> None:
+        """The mount of the nozzle's extruder; `values`: the other fields of struct world_mount."""
+        options = self.ffi.new("struct world_mount *", {"nozzle": nozzle, "axis": axis, **values})
+        self._index(self.lib.world_add_mount(self.pointer, options))
+
     def frame_place(self, axis: int) -> float:
         """Place (mm) of the mass on axis 0 (X) or 1 (Y)."""
         return float(self.lib.world_frame_place(self.pointer, axis))

@@ -391,6 +391,7 @@ void machine_tick(struct machine *m, double now_s, double tick_s)
         feed_tick(m, &n->feed, tick_s);
         plant_set_inputs(&n->plant, n->feed.flow_mm3_s, fan_speed(m, n->fan));
     }
+    mount_tick(m);
     for (int i = 0; i < m->reference_count; i++) {
         struct reference *r = &m->references[i];
         double seen_c = ROOM_C + r->options.gain * (m->nozzles[r->options.nozzle].plant.skin_c - ROOM_C);

@@ -17,6 +17,7 @@
 #include <stdint.h>
 #include "accel_chip.h"
 #include "frame.h"
+#include "mount.h"
 #include "plant.h"
 #include "thermal_load.h"
 #include "world_api.h"
@@ -128,7 +129,7 @@ struct accelerometer {
     struct accel_chip chip;
     uint32_t noise; /* state of its generator */
     int fault;      /* enum accel_fault */
-    double next_s, last_s, last_rate[FRAME_AXES], frozen[3];
+    double next_s, last_s, last_rate[FRAME_AXES], last_mount_rate, frozen[3];
 };
 
 struct load {
@@ -152,8 +153,9 @@ struct machine {
     struct frame_axis frame[FRAME_AXES];
     int frame_of[FRAME_AXES]; /* indices of axes X and Y */
     int has_frame;
-    double frame_start_s;
-    int64_t frame_steps;
+    struct mount mount;
+    int has_mount, mount_nozzle, mount_axis; /* axis: 0 to 2 */
+    double frame_s, frame_step_s; /* up to when it has been advanced */
     int axis_count, duty_count, fan_count, nozzle_count, load_count, reference_count, probe_count, accelerometer_count;
     int nozzle_of_mcu[MACHINE_MCUS]; /* index, -1 */
     double chip_temp_c[MACHINE_MCUS];
@@ -166,6 +168,7 @@ int machine_add_axis(struct machine *m, const struct world_axis_options *options
 int machine_couple_axes(struct machine *m, int axis, int partner, double own_share, double partner_share);
 int machine_add_probe(struct machine *m, const struct world_probe_options *options, uint32_t seed);
 int machine_add_frame(struct machine *m, const struct world_frame *options, double now_s);
+int machine_add_mount(struct machine *m, const struct world_mount *options, uint64_t seed);
 int machine_add_accelerometer(struct machine *m, const struct world_accelerometer_options *options, uint32_t seed);
 int machine_add_duty(struct machine *m, struct world_pin pin, double now_s);
 int machine_add_fan(struct machine *m, struct world_pin pin, double spin_up_s, double now_s);
@@ -188,6 +191,7 @@ void machine_tick(struct machine *m, double now_s, double tick_s);
 double axis_position_mm(const struct axis *a);
 uint8_t probe_level(const struct machine *m, struct probe *p, double now_s);
 void probe_control(struct probe *p, uint8_t level, double now_s);
+void mount_tick(struct machine *m);
 void frame_advance(struct machine *m, double now_s);
 void accelerometer_select(struct accelerometer *a, uint8_t level);
 double bed_height_mm(const struct world_bed *b, double x, double y);

@@ -1,6 +1,7 @@
-/* The ringing frame, and the accelerometers on it: their buses, mounting, noise and faults.
+/* The ringing frame, the extruder's mount, and the accelerometers on them: their buses, mounting, noise and faults.
  *
- *     steps ──► frame (plant/frame.h), every 39 us ──► mean acceleration since the last sample, as a chip's filter makes it
+ *     steps ──► frame (plant/frame.h) ──────────────┬─► mean acceleration since the last sample, as a chip's filter makes it
+ *     melt ──► back force ──► mount (mount.h) ──────┘
  *           + gravity ──► turned as the sensor is mounted ──► noise ──► registers (plant/accel_chip.h) ◄──► SPI or I2C
  */
 #include <math.h>
@@ -11,6 +12,7 @@
 
 static const double GRAVITY_M_S2 = 9.80665;
 static const double M_PER_MM = 1e-3;
+static const double FRAME_SLOW_RATE_HZ = 1000.0;
 static const double BEYOND_ANY_RANGE_M_S2 = 1e4;
 enum { I2C_DONE = 0, I2C_NO_DEVICE = 3 }; /* of src/board/i2c_status.h */
 
@@ -28,9 +30,44 @@ int machine_add_frame(struct machine *m, const struct world_frame *o, double now
                         axis_position_mm(&m->axes[axis]));
     }
     m->has_frame = 1;
-    m->frame_start_s = now_s;
-    m->frame_steps = 0;
+    m->frame_s = now_s;
+    m->frame_step_s = FRAME_STEP_S;
     return 0;
+}
+
+static double mount_base_mm(const struct machine *m)
+{
+    return m->mount.motion_share * (m->frame[0].x + m->frame[1].x);
+}
+
+int machine_add_mount(struct machine *m, const struct world_mount *o, uint64_t seed)
+{
+    if (!m->has_frame || o->nozzle < 0 || o->nozzle >= m->nozzle_count || o->axis < 0 || o->axis > 2)
+        return -1;
+    m->mount = (struct mount){ .frequency_hz = o->frequency_hz, .quality = o->quality, .exponent = o->exponent,
+                               .amplitude_m_s2 = o->amplitude_m_s2, .flow_exponent = o->flow_exponent,
+                               .motion_share = o->motion_share };
+    mount_init(&m->mount, mount_base_mm(m), seed);
+    m->has_mount = 1;
+    m->mount_nozzle = o->nozzle;
+    m->mount_axis = o->axis;
+    return 0;
+}
+
+/* Slow sensors need no fine steps. */
+static double step_for(const struct machine *m)
+{
+    for (int i = 0; i < m->accelerometer_count; i++)
+        if (accel_chip_rate(&m->accelerometers[i].chip) > FRAME_SLOW_RATE_HZ)
+            return FRAME_STEP_S;
+    return FRAME_SLOW_STEP_S;
+}
+
+void mount_tick(struct machine *m)
+{
+    m->frame_step_s = step_for(m);
+    if (m->has_mount)
+        mount_follow(&m->mount, &m->nozzles[m->mount_nozzle].plant);
 }
 
 int machine_add_accelerometer(struct machine *m, const struct world_accelerometer_options *o, uint32_t seed)
@@ -75,6 +112,8 @@ static void take_sample(struct machine *m, struct accelerometer *a, double now_s
         along[i] = (m->frame[i].x_rate - a->last_rate[i]) / (now_s - a->last_s) * M_PER_MM;
         a->last_rate[i] = m->frame[i].x_rate;
     }
+    along[m->mount_axis] += (m->mount.rate - a->last_mount_rate) / (now_s - a->last_s) * M_PER_MM;
+    a->last_mount_rate = m->mount.rate;
     a->last_s = now_s;
     double noise = a->options.noise_ug * 1e-6 * GRAVITY_M_S2 * sqrt(0.5 * rate);
     for (int i = 0; i < 3; i++) {
@@ -102,6 +141,7 @@ static void sample_if_due(struct machine *m, struct accelerometer *a, double now
         a->last_s = now_s;
         for (int i = 0; i < FRAME_AXES; i++)
             a->last_rate[i] = m->frame[i].x_rate;
+        a->last_mount_rate = m->mount.rate;
     }
     if (now_s < a->next_s)
         return;
@@ -113,13 +153,15 @@ void frame_advance(struct machine *m, double now_s)
 {
     if (!m->has_frame)
         return;
-    double time_s;
-    while ((time_s = m->frame_start_s + (double)(m->frame_steps + 1) * FRAME_STEP_S) <= now_s) {
-        m->frame_steps++;
+    while (m->frame_s + m->frame_step_s <= now_s) {
+        m->frame_s += m->frame_step_s;
         for (int i = 0; i < FRAME_AXES; i++)
-            frame_axis_step(&m->frame[i], axis_position_mm(&m->axes[m->frame_of[i]]));
+            frame_axis_step(&m->frame[i], axis_position_mm(&m->axes[m->frame_of[i]]), m->frame_step_s);
+        if (m->has_mount)
+            mount_step(&m->mount, mount_base_mm(m), m->mount.motion_share * (m->frame[0].x_rate + m->frame[1].x_rate),
+                       m->frame_step_s);
         for (int i = 0; i < m->accelerometer_count; i++)
-            sample_if_due(m, &m->accelerometers[i], time_s);
+            sample_if_due(m, &m->accelerometers[i], m->frame_s);
     }
 }
 

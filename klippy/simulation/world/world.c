@@ -140,6 +140,13 @@ int world_add_frame(struct world *w, const struct world_frame *options)
     return 0;
 }
 
+int world_add_mount(struct world *w, const struct world_mount *options)
+{
+    if (machine_add_mount(&w->machine, options, world_new_seed(w)))
+        return world_fail(w, "mount: it needs a frame, a nozzle, and one of the axes");
+    return 0;
+}
+
 int world_add_accelerometer(struct world *w, const struct world_accelerometer_options *options)
 {
     int index = machine_add_accelerometer(&w->machine, options, (uint32_t)world_new_seed(w));

@@ -69,6 +69,13 @@ struct world_frame {
     double motor_hz;
 };
 
+/* The extruder's mount, shaken by the melt of nozzle `nozzle` (plant/mount.h); axis: 0 to 2, along which it swings. */
+struct world_mount {
+    int nozzle, axis;
+    double frequency_hz, quality, amplitude_m_s2, exponent, flow_exponent;
+    double motion_share; /* of the frame's motion along X and Y, in the mount's */
+};
+
 enum world_accelerometer_fault { WORLD_ACCEL_WORKS, WORLD_ACCEL_UNPLUGGED, WORLD_ACCEL_FROZEN, WORLD_ACCEL_SATURATED };
 
 /* An accelerometer that rides on both axes. `kind`: enum accel_kind (plant/accel_chip.h). orientation: the printer's
@@ -162,6 +169,7 @@ int world_load_image(struct world *w, int mcu, const char *image);
 int world_add_axis(struct world *w, const struct world_axis_options *options);
 int world_add_probe(struct world *w, const struct world_probe_options *options);
 int world_add_frame(struct world *w, const struct world_frame *options);
+int world_add_mount(struct world *w, const struct world_mount *options);
 int world_add_accelerometer(struct world *w, const struct world_accelerometer_options *options);
 /* May be set at any time. */
 int world_set_accelerometer_fault(struct world *w, int accelerometer, int fault);

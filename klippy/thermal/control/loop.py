@@ -9,7 +9,8 @@ the link. A misjudged edge costs one short block. The returned commands replace 
 the first of them on. bridge_driver.py runs the control law (`LoopParameters.control`).
 
 The bridge turns itself off after `max_duration` without a command; `refresh_s` is a third of that. Without a
-temperature for `stale_s` the loop does not heat: it goes back to the smallest phase that still measures.
+temperature for `stale_s` the loop does not heat: it goes back to the smallest phase that still measures. Without blocks
+the bridge is off. It then goes on where it left off: a late host, or a line cut for a moment, costs heat only.
 """
 
 from __future__ import annotations
@@ -117,11 +118,17 @@ class InductionLoop:
 
     def _step(self, before: TempEstimate | None, now_s: float) -> list[PhaseCommand]:
         """Safety first, then law and actuator. `before`: the estimate before the newest, None without a new one."""
-        state = self.state
+        state, p = self.state, self._parameters
+        blind_s, late_s = now_s - self.chain.watch.last_block_s, now_s - state.decided_s
+        if state.target_c > 0.0 and late_s < math.inf:
+            state.lapse_s = max(state.lapse_s, blind_s, late_s)
+            supervision.watch_host(p.supervise, state.supervise, late_s)
         state.decided_s = now_s
         self._follow_reference(now_s)
         if self._watch(now_s):
             state.target_c = 0.0
+            return self._driver.off(now_s)
+        if blind_s > p.timing.stale_s:
             return self._driver.off(now_s)
         return self._driver.step(before, self._ahead(), now_s)
 

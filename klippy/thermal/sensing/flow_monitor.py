@@ -11,7 +11,8 @@ of the share `lost_share` of the flow, d = lost_share gain e (log-likelihood rat
     sum = max(0, sum + (-nu d - d^2/2)/S)                      alarm above h = ln(mean steps between false alarms)
 
 The bound is Lorden's (1971): with independent Gaussian noise the mean run to a false alarm is at least exp(h) steps.
-The same ratio with its sign turned ends an alarm. While the sum is above a quarter of h nothing is learned.
+The same ratio with its sign turned ends an alarm. The ratio of another, independent witness is added. While the sum is
+above a quarter of h nothing is learned.
 """
 
 from __future__ import annotations
@@ -65,9 +66,10 @@ class HeatReading:
     temp_c: float
     second_c: float  # second mass, followed by the heat-balance monitor
     second_doubt_c: float
-    heat_j: float  # into the nozzle since the reading before
+    heat_j: float  # into the nozzle since the reading before; NaN: not known
     planned_mm3: float  # likewise; filament that returns from a retraction is no flow
     fan: float  # 0..1
+    other: float = 0.0  # log-likelihood ratio of the same loss by another witness
 
 
 @dataclass(slots=True)
@@ -79,6 +81,7 @@ class Step:
     planned_j: float = 0.0
     fan_k_s: float = 0.0
     stored_j: float = 0.0
+    other: float = 0.0
     disturbed: bool = False
 
 
@@ -131,13 +134,14 @@ def observe(p: FlowMonitorParameters, state: FlowMonitorState, reading: HeatRead
         doubt_w = math.sqrt(state.covariance[1][1]) * reading.fan * (reading.temp_c - p.loss.ambient_c)
         if doubt_w > p.fan_doubt_w:
             state.judged_from_s = reading.time_s + p.fan_learn_s
-    if not 0.0 < dt_s < 1.0:
+    if not 0.0 < dt_s < 1.0 or math.isnan(reading.heat_j):
         state.step = Step()
         return False
     mid_c = 0.5 * (reading.temp_c + before_c)
     stored_j = p.heat.at(mid_c) * (reading.temp_c - before_c)
     step.lasts_s += dt_s
     step.stored_j += stored_j
+    step.other += reading.other
     step.taken_j += reading.heat_j - stored_j - dt_s * p.loss.skin_out_w(mid_c, reading.second_c)
     rise_c = max(0.0, mid_c - p.melt.inlet_c)
     step.planned_j += dt_s * p.melt.heat_w_k(reading.planned_mm3 / dt_s) * rise_c
@@ -164,7 +168,7 @@ def _judge(p: FlowMonitorParameters, state: FlowMonitorState, step: Step) -> Non
     variance = noise + sum(row[i] * spread[i] for i in UNKNOWNS)
     missing_w = sum(row[i] * state.unknowns[i] for i in UNKNOWNS) - step.taken_j / lasts_s  # minus innovation
     if planned_w >= p.flow_min_w and state.time_s >= state.judged_from_s:
-        _test(p, state, planned_w * lasts_s, missing_w * lasts_s, lasts_s, variance)
+        _test(p, state, planned_w * lasts_s, missing_w * lasts_s, lasts_s, variance, step.other)
     if not state.lost and state.evidence < 0.25 * p.threshold:
         _learn(state, spread, variance, -missing_w, lasts_s)
 
@@ -176,11 +180,12 @@ def _test(
     missing_j: float,
     lasts_s: float,
     variance: float,
+    other: float,
 ) -> None:
     """Page's test, for a loss or for its end."""
     state.flow_steps += 1
     looked_for_w = p.lost_share * state.unknowns[0] * planned_j / lasts_s
-    ratio = (missing_j / lasts_s * looked_for_w - 0.5 * looked_for_w**2) / variance
+    ratio = (missing_j / lasts_s * looked_for_w - 0.5 * looked_for_w**2) / variance + other
     share = max(0.0, min(1.0, missing_j / (state.unknowns[0] * planned_j)))
     if state.lost:
         state.lost_share += LOST_WEIGHT * (share - state.lost_share)

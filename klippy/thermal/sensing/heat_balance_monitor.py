@@ -134,10 +134,11 @@ def observe(
     energy_j: float,
     quiet: bool,
 ) -> None:
-    """A valid temperature at `time_s`, the heat put in since the one before, and whether nothing else takes heat."""
+    """A valid temperature at `time_s`, the heat put in since the one before (NaN: not known), and whether nothing else
+    takes heat."""
     loss = parameters.loss
     dt_s = time_s - state.time_s
-    if not 0.0 < dt_s < 2.0:
+    if not 0.0 < dt_s < 2.0 or math.isnan(energy_j):
         if math.isnan(state.second_c):
             state.second_c = 0.5 * (temp_c + loss.ambient_c)
             state.second_doubt_c = abs(temp_c - state.second_c)

@@ -4,6 +4,7 @@
 #include <math.h>
 
 #define QUANTISATION_VARIANCE (1.0 / 12.0) // LSB^2, a uniform rounding error
+#define UNKNOWN_S 0.020                    // blocks missing for longer: the heat of that time is not known
 #define ALIKE_BLOCKS 6.0                   // neighbours on one code err by the same: a message of them says it once
 
 double
@@ -138,6 +139,8 @@ chain_take(const struct chain_params *p, struct chain_state *s, struct coil_bloc
         struct coil_block *b = &blocks[i];
         chain_estimate(p, b);
         b->heat_w = drive_power_w(p->power_max_w, p->power_exponent, p->power_phase_max_ticks, b->phase_ticks);
+        if (b->time_s - s->watch.last_block_s > UNKNOWN_S)
+            s->heat_j = NAN;
         s->heat_j += b->heat_w * (b->duration_s + b->discarded * b->duration_s / b->count);
         if (p->has_looks)
             drive_offset_block(&s->drive, &p->filter, s->filter.rate_k_s, p->phase_max_ticks, b);

@@ -127,6 +127,6 @@ class Chain:
         return None if math.isnan(noise_lsb) else noise_lsb
 
     def take_heat_j(self) -> float:
-        """Heat put in since the last time somebody asked."""
+        """Heat put in since the last time somebody asked; NaN if blocks were missing."""
         heat_j, self.state.heat_j = self.state.heat_j, 0.0
         return float(heat_j)

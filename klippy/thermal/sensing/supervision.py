@@ -44,7 +44,7 @@ class SuperviseParameters:
     over_c: float = (
         5.0  # room above it: a PID passes its target by up to 4.2 C, predictive control by 1.0 (Control.md)
     )
-    silence_s: float = 1.0  # no block at all
+    silence_s: float = 1.0  # no block at all, or no control
     invalid_s: float = 2.0  # blocks, but no valid temperature
     limit_blocks: int = 6  # consecutive estimates beyond a limit (10 ms): one alone may be a disturbance
     gain_s: float = 3.0  # under demand the nozzle must warm within this time ...
@@ -201,6 +201,14 @@ def watch_reading(
     elif not state.fault:
         state.fault = _doubt(parameters, state, seen, witness, temp_c, loss)
     return state.fault
+
+
+def watch_host(parameters: SuperviseParameters, state: SuperviseState, late_s: float) -> None:
+    """To be called before watch(): a host that slept is not to blame the board for its silence."""
+    if late_s > parameters.silence_s and not state.fault:
+        state.fault = (
+            f"no control for {late_s:.1f} s: the computer was too busy, or the host program was stopped"
+        )
 
 
 def watch(

@@ -26,14 +26,13 @@ def install(home: Path, *options: str) -> subprocess.CompletedProcess[str]:
     )  # fmt: skip
 
 
-def test_install_makes_a_user_service_and_keeps_what_is_there(tmp_path: Path) -> None:
+def test_install_without_starting_says_what_root_is_to_do(tmp_path: Path) -> None:
     done = install(tmp_path)
     assert done.returncode == 0, done.stderr
-    unit = (tmp_path / ".config/systemd/user/ferrite.service").read_text()
     data = tmp_path / "printer_data"
-    assert f'"{ROOT}/klippy/klippy.py" "{data}/config/printer.cfg"' in unit
-    assert f'-a "{data}/comms/klippy.sock"' in unit
-    assert {folder.name for folder in data.iterdir()} == {"config", "gcodes", "logs", "comms"}
+    assert f"as root: cp {data}/systemd/*.service /etc/systemd/system/" in done.stdout
+    assert f'-a "{data}/comms/klippy.sock"' in (data / "systemd" / "klipper.service").read_text()
+    assert {folder.name for folder in data.iterdir()} == {"config", "gcodes", "logs", "comms", "systemd"}
     config = data / "config" / "printer.cfg"
     assert f"path: {data}/gcodes" in config.read_text()
     assert (data / "config" / "macros-induction.cfg").exists(), "what it includes is there, too"
@@ -41,7 +40,7 @@ def test_install_makes_a_user_service_and_keeps_what_is_there(tmp_path: Path) ->
     assert install(tmp_path).returncode == 0
     assert config.read_text() == "mine"
     assert install(tmp_path, "--uninstall").returncode == 0
-    assert not (tmp_path / ".config/systemd/user/ferrite.service").exists()
+    assert not (data / "systemd").exists()
     assert config.read_text() == "mine"
 
 
@@ -51,13 +50,16 @@ def test_install_makes_a_user_service_and_keeps_what_is_there(tmp_path: Path) ->
         (["--data", str(ROOT / "out" / "x")], "must be outside"),
         (["--name", "../evil"], "may have letters"),
         (["--wrong"], "unknown option"),
+        (["--port", "http"], "need numbers"),
+        (["--front-end", "nowhere"], "there is no folder nowhere"),
+        (["--front-end", str(ROOT)], "has no index.html"),
     ],
 )
 def test_install_refuses_what_would_not_work(tmp_path: Path, options: list[str], words: str) -> None:
     done = install(tmp_path, *options)
     assert done.returncode == 1
     assert words in done.stderr
-    assert not (tmp_path / ".config").exists()
+    assert not (tmp_path / "printer_data").exists()
 
 
 # Every macro of the examples, in the order of a day.

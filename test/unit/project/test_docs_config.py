@@ -39,7 +39,7 @@ max_temp: 300
 # Sections that only tests, simulations or other sections read.
 ELSEWHERE = ("simulator",)
 # Not sections, but what the sensor types MAX* and boards on a CAN bus load.
-INTERNAL = {"canbus_stats", "spi_temperature"}
+INTERNAL = {"canbus_stats", "motion_queuing", "spi_temperature"}
 # Whose names are put together in the code; config/sim-induction.cfg has them, and loads.
 COMPOSED = ("tank_",)
 

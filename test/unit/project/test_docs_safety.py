@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import cache
@@ -10,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from doc_rig import Figures
+from doc_rig import ROOT, Figures
 from extras import heaters, induction_heater
 from extras.induction import calibrate as induction_calibrate
 from extras.induction import settings
@@ -154,7 +155,7 @@ def supervision_claims() -> Iterator[str]:
     p = parameters().supervise
     in_a_row = f"{p.limit_blocks} estimates in a row ({milliseconds(p.limit_blocks):.0f} ms)"
     yield f"or more than {p.over_c:g} °C above `max_temp` | {in_a_row} |"
-    yield f"| no samples arrive | {p.silence_s:g} s |"
+    yield f"| no samples arrive, or the host was late | {p.silence_s:g} s |"
     yield f"give no valid temperature | {p.invalid_s:g} s |"
     assert p.demand_fraction == 0.5
     yield f"half of full power or more is requested {p.demand_c:g} °C or more below the target"
@@ -165,7 +166,9 @@ def supervision_claims() -> Iterator[str]:
 
 def guard_claims() -> Iterator[str]:
     max_duration_s = option("max_duration")
-    yield f"`max_duration` ({1e3 * max_duration_s:g} ms)"
+    silence = re.search(r"SILENCE_US = (\d+)", (ROOT / "src/inductioncmds.c").read_text())
+    assert silence
+    yield f"`max_duration` ({1e3 * max_duration_s:g} ms): bridge off; shutdown after {1e-6 * int(silence[1]):g} s"
     timing = parameters().timing
     yield f"begins {1e3 * (timing.lead_s + timing.stride_s):.0f} ms after it was sent"
     blocks = option("guard_trip_blocks")

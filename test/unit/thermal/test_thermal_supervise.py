@@ -250,3 +250,13 @@ def test_a_fault_stays() -> None:
     first = on.watch(5.0, 100.0, 200.0, 0.5)
     assert first
     assert on.live(1.0, lambda t: 200.0, 200.0, 0.1) == first
+
+
+def test_a_host_that_slept_for_longer_than_a_silence_may_last_is_named_itself() -> None:
+    parameters, state = supervision.SuperviseParameters(0.0, 300.0), supervision.SuperviseState()
+    supervision.watch_host(parameters, state, parameters.silence_s)
+    assert not state.fault
+    supervision.watch_host(parameters, state, 1.3)
+    assert state.fault == "no control for 1.3 s: the computer was too busy, or the host program was stopped"
+    supervision.watch_host(parameters, state, 4.0)
+    assert "1.3 s" in state.fault, "the first fault stays"

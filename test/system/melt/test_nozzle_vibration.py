@@ -1,0 +1,69 @@
+"""[nozzle_monitor] with an accelerometer, through the whole stack: diameter, clogs, faults of the sensor."""
+
+from __future__ import annotations
+
+import pytest
+
+from system.conftest import ROOT, Simulate, square
+
+CONFIG = ROOT / "config" / "sim-clog.cfg"
+BEGIN_S = 50.0  # half a minute of clear extrusion is behind
+ROUNDS = 60  # 80 s of extrusion
+
+
+def test_a_hole_that_narrows_by_a_tenth_is_found_within_ten_seconds(simulate: Simulate) -> None:
+    run = simulate(square(ROUNDS), config=CONFIG, more=["--fault", f"clog:0.36@{BEGIN_S}"])
+    assert run.status == 0, run.stderr
+    assert len(run.summary["messages"]) == 1
+    assert "the mount vibrates as with a hole of 0.3" in run.summary["messages"][0]
+    assert 0.0 < run.summary["injected"][0]["warned_after_ms"] < 10e3
+    rows = [tuple(row.values()) for row in run.summary["nozzle_monitor"]]
+    assert {condition for t_s, condition, _, _ in rows if t_s < BEGIN_S} == {"unknown", "clear"}
+    _, condition, diameter_mm, sigma_mm = rows[-1]
+    assert condition == "restricted"
+    assert diameter_mm == pytest.approx(0.36, rel=0.05)
+    assert 0.002 < sigma_mm < 0.015
+
+
+@pytest.mark.parametrize("fault", ["grind:0.3", "runout"])
+def test_lost_filament_is_no_clog(simulate: Simulate, fault: str) -> None:
+    run = simulate(square(ROUNDS), config=CONFIG, more=["--fault", f"{fault}@{BEGIN_S}"])
+    assert run.status == 0, run.stderr
+    assert len(run.summary["messages"]) == 1
+    assert "less heat than its planned flow" in run.summary["messages"][0]
+    assert 0.0 < run.summary["injected"][0]["warned_after_ms"] < 10e3
+    last = run.summary["nozzle_monitor"][-1]
+    assert last["condition"] == ("restricted" if "grind" in fault else "no_filament")
+    assert last["diameter_mm"] is None
+
+
+@pytest.mark.parametrize(
+    ("setting", "text"),
+    [
+        ("simulator accelerometer adxl345.fault=frozen", "[adxl345] frozen: its samples do not change"),
+        ("simulator accelerometer adxl345.fault=saturated", "[adxl345] saturated: its samples reach the end"),
+        ("simulator accelerometer adxl345.fault=unplugged", "Nothing answers: check its power, its wires"),
+        ("simulator accelerometer adxl345.orientation=z, x, y", "gravity is seen along its y instead of z"),
+        (
+            "simulator accelerometer adxl345.orientation=x, -y, -z",
+            "gravity is seen along its -z instead of z",
+        ),
+    ],
+)
+def test_a_broken_sensor_is_named_and_is_no_clog(simulate: Simulate, setting: str, text: str) -> None:
+    run = simulate(square(20), config=CONFIG, settings=[setting])
+    assert run.status == 0, run.stderr
+    assert len(run.summary["messages"]) == 1
+    assert text in run.summary["messages"][0]
+    assert "The mount's vibration is not judged, the heat of the melt is" in run.summary["messages"][0]
+    assert {row["condition"] for row in run.summary["nozzle_monitor"]} == {"unknown", "clear"}
+    assert run.summary["nozzle_monitor"][-1]["diameter_mm"] is None
+
+
+def test_an_accelerometer_that_is_too_slow_is_refused(simulate: Simulate) -> None:
+    run = simulate("G4 P100\n", config=CONFIG, settings=["adxl345.rate=400"])
+    assert run.status == 2
+    assert "[adxl345] takes 400 samples a second; a mount of 200 Hz needs rate: 600 or more" in run.stderr
+    run = simulate("G4 P100\n", config=CONFIG, settings=["nozzle_monitor.accel_chip=fan"])
+    assert run.status == 2
+    assert "'fan' is not the section of an accelerometer" in run.stderr
