@@ -1,5 +1,6 @@
-"""A sine on the reading of a held nozzle, through the whole stack with the firmware's guard; config/studies/disturbance.toml
-has all frequencies and amplitudes.
+"""A sine on the reading of a held nozzle, through the whole stack with the firmware's guard.
+
+config/studies/disturbance.toml has all frequencies and amplitudes.
 """
 
 from __future__ import annotations

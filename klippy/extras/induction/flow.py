@@ -40,7 +40,8 @@ class FlowAhead:
         fan = getattr(part_fan, "fan", None)
         if fan is not None and tuple(fan.changes) != self._changes:
             self._changes = tuple(fan.changes)
-            self.fan = Schedule(*zip(*sorted(self._changes), strict=True))
+            changes = sorted(self._changes)
+            self.fan = Schedule(tuple(at for at, _ in changes), tuple(speed for _, speed in changes))
         return True
 
     def _flow(self, now_s: float) -> Schedule:

@@ -85,7 +85,8 @@ def _with_draws(figures: Mapping[str, dict[str, Any]], point: Mapping[str, Any])
     """Figures with the values that their formulas have at this point."""
     draws = draws_of(point)
     return {
-        name: figure | {key: evaluate(f"{{{str(figure[key]).strip('{}')}}}", draws) for key in FORMULAS if figure.get(key)}
+        name: figure
+        | {key: evaluate(f"{{{str(figure[key]).strip('{}')}}}", draws) for key in FORMULAS if figure.get(key)}
         for name, figure in figures.items()
     }
 

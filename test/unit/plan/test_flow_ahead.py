@@ -1,4 +1,4 @@
-"""What the control law of an induction nozzle is told to come: the part fan at the time of its change."""
+"""What the control law of an induction nozzle knows ahead: the part fan at the time of its change."""
 
 from __future__ import annotations
 
