@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer deb test test-browser test-flash check format bench bench-plan bench-control bench-disturbance bench-machines bench-studies soak soak-motion soak-api fuzz mutants clean distclean
+.PHONY: help setup setup-test sim chelper demo printer deb test test-browser test-flash check format bench bench-plan bench-control bench-disturbance bench-machines bench-clog bench-studies soak soak-motion soak-api fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -34,6 +34,7 @@ help:
 	@echo "make bench-recovery     where an interrupted print would be resumed, at 1,000 instants"
 	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it (studies)"
 	@echo "make bench-machines     1,000 drifting machines, calibrated and printing for 20 minutes (a study; RUNS=20: 40; QUICK=1)"
+	@echo "make bench-clog         clogs, runouts, grinding and clean prints on random machines (studies; RUNS=4: fewer; QUICK=1)"
 	@echo "make bench-studies      the studies of config/studies: random machines, calibrated machines, the sample"
 	@echo "make soak               a long print in closed loop: does it leak? (HOURS=10, hours of wall time, too)"
 	@echo "make soak-api           clients that misbehave beside a print, one thing a simulated second (HOURS=24)"
@@ -96,13 +97,14 @@ STUDIES_bench-control := control control_machines
 STUDIES_bench-disturbance := disturbance
 STUDIES_bench-plan    := plan_prints plan_steps
 STUDIES_bench-machines := bench_machines
+STUDIES_bench-clog    := clog lost_flow clean_prints
 STUDIES_bench-studies := machines calibrated sample_print real
 BESIDE_bench-control  = $(PYTHON) scripts/bench/bench_control.py --json $(OUT)/bench/control.json $(if $(QUICK),--quick)
 BESIDE_bench-plan     = $(PYTHON) scripts/bench/bench_plan.py --json $(OUT)/bench/plan.json && \
     $(PYTHON) scripts/bench/bench_plan_cost.py --memory benchy.gcode && \
     $(PYTHON) scripts/bench/bench_plan_cost.py --real-time 30
 
-bench-control bench-disturbance bench-plan bench-machines bench-studies: setup sim chelper
+bench-control bench-plan bench-machines bench-clog bench-studies: setup sim chelper
 	@scripts/setup.sh study
 	@status=0; for study in $(STUDIES_$@); do \
 	    $(PYTHON) scripts/study.py config/studies/$$study.toml --out $(OUT)/studies/$$study $(if $(QUICK),--small) $(if $(RUNS),--runs $(RUNS)) || status=1; \

@@ -15,6 +15,7 @@ from gcode import CommandError, GCodeDispatch
 _FIRST_WORD = re.compile(r"\s*(?:[nN][0-9]+\s*)?([A-Za-z_]\w*)")
 _EMERGENCY = re.compile(r"^(?:[nN][0-9]+)?\s*[mM]112(?:\s|$|\*)")
 _READ_SIZE = 4096
+_PRINT_POLL_S = 0.01
 _PENDING_LIMIT = 20  # lines waiting before reading stops, so that the sender feels it
 
 
@@ -145,9 +146,16 @@ class GCodeIO:
             self._handle = None
         if self._runner is not None:
             return
+        self._wait_for_print()
         with self.gcode.get_mutex():
             if not self.printer.is_exiting():
                 self.gcode.request_restart("exit")
+
+    def _wait_for_print(self) -> None:
+        """A file that the input has started is printed to its end."""
+        card = self.printer.lookup_object("virtual_sdcard", None)
+        while card is not None and card.is_active() and not self.printer.is_exiting():
+            self.reactor.pause(self.reactor.monotonic() + _PRINT_POLL_S)
 
     def _run_waiting(self) -> None:
         me = self._runner = greenlet.getcurrent()

@@ -171,6 +171,23 @@ class VelocityLimited:
         """(mm/s, mm/s^2)."""
         return self.max_velocity, self.max_accel
 
+    def set_max_velocities(
+        self,
+        max_velocity: float | None,
+        max_accel: float | None,
+        square_corner_velocity: float | None,
+        min_cruise_ratio: float | None,
+    ) -> tuple[float, float, float, float]:
+        """Plugins change limits so (None: keep); returns those in force."""
+        given = {
+            "velocity": max_velocity,
+            "accel": max_accel,
+            "corner_velocity": square_corner_velocity,
+            "cruise_ratio": min_cruise_ratio,
+        }
+        new = self._change_limits({name: value for name, value in given.items() if value is not None})
+        return new.velocity, new.accel, new.corner_velocity, new.cruise_ratio
+
     def cmd_M204(self, gcmd: Any) -> None:
         """M204 S<accel>, or P<print> T<travel>."""
         self._change_limits(parse_m204(gcmd))

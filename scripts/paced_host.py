@@ -106,6 +106,7 @@ class PacedHost:
         start_args["open_port"] = self._open_port
         start_args["simulator_parameters"] = world_module.parameter_tables()
         start_args["inject_fault"] = self._inject
+        start_args["panels"] = lambda: self._machine.panels if self._machine else {}
         self._injector: Injector | None = None
         self._world = World(seed)
         self._inner = SimTime(self._world)

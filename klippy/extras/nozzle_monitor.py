@@ -20,6 +20,7 @@ from thermal.records import TempEstimate
 from thermal.sensing import flow_monitor
 from vibration import mount_witness, nozzle_condition
 
+from .accelerometer import mount_calibrate
 from .accelerometer.axes import axis_number
 from .accelerometer.mount import MountVibration
 
@@ -253,33 +254,60 @@ class NozzleMonitor:
         gcmd.respond_info("\n".join(lines))
 
     def cmd_NOZZLE_MONITOR_CALIBRATE(self, gcmd: GCodeCommand) -> None:
-        """What was extruded so far, with a nozzle known to be clear, becomes the measure."""
+        """The nozzle is clear: find the mount's resonance, and keep the heat of what was extruded so far."""
+        if self._vibration is not None:
+            self._calibrate_vibration(gcmd, self._vibration)
         status = self.get_status(self._reactor.monotonic())
-        p, state = self._parameters, self._state
-        sigma = status["heat_gain_sigma"]
-        if (
-            p is None
-            or state is None
-            or status["condition"] != flow_monitor.CLEAR
-            or sigma > CALIBRATED_SIGMA
-        ):
+        p, sigma = self._parameters, status["heat_gain_sigma"]
+        heat, _ = self._witnesses()
+        if p is not None and heat.condition() == flow_monitor.CLEAR and sigma <= CALIBRATED_SIGMA:
+            gain = status["heat_gain"]
+            self._options |= {"gain": gain, "gain_sigma": CALIBRATED_SIGMA}
+            self._parameters = replace(p, gain=gain, gain_sigma=CALIBRATED_SIGMA)
+            self.printer.lookup_object("configfile").set("nozzle_monitor", "heat_gain", f"{gain:.4f}")
+            gcmd.respond_info(
+                f"The melt takes {gain:.3f} times the heat of the model (+- {sigma:.3f}). SAVE_CONFIG keeps it."
+            )
+        elif self._vibration is None:
             raise gcmd.error(
                 "NOZZLE_MONITOR_CALIBRATE: too little was extruded; print for a minute or two with a clear nozzle and"
                 " filament that is fed well, then repeat"
             )
-        gain = status["heat_gain"]
-        self._options |= {"gain": gain, "gain_sigma": CALIBRATED_SIGMA}
-        self._parameters = replace(p, gain=gain, gain_sigma=CALIBRATED_SIGMA)
-        self.printer.lookup_object("configfile").set("nozzle_monitor", "heat_gain", f"{gain:.4f}")
-        gcmd.respond_info(
-            f"The melt takes {gain:.3f} times the heat of the model (+- {sigma:.3f}). SAVE_CONFIG keeps it."
+
+    def _calibrate_vibration(self, gcmd: GCodeCommand, vibration: MountVibration) -> None:
+        found = mount_calibrate.measure(self.printer, gcmd, vibration, self._extruder, self._temp_c)
+        values = {
+            "mount_frequency": f"{found.frequency_hz:.2f}",
+            "mount_quality": f"{found.quality:.1f}",
+            "mount_amplitude": f"{found.amplitude_m_s2:.4f}",
+            "flow_exponent": f"{found.flow_exponent:.3f}",
+        }
+        vibration.apply(
+            replace(
+                vibration.parameters,
+                frequency_hz=found.frequency_hz,
+                quality=found.quality,
+                amplitude_m_s2=found.amplitude_m_s2,
+                flow_exponent=found.flow_exponent,
+            )
         )
+        configfile = self.printer.lookup_object("configfile")
+        for option, value in values.items():
+            configfile.set("nozzle_monitor", option, value)
+        lines = [f"The mount rings at {found.frequency_hz:.1f} Hz, quality {found.quality:.0f}."]
+        lines.append(
+            f"Amplitude {found.amplitude_m_s2:.3f} m/s2 at 5 mm3/s and 210 C, flow exponent {found.flow_exponent:.2f};"
+            f" noise {found.noise_m_s2:.3f} m/s2."
+        )
+        if found.weakest_m_s2 < 3.0 * found.noise_m_s2:
+            lines.append("At the smallest flow the vibration is weak: slow extrusion will not be judged.")
+        gcmd.respond_info("\n".join([*lines, "SAVE_CONFIG keeps it."]))
 
 
 def _load_vibration(config: ConfigWrapper, options: dict[str, Any]) -> MountVibration | None:
     """The witness of an accelerometer, if there is one."""
     printer = config.get_printer()
-    section = config.get("accel_chip", None)
+    section = config.get("accel_chip", "")
     frequency_hz, quality, exponent = config.getchoice("mount", MOUNTS, "direct")
     frequency_hz = config.getfloat("mount_frequency", frequency_hz, minval=5.0, maxval=1000.0)
     hole_mm = config.getfloat("nozzle_diameter", 0.4, minval=0.1, maxval=2.0)
@@ -296,7 +324,7 @@ def _load_vibration(config: ConfigWrapper, options: dict[str, Any]) -> MountVibr
     )
     axis = axis_number(config, "mount_axis", "z")
     notches = config.getlists("notch_frequencies", [], parser=float)
-    if section is None:
+    if not section:
         return None
     respond = printer.lookup_object("gcode").respond_info
     return MountVibration(printer, section, axis, parameters, notches, lambda text: respond(text, log=True))
@@ -309,6 +337,7 @@ def load_config(config: ConfigWrapper) -> NozzleMonitor:
         "false_alarm_s": 3600.0 * config.getfloat("false_alarm_hours", 100.0, minval=1.0, maxval=1e6),
         "noise_w_s": config.getfloat("heat_noise", 0.15, minval=0.01, maxval=10.0),
     }
+    options["has_other"] = bool(config.get("accel_chip", ""))
     gain = config.getfloat("heat_gain", None, minval=0.5, maxval=2.0)
     if gain is not None:
         options |= {"gain": gain, "gain_sigma": CALIBRATED_SIGMA}

@@ -10,6 +10,7 @@
     [simulator fan NAME]        a fan
     [simulator probe]           the bed's surface, and the probe that looks for it
     [simulator frame]           ringing of the axes X and Y
+    [simulator panel SECTION]   the display of section [SECTION] ("display", "display second")
     [simulator accelerometer NAME]   the accelerometer of section [NAME] ("adxl345", "lis2dw bed"), on that frame
 
 These describe the machine as it *is*; the other sections say what the host assumes. Whatever is left out
@@ -39,6 +40,7 @@ TRACE_RATE_HZ = 100.0
 LINE_BAUD = 250000.0
 LINE_LATENCY_S = 0.0005  # a USB serial adapter's turn-round, both directions alike
 FAN_SPIN_UP_S = 0.2
+PANEL_READ_S = 5.0
 CHIP_TEMP_C = 40.0  # a room of 25 C and what the chip's own losses add on a small board
 FILAMENT_DIAMETER_MM = 1.75
 SUPPLY_DELAY_S = 0.001  # a solid-state switch; a relay takes 15 ms
@@ -206,6 +208,13 @@ class FrameSettings:
     frequency_hz: tuple[float, float]
     damping_ratio: tuple[float, float]
     motor_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class PanelSettings:
+    """[simulator panel SECTION]"""
+
+    name: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -451,6 +460,7 @@ _READERS: dict[str, Callable[[Any, str], Any]] = {
     "frame": _read_frame,
     "mount": _read_mount,
     "accelerometer": _read_accelerometer,
+    "panel": lambda config, name: PanelSettings(name),
 }
 
 
@@ -487,6 +497,53 @@ class LiveFaults:
         gcmd.respond_info(f"Fault injected: {name} {argument}".rstrip())
 
 
+class LivePanel:
+    """SIMULATOR_PANEL [PANEL=SECTION] [TURN=n] [PRESS=key] [PICTURE=file], where machine and host are one process."""
+
+    def __init__(self, printer: Any, name: str) -> None:
+        self.printer, self.name = printer, name
+        self._panels = printer.get_start_args().get("panels")
+        if self._panels is not None:
+            self._reactor = printer.get_reactor()
+            self._reactor.register_timer(self._read, self._reactor.NOW)
+
+    def register(self) -> None:
+        gcode = self.printer.lookup_object("gcode")
+        for value in (self.name, None) if self.name == "display" else (self.name,):
+            gcode.register_mux_command(
+                "SIMULATOR_PANEL",
+                "PANEL",
+                value,
+                self.cmd_SIMULATOR_PANEL,
+                desc="Knob, buttons and picture of a simulated display",
+            )
+
+    def _read(self, eventtime: float) -> float:
+        """What the display is sent is kept for some seconds only."""
+        if self.name in (panels := self._panels()):
+            panels[self.name].read()
+        return eventtime + PANEL_READ_S
+
+    def cmd_SIMULATOR_PANEL(self, gcmd: Any) -> None:
+        if self._panels is None:
+            raise gcmd.error(
+                "SIMULATOR_PANEL: the machine is not in this process; start both with scripts/run_printer.py without"
+                " --separate."
+            )
+        panel = self._panels()[self.name]
+        detents, key, path = gcmd.get_int("TURN", 0), gcmd.get("PRESS", None), gcmd.get("PICTURE", None)
+        try:
+            for wait_s in itertools.chain(
+                panel.turn(detents) if detents else (), panel.press(key) if key else ()
+            ):
+                self._reactor.pause(self._reactor.monotonic() + wait_s)
+            if path is not None:
+                panel.save_picture(path)
+                gcmd.respond_info(f"Picture of '{self.name}': {path}")
+        except (ValueError, OSError) as e:
+            raise gcmd.error(f"SIMULATOR_PANEL: {e}") from None
+
+
 def read_settings(config: ConfigWrapper) -> SimulatorSettings:
     """Options of [simulator]."""
     return SimulatorSettings(
@@ -513,4 +570,6 @@ def load_config_prefix(config: ConfigWrapper) -> SimulatorSection:
         )
     if not name.strip() and kind not in ("mcu", "probe", "frame"):
         raise config.error(f"Section '{config.get_name()}' needs a name: [simulator {kind} NAME].")
+    if kind == "panel":
+        LivePanel(config.get_printer(), name.strip()).register()
     return SimulatorSection(reader(config, name.strip()))

@@ -264,16 +264,22 @@ class CarriageKinematics(BoxKinematics):
         self._update_limits()
 
     def set_modes(
-        self, group: CarriageGroup, active: Carriage, followers: Mapping[Carriage, str] | None = None
+        self,
+        group: CarriageGroup,
+        active: Carriage,
+        followers: Mapping[Carriage, str] | None = None,
+        shares: Mapping[Carriage, float] | None = None,
     ) -> None:
-        """From now on `active` executes the axis' moves, the followers copy or mirror them, the others rest."""
+        """From now on `active` executes the axis' moves, the followers copy or mirror them, the others rest; or they go
+        the given share of each way, for a move whose ends are known to be good for them."""
         toolhead = self.toolhead
         toolhead.flush_step_generation()
         position = toolhead.get_position()
         here = {c: c.place(position[group.axis]) for c in group.carriages}
         for carriage in group.carriages:
             carriage.mode = PRIMARY if carriage is active else (followers or {}).get(carriage, INACTIVE)
-            carriage.scale = {PRIMARY: 1.0, INACTIVE: 0.0, COPY: 1.0, MIRROR: -1.0}[carriage.mode]
+            resting = (shares or {}).get(carriage, 0.0)
+            carriage.scale = {PRIMARY: 1.0, INACTIVE: resting, COPY: 1.0, MIRROR: -1.0}[carriage.mode]
             carriage.offset = here[carriage] - carriage.scale * here[active]
         self._set_mixes()
         position[group.axis] = here[active]

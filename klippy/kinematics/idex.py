@@ -128,24 +128,22 @@ class DualCarriages:
             self.kin.set_modes(group, active, followers)
 
     def _move_back(self, group: CarriageGroup, saved: SavedGroup, speed: float | None) -> None:
-        """Each carriage to its place; first one whose way is clear of the others."""
-        way = [
-            (c, place)
+        """All carriages to their places at once: the one with the longest way leads, the others go their share."""
+        position = self.kin.toolhead.get_position()[group.axis]
+        ways = {
+            c: place - c.place(position)
             for c, place in zip(group.carriages, saved.places, strict=True)
             if place is not None and c.homed
-        ]
-        while way:
-            carriage, place = next((step for step in way if self._is_clear(group, *step)), way[0])
-            way.remove((carriage, place))
-            self.kin.set_modes(group, carriage)
-            target: list[float | None] = [None] * 3
-            target[group.axis] = place
-            self.kin.toolhead.manual_move(target, speed or carriage.rail.get_homing_info().speed)
-
-    def _is_clear(self, group: CarriageGroup, carriage: Carriage, place: float) -> bool:
-        self.kin.set_modes(group, carriage)
-        low, high = group.limits()
-        return low <= place <= high
+        }
+        lead = max(ways, key=lambda c: abs(ways[c]), default=None)
+        if lead is None or not ways[lead]:
+            return
+        target: list[float | None] = [None] * 3
+        target[group.axis] = lead.place(position) + ways[lead]
+        self.kin.set_modes(
+            group, lead, shares={c: way / ways[lead] for c, way in ways.items() if c is not lead}
+        )
+        self.kin.toolhead.manual_move(target, speed or lead.rail.get_homing_info().speed)
 
 
 def _rail(config: Any, name: str) -> stepper.GenericPrinterRail:

@@ -28,12 +28,14 @@ from extras.simulator import (
     McuSettings,
     MountSettings,
     NozzleSettings,
+    PanelSettings,
     ProbeSettings,
     ReferenceSettings,
     SimulatorSettings,
 )
 
 from .builds import Build, make_build
+from .panel.simulated import SimulatedPanel, add_panel
 from .world import Pin, World, WorldError, parameter_values
 
 Config = Mapping[str, Mapping[str, str]]
@@ -49,6 +51,7 @@ Settings = (
     | FrameSettings
     | MountSettings
     | AccelerometerSettings
+    | PanelSettings
 )
 _T = TypeVar("_T")
 
@@ -83,6 +86,7 @@ class Machine:
     recording: SimulatorSettings = field(default_factory=SimulatorSettings)
     nozzle_mcus: list[int] = field(default_factory=list)  # of each nozzle
     accelerometers: dict[str, int] = field(default_factory=dict)
+    panels: dict[str, SimulatedPanel] = field(default_factory=dict)  # by the host's section
 
 
 def assemble(
@@ -106,6 +110,8 @@ def assemble(
         world.add_frame(frame.frequency_hz, frame.damping_ratio, frame.motor_hz)
     for accelerometer in _of(things, AccelerometerSettings):
         machine.accelerometers[accelerometer.name] = _add_accelerometer(machine, accelerometer, config)
+    panels = _of(things, PanelSettings)
+    machine.panels.update({panel.name: _add_panel(machine, panel, config) for panel in panels})
     for probe in _of(things, ProbeSettings):
         machine.probes[probe.name] = _add_probe(machine, probe, config)
     for fan in _of(things, FanSettings):
@@ -255,6 +261,24 @@ def _add_accelerometer(machine: Machine, settings: AccelerometerSettings, config
         -1.0 if settings.noise_ug is None else settings.noise_ug,
         settings.rate_error,
         settings.fault,
+    )
+
+
+# --- displays ---
+
+
+def _add_panel(machine: Machine, settings: PanelSettings, config: Config) -> SimulatedPanel:
+    where = f"simulator panel {settings.name}"
+    host = config.get(settings.name)
+    if host is None:
+        raise WorldError(f"Section '{where}' needs a section '{settings.name}' that it belongs to.")
+    i2c_mcu = _index(machine.mcus, host.get("i2c_mcu", "mcu"), "mcu", where)
+    return add_panel(
+        machine.world,
+        settings.name,
+        host,
+        lambda text: parse_pin(text, machine, f"Section '{where}'"),
+        i2c_mcu,
     )
 
 

@@ -146,6 +146,7 @@ class Simulation:
             "output_folder": str(OUTPUT_FOLDER),  # without a log
             "software_version": "simulation",
             "is_simulated": True,
+            "panels": lambda: self.machine.panels if self.machine else {},
             "inject_fault": lambda text: self.injector.now(text) if self.injector else "no machine yet",
             "cpu_info": "simulated time",
         }

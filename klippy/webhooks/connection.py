@@ -212,7 +212,7 @@ class ClientConnection:
         try:
             content = json.loads(message)
         except (ValueError, RecursionError) as e:
-            self._refuse(None, f"Request is not valid JSON: {e}")
+            logging.info("A request that is not JSON is ignored: %s", e)
             return
         if not isinstance(content, dict):
             self._refuse(None, "Request is not a JSON object")

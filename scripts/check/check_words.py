@@ -60,7 +60,7 @@ DOCUMENTED: tuple[tuple[str, str], ...] = (
         r"fad(?:es?|ed|ing)",
         """klippy/extras/bed_mesh klippy/extras/probing/surface_fit.py klippy/chelper/motion/path_stage.c
         klippy/chelper/motion/path_stage.h config/example-probe.cfg test/klippy/bed_mesh.test
-        test/loop/test_bed_mesh.py test/unit/motion/test_meshmath.py""",
+        test/loop/test_bed_mesh.py test/unit/motion/test_meshmath.py scripts/check/klipper_options.py""",
     ),
     (r"practical", "klippy/configtext.py test/unit/host/test_configfile.py"),
 )

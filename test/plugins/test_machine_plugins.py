@@ -99,6 +99,7 @@ def test_plugins_with_machines_of_their_own(tmp_path: Path, dropped: bool) -> No
     assert status == 0, log[-3000:]
     assert "Traceback" not in log
     assert "panel of Ferrite ['0.000003', '0.000003', '0.000003']" in log
+    assert "accel 3000 1500 3000 corner 4" in log
     assert "clean wiper, probed 0.00" in log
     # selector, drive, extruder: the extruder's motor turns with the drive while they are joined
     assert "rack homed ['stepper_selector']: 0.00 0.00 0.00 idle True" in log

@@ -107,6 +107,93 @@ probe_count: 3
 """
 
 
+EDDY = """
+class Session:
+    def __init__(self, probe):
+        self.probe, self.marks = probe, []
+
+    def run_probe(self, gcmd):
+        place = self.probe.toolhead().get_position()
+        self.probe.toolhead().register_lookahead_callback(lambda time: self.marks.append((time, place)))
+
+    def pull_probed_results(self):
+        self.probe.toolhead().get_last_move_time()
+        times = [time for time, _place in self.marks]
+        gaps = [after - before for before, after in zip(times, times[1:])]
+        columns = [0.0, *(p[0] for _time, p in self.marks)]
+        turns = sorted(set(round(x, 3) for x, _y in self.probe.ends if x not in columns))
+        self.probe.printer.lookup_object("gcode").respond_info(
+            "%d points, %.2f s apart at most, turns at %s" % (len(times), max(gaps, default=0), turns))
+        return [[p[0], p[1], 2.0 + p[0] / 1000] for _time, p in self.marks[: self.probe.keep]]
+
+    def end_probe_session(self):
+        pass
+
+
+class Eddy:
+    def __init__(self, config):
+        self.printer = config.get_printer()
+        self.printer.add_object("probe", self)
+        self.printer.lookup_object("gcode").register_command("EDDY_KEEP", self.cmd_EDDY_KEEP)
+        self.printer.register_event_handler("klippy:ready", self.ready)
+        self.keep, self.ends = None, []
+
+    def toolhead(self):
+        return self.printer.lookup_object("toolhead")
+
+    def ready(self):
+        self.toolhead().register_move_listener(lambda moves: self.ends.extend(m.end_pos[:2] for m in moves))
+
+    def cmd_EDDY_KEEP(self, gcmd):
+        self.keep, self.ends = gcmd.get_int("COUNT"), []
+
+    def get_status(self, eventtime):
+        return {"name": "probe_eddy_current coil"}
+
+    def get_probe_params(self, gcmd=None):
+        return {"lift_speed": 5.0}
+
+    def get_offsets(self, gcmd=None):
+        return 0.0, 0.0, 2.0
+
+    def start_probe_session(self, gcmd):
+        return Session(self)
+
+
+def load_config(config):
+    return Eddy(config)
+"""
+EDDY_CONFIG = """
+[include {root}/config/example-cartesian.cfg]
+[plugins]
+path: {folder}
+[eddy]
+[bed_mesh]
+mesh_min: 10, 10
+mesh_max: 150, 100
+probe_count: 4, 3
+horizontal_move_z: 3
+scan_overshoot: 8
+speed: 100
+"""
+
+
+def test_a_bed_is_scanned_without_a_stop(tmp_path: Path) -> None:
+    """At 100 mm/s, 47 mm between points; between rows the head goes 8 mm on and comes back."""
+    (tmp_path / "plugins").mkdir()
+    (tmp_path / "plugins" / "eddy.py").write_text(EDDY)
+    config = EDDY_CONFIG.format(root=ROOT, folder=tmp_path / "plugins")
+    scan = "BED_MESH_CALIBRATE METHOD="
+    script = f"G28\nEDDY_KEEP COUNT=12\n{scan}rapid_scan\nBED_MESH_MAP\n{scan}scan\n"
+    status, log = run_host(tmp_path, ROOT / "klippy", config, script)
+    assert status == 0, log[-3000:]
+    assert "12 points, 0.67 s apart at most, turns at [2.0, 158.0]" in log
+    assert log.count("Mesh Bed Leveling Complete") == 2
+    assert "0.010000, 0.056667, 0.103333, 0.150000" in log
+    status, log = run_host(tmp_path, ROOT / "klippy", config, script.replace("COUNT=12", "COUNT=11"))
+    assert status != 0 and "The probe measured 11 of 12 points" in log
+
+
 def test_plugins_with_drivers_meshes_and_sessions(tmp_path: Path) -> None:
     folder = tmp_path / "plugins"
     folder.mkdir()

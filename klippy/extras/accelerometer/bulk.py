@@ -27,16 +27,24 @@ RawHandler = Callable[[int, bytes], None]
 
 
 class SampleClock:
-    """The line from sample numbers to MCU clock (64 bits)."""
+    """The line from sample numbers to MCU clock (64 bits). Sums of whole numbers: exact, however long it runs."""
 
     def __init__(self, nominal_ticks: float) -> None:
         self._nominal = nominal_ticks
-        self._points: deque[tuple[float, float]] = deque(maxlen=POINTS_MAX)
+        self._points: deque[tuple[int, int]] = deque()
+        self._sums = [0, 0, 0, 0]  # of n, clock, n^2, n clock
         self._line: tuple[float, float] | None = None
 
-    def add(self, taken: int, clock: float) -> None:
+    def add(self, taken: int, clock: int) -> None:
         self._points.append((taken, clock))
+        self._count(taken, clock, 1)
+        if len(self._points) > POINTS_MAX:
+            self._count(*self._points.popleft(), -1)
         self._line = None
+
+    def _count(self, n: int, clock: int, sign: int) -> None:
+        for place, value in enumerate((n, clock, n * n, n * clock)):
+            self._sums[place] += sign * value
 
     def line(self) -> tuple[float, float]:
         """(clock of sample 0, ticks a sample)."""
@@ -45,14 +53,13 @@ class SampleClock:
         return self._line
 
     def _fit(self) -> tuple[float, float]:
-        points = self._points
-        mean_n = sum(n for n, _ in points) / len(points)
-        mean_clock = sum(clock for _, clock in points) / len(points)
-        spread = sum((n - mean_n) ** 2 for n, _ in points)
+        count = len(self._points)
+        n, clock, squares, products = self._sums
+        spread = count * squares - n * n
         slope = self._nominal
-        if len(points) > 2 and spread > 0.0:
-            slope = sum((n - mean_n) * (clock - mean_clock) for n, clock in points) / spread
-        return mean_clock + (0.5 - mean_n) * slope, slope
+        if count > 2 and spread > 0:
+            slope = (count * products - n * clock) / spread
+        return clock / count + (0.5 - n / count) * slope, slope
 
 
 class BulkReader:

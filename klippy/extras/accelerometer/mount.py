@@ -17,7 +17,7 @@ from vibration import mount_witness
 from vibration.band_meter import BandMeter, SampleFormat, design
 
 WINDOW_S = 0.05
-PERIOD_S = 0.5  # between looks at the samples
+PERIOD_S = 1.0  # between looks at the samples
 SETTLE_LAGS = 6.0  # of the mount, until the filters have forgotten a gap
 RATE_CHANGE = 0.002  # of the chip's clock, until the filters are designed anew
 GRAVITY_M_S2 = 9.80665
@@ -60,8 +60,9 @@ class MountVibration:
         self.temp_c: Callable[[], float] = lambda: math.nan
         self.fed_mm3: Callable[[float], float] = lambda print_time: 0.0
         self.recording: list[mount_witness.MountWindow] | None = None
-        self._section, self._axis, self._notches, self._report = section, axis, notches, report
-        self._sensor: Any = None
+        self.axis = axis
+        self._section, self._notches, self._report = section, notches, report
+        self.sensor: Any = None
         self._meter: Any = None
         self._rate_hz = 0.0
         self._motors: list[tuple[Any, float]] = []  # with full steps a step
@@ -73,13 +74,13 @@ class MountVibration:
 
     def connect(self, where: str) -> None:
         """Raises the printer's config_error if there is no such accelerometer."""
-        self._sensor = self.printer.lookup_object(self._section, None)
-        if not hasattr(self._sensor, "add_raw_client"):
+        self.sensor = self.printer.lookup_object(self._section, None)
+        if not hasattr(self.sensor, "add_raw_client"):
             raise self.printer.config_error(
                 f"Option 'accel_chip' in section 'nozzle_monitor' ({where}): '{self._section}' is not the section of an"
                 " accelerometer, such as adxl345."
             )
-        rate, highest = self._sensor.rate, self.parameters.frequency_hz + self.parameters.width_hz
+        rate, highest = self.sensor.rate, self.parameters.frequency_hz + self.parameters.width_hz
         if rate < RATE_MIN * highest:
             raise self.printer.config_error(
                 f"Section 'nozzle_monitor' ({where}): [{self._section}] takes {rate} samples a second; a mount of"
@@ -94,21 +95,21 @@ class MountVibration:
         reactor.register_callback(self._begin, reactor.monotonic() + START_S)
 
     def _begin(self, eventtime: float) -> None:
-        chip, p = self._sensor.chip, self.parameters
+        chip, p = self.sensor.chip, self.parameters
         weight = [0.0, 0.0, 0.0]
-        along = self._sensor.axes[self._axis]
+        along = self.sensor.axes[self.axis]
         weight[abs(along) - 1] = math.copysign(chip.mm_s2_per_count * 1e-3, along)
         clip = int(0.995 * chip.range_g * GRAVITY_M_S2 * 1e3 / chip.mm_s2_per_count)
         format_ = SampleFormat(
             chip.sample_bytes, chip.byte_order == "big", clip, (weight[0], weight[1], weight[2])
         )
-        rate = float(self._sensor.rate)
+        rate = float(self.sensor.rate)
         self._meter = BandMeter(
             format_, round(WINDOW_S * rate), round((SETTLE_LAGS * p.lag_s + SETTLED_RATE_S) * rate)
         )
         self._design(rate)
         try:
-            self._sensor.add_raw_client(self._take_message, self._on_batch, PERIOD_S)
+            self.sensor.add_raw_client(self._take_message, self._on_batch, PERIOD_S)
         except self.printer.command_error as e:
             self._fail(f"no answer: {e}")
 
@@ -117,6 +118,12 @@ class MountVibration:
         self._rate_hz = rate_hz
         notches = [(hz, 0.2 * hz) for hz in self._notches if abs(hz - p.frequency_hz) > 0.5 * p.width_hz]
         self._meter.set_sections(design(p.frequency_hz, p.width_hz, notches[:6], rate_hz))
+
+    def apply(self, parameters: mount_witness.MountParameters) -> None:
+        """Another mount, from the next sample on."""
+        self.parameters = parameters
+        self.state = mount_witness.start(parameters)
+        self._design(self._rate_hz)
 
     # --- samples ---
 
@@ -136,18 +143,18 @@ class MountVibration:
 
     def _on_batch(self, batch: dict[str, Any]) -> bool:
         waiting, self._waiting = self._waiting, []
-        rate_hz = self._sensor.rate_hz()
+        rate_hz = self.sensor.rate_hz()
         if abs(rate_hz / self._rate_hz - 1.0) > RATE_CHANGE:
             self._design(rate_hz)
         self._lost += batch["overflows"]
-        samples = round(WINDOW_S * self._sensor.rate)
+        samples = round(WINDOW_S * self.sensor.rate)
         for first, power, clipped, same, failures, settled, mean in waiting:
             self._look_up(mean)
             fault = self._find_fault(clipped / samples, same, failures)
             if fault != self.fault:
                 self._fail(fault) if fault else self._recover()
             if fault is None:
-                end_s = self._sensor.time_of(first + samples)
+                end_s = self.sensor.time_of(first + samples)
                 self._add(end_s, power if settled else math.nan)
         return True
 
@@ -212,8 +219,8 @@ class MountVibration:
 
     def _look_up(self, mean: Sequence[float]) -> None:
         """Where is gravity? Motion is no acceleration in the mean of some seconds."""
-        scale = self._sensor.chip.mm_s2_per_count * 1e-3
+        scale = self.sensor.chip.mm_s2_per_count * 1e-3
         self._seen_s += WINDOW_S
         share = WINDOW_S / min(self._seen_s, UP_S)
-        for place, axis in enumerate(self._sensor.axes):
+        for place, axis in enumerate(self.sensor.axes):
             self._up[place] += share * (math.copysign(scale, axis) * mean[abs(axis) - 1] - self._up[place])

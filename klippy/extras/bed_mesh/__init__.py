@@ -50,6 +50,7 @@ class BedMesh:
         self.profiles = profiles
         self.points = ProbePointsHelper(config, self._finish_probing, default_points=[])
         self.points.use_xy_offsets(True)
+        self.points.scan_overshoot = options.scan_overshoot
         self.profile_name = ""
         self.current: Profile | None = None
         self.surface: surface_fit.Surface | None = None
@@ -232,7 +233,7 @@ class BedMesh:
         return shape.plan(self.options.faulty, self.options.zero_reference)
 
     def cmd_BED_MESH_CALIBRATE(self, gcmd: GCodeCommand) -> None:
-        """BED_MESH_CALIBRATE [PROFILE=] [METHOD=automatic|manual] [ADAPTIVE=1 [ADAPTIVE_MARGIN=]] [MESH_MIN=x,y] ..."""
+        """BED_MESH_CALIBRATE [PROFILE=] [METHOD=automatic|manual|scan|rapid_scan] [ADAPTIVE=1] ..."""
         name = gcmd.get("PROFILE", "default")
         if not name.strip():
             raise gcmd.error("PROFILE needs a name")

@@ -28,6 +28,7 @@ class MeshOptions:
     fade_start: float
     fade_end: float
     fade_target: float | None
+    scan_overshoot: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,9 +88,6 @@ def _read_shape(config: ConfigWrapper) -> MeshShape:
 
 def read_options(config: ConfigWrapper) -> MeshOptions:
     start, end = config.getfloat("fade_start", 1.0), config.getfloat("fade_end", 0.0)
-    config.getfloat(
-        "scan_overshoot", None, minval=1.0
-    )  # of METHOD=rapid_scan, which no probe here can do yet
     zero = config.getfloatlist("zero_reference_position", None, count=2)
     return MeshOptions(
         _read_regions(config),
@@ -100,6 +98,7 @@ def read_options(config: ConfigWrapper) -> MeshOptions:
         start,
         end,
         config.getfloat("fade_target", None),
+        config.getfloat("scan_overshoot", 0.0, minval=1.0),
     )
 
 

@@ -220,7 +220,7 @@ class Menu:
         )
         label = self._templates.label(element, value)
         width = self._panel.columns - 1 - element.is_list
-        if is_selected and len(label) > width:
+        if is_selected and self._edited is None and len(label) > width:
             rest = len(label) - width
             label = label[min(rest, max(0, int((eventtime - self._moved_s - SCROLL_REST_S) / SCROLL_S))) :]
         cursor = (EDIT_CURSOR if self._edited is not None else CURSOR) if is_selected else " "

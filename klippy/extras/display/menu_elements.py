@@ -180,6 +180,6 @@ def files_of_card(printer: Any, ns: str) -> Iterator[Element]:
     if card is None:
         return
     for name, _ in card.get_file_list(check_subdirs=True):
-        start = Element("command", f"{ns} {name}", label="Start printing", is_back=False)
+        start = Element("command", f"{ns} {name} __start", label="Start printing")
         start.script = f"SDCARD_PRINT_FILE FILENAME={shlex.quote(name)}"
         yield Element("list", f"{ns} {name}", label=name, children=[start])

@@ -17,10 +17,10 @@ def _at_nozzle(result: Any) -> list[float]:
 class Series:
     """From the constructor to `end`."""
 
-    def __init__(self, probe: Any, gcmd: GCodeCommand) -> None:
+    def __init__(self, probe: Any, gcmd: GCodeCommand, in_session: bool = False) -> None:
         self._probe, self._gcmd = probe, gcmd
         self._session: Any = None
-        if hasattr(probe, "run_probe"):
+        if hasattr(probe, "run_probe") and not in_session:
             probe.multi_probe_begin()
         else:
             self._session = probe.start_probe_session(gcmd)
@@ -37,6 +37,31 @@ class Series:
             self._probe.multi_probe_end()
         else:
             self._session.end_probe_session()
+
+
+class Scan:
+    """Points that a probe measures while it passes them. It has sessions, whose `run_probe` only notes the place."""
+
+    def __init__(self, probe: Any, gcmd: GCodeCommand) -> None:
+        self._gcmd = gcmd
+        self._session = probe.start_probe_session(gcmd)
+
+    def note_point(self) -> None:
+        """The move queued last ends at a point."""
+        self._session.run_probe(self._gcmd)
+
+    def end(self) -> list[list[float]]:
+        """x, y of the nozzle and its height at the trigger (mm), of each point."""
+        results = [_at_nozzle(result) for result in self._session.pull_probed_results()]
+        self._session.end_probe_session()
+        return results
+
+
+def can_scan(probe: Any) -> bool:
+    """Whether a probe measures without touching, and while it moves."""
+    if probe is None or not hasattr(probe, "get_status") or not hasattr(probe, "start_probe_session"):
+        return False
+    return str(probe.get_status(0.0).get("name", "")).startswith("probe_eddy_current")
 
 
 def lift_speed_of(probe: Any, gcmd: GCodeCommand) -> float:

@@ -1,9 +1,10 @@
 """Sensor types of an induction nozzle's own figures, so that any front end charts them.
 
     [temperature_sensor melt]
-    sensor_type: induction_melt     # or induction_plan, induction_sigma, induction_drift, induction_power
+    sensor_type: induction_melt     # or another of FIGURES
 
-`heater` names the [induction_heater]; with one there it may be left out. induction_power reads in W, not degC.
+`heater` names the [induction_heater]; with one there it may be left out. Not all read in degC: induction_power is in W,
+nozzle_diameter in um, and nozzle_condition is the place of the condition in CONDITIONS.
 """
 
 from __future__ import annotations
@@ -41,12 +42,27 @@ def _field(name: str) -> Callable[[Printer, Any, float], float | None]:
     return read
 
 
+CONDITIONS = ("unknown", "clear", "restricted", "clogged", "no_filament")
+
+
+def _monitor(read: Callable[[dict[str, Any]], float | None]) -> Callable[[Printer, Any, float], float | None]:
+    """A figure of [nozzle_monitor]."""
+
+    def figure(printer: Printer, heater: Any, eventtime: float) -> float | None:
+        monitor = printer.lookup_object("nozzle_monitor", None)
+        return None if monitor is None else read(monitor.get_status(eventtime))
+
+    return figure
+
+
 FIGURES: dict[str, Callable[[Printer, Any, float], float | None]] = {
     "induction_melt": _melt,
     "induction_plan": _plan,
     "induction_sigma": _field("sigma"),
     "induction_drift": _field("drift"),
     "induction_power": _field("power_w"),
+    "nozzle_diameter": _monitor(lambda status: status["diameter"] and 1000.0 * status["diameter"]),
+    "nozzle_condition": _monitor(lambda status: float(CONDITIONS.index(status["condition"]))),
 }
 
 
@@ -86,6 +102,10 @@ class InductionFigure:
             asked = f"has no [induction_heater {name}]" if name else "needs the option 'heater'"
             raise self.printer.config_error(f"{self._where}: {self._figure} {asked} (known: {known}).")
         self._heater = nozzles[name]
+        if self._figure.startswith("nozzle_") and self.printer.lookup_object("nozzle_monitor", None) is None:
+            raise self.printer.config_error(
+                f"{self._where}: {self._figure} needs a section [nozzle_monitor]."
+            )
 
     def _start(self) -> None:
         if self.printer.get_start_args().get("debugoutput") is None:

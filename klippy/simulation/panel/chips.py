@@ -123,6 +123,14 @@ def _stamp(rows: Picture, left: int, top: int, width: int, bits: bytes | bytearr
             rows[top + y][left + x] = value >> 7 - x & 1
 
 
+# Of the generator's letters beyond ASCII: arrow, degree sign, full block
+_ROM_SHAPES = {
+    0x7E: [0x00, 0x20, 0x10, 0xF8, 0x10, 0x20, 0x00, 0x00],
+    0xDF: [0x60, 0x90, 0x90, 0x60, 0x00, 0x00, 0x00, 0x00],
+    0xFF: [0xF8] * 8,
+}
+
+
 class Hd44780:
     """Lines of `columns` letters, the third and fourth after the first two in memory."""
 
@@ -198,9 +206,7 @@ class Hd44780:
     def _shape(self, code: int) -> bytes | list[int]:
         if code < 0x10:
             return [row << 3 for row in self.glyphs[(code & 7) * 8 : (code & 7) * 8 + 8]]
-        if code == 0xFF:
-            return [0xF8] * 8
-        return font5x8.bitmap({0xDF: "°", 0x7E: "»"}.get(code, chr(code)))
+        return _ROM_SHAPES.get(code) or font5x8.bitmap(chr(code))
 
 
 @dataclass(frozen=True, slots=True)

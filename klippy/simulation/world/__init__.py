@@ -261,6 +261,31 @@ class World:
         number = _ACCELEROMETER_FAULTS.index(fault)
         self._index(self.lib.world_set_accelerometer_fault(self.pointer, accelerometer, number))
 
+    def add_panel(
+        self, bus: str, pins: Mapping[str, Pin], data: Sequence[Pin] = (), i2c: tuple[int, int] = (-1, 0)
+    ) -> int:
+        """`bus`: SERIAL, PARALLEL or I2C; `pins`: fields of struct world_panel_options. Returns its index."""
+        options = self.ffi.new("struct world_panel_options *")
+        options.bus = getattr(self.lib, f"WORLD_PANEL_{bus}")
+        for name in ("select", "clock", "is_data", "reset"):
+            setattr(options, name, self.pin(pins.get(name, Pin())))
+        for line in range(self.lib.WORLD_PANEL_LINES):
+            options.data[line] = self.pin(data[line] if line < len(data) else Pin())
+        options.i2c_mcu, options.i2c_address = i2c
+        return self._index(self.lib.world_add_panel(self.pointer, options))
+
+    def read_panel(self, panel: int) -> list[int]:
+        """Events of a display since the last call. Raises WorldError if some were lost."""
+        events: list[int] = []
+        buffer = self.ffi.new("uint16_t[4096]")
+        while count := self._index(self.lib.world_read_panel(self.pointer, panel, buffer, 4096)):
+            events += self.ffi.unpack(buffer, count)
+        return events
+
+    def set_input(self, pin: Pin, level: int) -> None:
+        """The level of a line that nothing else drives."""
+        self._index(self.lib.world_set_input(self.pointer, self.pin(pin), level))
+
     def bed_height(self, probe: int, x: float, y: float) -> float:
         """Height (mm) of the bed of probe number `probe`."""
         return float(self.lib.world_bed_height(self.pointer, probe, x, y))

@@ -197,6 +197,8 @@ void machine_pin_write(struct machine *m, int mcu, uint32_t number, uint8_t valu
         switch_edge(&m->nozzles[pin->target].supply_switch, value, now_s);
     else if (pin->role == PIN_SELECT)
         accelerometer_select(&m->accelerometers[pin->target], value);
+    else if (pin->role == PIN_PANEL)
+        panel_pin_changed(m, &m->panels[pin->target], mcu, number, value);
 }
 
 void machine_pwm_write(struct machine *m, int mcu, uint32_t number, double level, double now_s)

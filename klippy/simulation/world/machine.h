@@ -32,13 +32,15 @@ enum {
     MACHINE_REFERENCES = 4,
     MACHINE_PROBES = 4,
     MACHINE_ACCELEROMETERS = 4,
+    MACHINE_PANELS = 2,
+    MACHINE_PANEL_EVENTS = 1 << 16,
     NOZZLE_PROFILES = 16,
     PROFILE_POINTS = 32,
     MACHINE_DUTIES = MACHINE_FANS + MACHINE_LOADS,
 };
 
 enum pin_role { PIN_UNUSED, PIN_STEP, PIN_DUTY, PIN_SWITCH, PIN_THERMISTOR, PIN_REFERENCE, PIN_PROBE, PIN_CONTROL,
-                PIN_SUPPLY, PIN_ENABLE, PIN_SELECT };
+                PIN_SUPPLY, PIN_ENABLE, PIN_SELECT, PIN_PANEL };
 
 struct machine_pin {
     uint8_t role;   /* enum pin_role */
@@ -132,6 +134,15 @@ struct accelerometer {
     double next_s, last_s, last_rate[FRAME_AXES], last_mount_rate, frozen[3];
 };
 
+/* A display: what its chip has been sent and nobody has read yet, a ring. */
+struct panel {
+    struct world_panel_options options;
+    uint8_t shift, bits; /* of the byte under way */
+    int lost;            /* the ring was full */
+    uint32_t first, count;
+    uint16_t events[MACHINE_PANEL_EVENTS];
+};
+
 struct load {
     struct thermal_load thermal;
     struct feed feed;
@@ -150,13 +161,15 @@ struct machine {
     struct reference references[MACHINE_REFERENCES];
     struct probe probes[MACHINE_PROBES];
     struct accelerometer accelerometers[MACHINE_ACCELEROMETERS];
+    struct panel panels[MACHINE_PANELS];
     struct frame_axis frame[FRAME_AXES];
     int frame_of[FRAME_AXES]; /* indices of axes X and Y */
     int has_frame;
     struct mount mount;
     int has_mount, mount_nozzle, mount_axis; /* axis: 0 to 2 */
     double frame_s, frame_step_s; /* up to when it has been advanced */
-    int axis_count, duty_count, fan_count, nozzle_count, load_count, reference_count, probe_count, accelerometer_count;
+    int axis_count, duty_count, fan_count, nozzle_count, load_count, reference_count, probe_count;
+    int accelerometer_count, panel_count;
     int nozzle_of_mcu[MACHINE_MCUS]; /* index, -1 */
     double chip_temp_c[MACHINE_MCUS];
 };
@@ -170,6 +183,7 @@ int machine_add_probe(struct machine *m, const struct world_probe_options *optio
 int machine_add_frame(struct machine *m, const struct world_frame *options, double now_s);
 int machine_add_mount(struct machine *m, const struct world_mount *options, uint64_t seed);
 int machine_add_accelerometer(struct machine *m, const struct world_accelerometer_options *options, uint32_t seed);
+int machine_add_panel(struct machine *m, const struct world_panel_options *options);
 int machine_add_duty(struct machine *m, struct world_pin pin, double now_s);
 int machine_add_fan(struct machine *m, struct world_pin pin, double spin_up_s, double now_s);
 
@@ -188,6 +202,12 @@ void machine_reset_outputs(struct machine *m, int mcu, double now_s); /* the MCU
 /* `now_s` - the last tick = tick_s. */
 void machine_tick(struct machine *m, double now_s, double tick_s);
 
+int machine_set_input(struct machine *m, struct world_pin pin, int level);
+uint32_t machine_read_panel(struct machine *m, int panel, uint16_t *out, uint32_t capacity);
+
+void panel_pin_changed(const struct machine *m, struct panel *p, int mcu, uint32_t number, uint8_t value);
+void panels_spi(struct machine *m, int mcu, const uint8_t *data, uint32_t len);
+int panels_i2c(struct machine *m, int mcu, uint8_t address, const uint8_t *write, uint32_t write_len);
 double axis_position_mm(const struct axis *a);
 uint8_t probe_level(const struct machine *m, struct probe *p, double now_s);
 void probe_control(struct probe *p, uint8_t level, double now_s);

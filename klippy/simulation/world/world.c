@@ -161,6 +161,28 @@ int world_set_accelerometer_fault(struct world *w, int accelerometer, int fault)
     return 0;
 }
 
+int world_add_panel(struct world *w, const struct world_panel_options *options)
+{
+    int index = machine_add_panel(&w->machine, options);
+    return index >= 0 ? index : world_fail(w, "display: too many, or a pin that is out of range or something else's");
+}
+
+int world_read_panel(struct world *w, int panel, uint16_t *out, uint32_t capacity)
+{
+    if (panel < 0 || panel >= w->machine.panel_count)
+        return world_fail(w, "there is no such display");
+    if (w->machine.panels[panel].lost)
+        return world_fail(w, "a display has been sent more than is kept; nobody has read it");
+    return (int)machine_read_panel(&w->machine, panel, out, capacity);
+}
+
+int world_set_input(struct world *w, struct world_pin pin, int level)
+{
+    if (machine_set_input(&w->machine, pin, level))
+        return world_fail(w, "input: a pin that is out of range or something else's");
+    return 0;
+}
+
 double world_frame_place(const struct world *w, int axis)
 {
     const struct machine *m = &w->machine;

@@ -89,6 +89,20 @@ struct world_accelerometer_options {
     double rate_error; /* of its own clock: 0.01 is 1 % fast */
 };
 
+/* The lines of a display's chip; those not connected have mcu < 0. On SPI of the hardware clock and data are not. select:
+ * not inverted is active high. parallel: clock is E, data D4 to D7. */
+enum world_panel_bus { WORLD_PANEL_SERIAL, WORLD_PANEL_PARALLEL, WORLD_PANEL_I2C };
+enum { WORLD_PANEL_LINES = 4 };
+struct world_panel_options {
+    int bus;
+    struct world_pin select, clock, is_data, reset;
+    struct world_pin data[4];
+    int i2c_mcu, i2c_address;
+};
+
+/* What a display has been sent: bits 0 to 7 a byte (parallel: four lines), bit 8 the is_data line, bits 12 and 13 this. */
+enum world_panel_event { WORLD_PANEL_BYTE, WORLD_PANEL_SELECTED, WORLD_PANEL_RELEASED, WORLD_PANEL_RESET };
+
 enum world_axis_role { WORLD_AXIS_X, WORLD_AXIS_Y, WORLD_AXIS_Z, WORLD_AXIS_E, WORLD_AXIS_OTHER };
 
 struct world_axis_options {
@@ -173,6 +187,11 @@ int world_add_mount(struct world *w, const struct world_mount *options);
 int world_add_accelerometer(struct world *w, const struct world_accelerometer_options *options);
 /* May be set at any time. */
 int world_set_accelerometer_fault(struct world *w, int accelerometer, int fault);
+int world_add_panel(struct world *w, const struct world_panel_options *options);
+/* Events since the last call, the oldest first; returns how many. -1 if more have come in between than are kept. */
+int world_read_panel(struct world *w, int panel, uint16_t *out, uint32_t capacity);
+/* The level of a line that nothing else of the machine drives: a button, a knob. */
+int world_set_input(struct world *w, struct world_pin pin, int level);
 /* Place (mm) of the mass on axis 0 (X) or 1 (Y) of the frame; NAN without a frame. */
 double world_frame_place(const struct world *w, int axis);
 double world_bed_height(const struct world *w, int probe, double x, double y);

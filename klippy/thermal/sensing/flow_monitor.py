@@ -11,8 +11,8 @@ of the share `lost_share` of the flow, d = lost_share gain e (log-likelihood rat
     sum = max(0, sum + (-nu d - d^2/2)/S)                      alarm above h = ln(mean steps between false alarms)
 
 The bound is Lorden's (1971): with independent Gaussian noise the mean run to a false alarm is at least exp(h) steps.
-The same ratio with its sign turned ends an alarm. The ratio of another, independent witness is added. While the sum is
-above a quarter of h nothing is learned.
+The same ratio with its sign turned ends an alarm. The ratio of another, independent witness is added in a second sum;
+then h is greater by ln 2. While a sum is above a quarter of h nothing is learned.
 """
 
 from __future__ import annotations
@@ -52,10 +52,11 @@ class FlowMonitorParameters:
     fan_doubt_w: float = 0.1  # ... if it may be wrong by more than this
     ready_steps: int = 5  # with flow, before a condition is given
     all_share: float = 0.75  # so much lost is all of it
+    has_other: bool = False  # there is another witness: one sum with it, one without
 
     @property
     def threshold(self) -> float:
-        return math.log(self.false_alarm_s / self.step_s)
+        return math.log((1 + self.has_other) * self.false_alarm_s / self.step_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +99,9 @@ class FlowMonitorState:
     judged_from_s: float = -math.inf
     step: Step = field(default_factory=Step)
     flow_steps: int = 0
-    evidence: float = 0.0  # the sum of the test
+    evidence: float = 0.0  # the sum of the test, the greater one
+    alone: float = 0.0  # without the other witness
+    joint: float = 0.0
     weight: float = 0.0  # evidence for a loss since the sum was 0, and that times the missing share
     weighted_share: float = 0.0
     lost: bool = False
@@ -185,12 +188,14 @@ def _test(
     """Page's test, for a loss or for its end."""
     state.flow_steps += 1
     looked_for_w = p.lost_share * state.unknowns[0] * planned_j / lasts_s
-    ratio = (missing_j / lasts_s * looked_for_w - 0.5 * looked_for_w**2) / variance + other
+    ratio = (missing_j / lasts_s * looked_for_w - 0.5 * looked_for_w**2) / variance
     share = max(0.0, min(1.0, missing_j / (state.unknowns[0] * planned_j)))
     if state.lost:
         state.lost_share += LOST_WEIGHT * (share - state.lost_share)
-        ratio = -ratio
-    state.evidence = max(0.0, state.evidence + ratio)
+        ratio, other = -ratio, -other
+    state.alone = max(0.0, state.alone + ratio)
+    state.joint = max(0.0, state.joint + ratio + other)
+    state.evidence = max(state.alone, state.joint)
     if state.evidence == 0.0:
         state.weight = state.weighted_share = 0.0
         return
@@ -199,7 +204,7 @@ def _test(
     if state.evidence > p.threshold:
         state.lost = not state.lost
         state.lost_share = state.weighted_share / state.weight if state.lost else 0.0
-        state.evidence = state.weight = state.weighted_share = 0.0
+        state.evidence = state.alone = state.joint = state.weight = state.weighted_share = 0.0
 
 
 LOST_WEIGHT = 0.2  # of a step, in the share that is lost

@@ -31,6 +31,15 @@ class Panel:
         motors = self.printer.lookup_object("toolhead").get_kinematics().get_steppers()
         pulses = [f"{motor.get_pulse_duration()[0]:.6f}" for motor in motors]
         gcmd.respond_info(f"panel of {APP_NAME} {pulses}")
+        toolhead = self.printer.lookup_object("toolhead")
+        accel = toolhead.set_max_velocities(None, None, None, None)[1]
+        toolhead.set_max_velocities(None, 1500.0, 4.0, None)
+        status = toolhead.get_status(0.0)
+        toolhead.cmd_M204(
+            self.printer.lookup_object("gcode").create_gcode_command("M204", "M204", {"S": accel})
+        )
+        numbers = accel, status["max_accel"], toolhead.max_accel, status["square_corner_velocity"]
+        gcmd.respond_info("accel {:.0f} {:.0f} {:.0f} corner {:.0f}".format(*numbers))
 
 
 def load_config(config):

@@ -32,12 +32,8 @@ def alive(client: Client) -> bool:
 @pytest.mark.parametrize(
     ("raw", "words"),
     [
-        (b"not json\x03", "not valid JSON"),
-        (b"\xff\xfe\x00\x03", "not valid JSON"),
-        (b"\x03", "not valid JSON"),
         (b"[1, 2]\x03", "not a JSON object"),
         (b"7\x03", "not a JSON object"),
-        (b"[" * 100_000 + b"\x03", "not valid JSON"),
         (b'{"id": 1, "method": 5}\x03', "'method' must be a text"),
         (b'{"id": 1}\x03', "'method' must be a text"),
         (b'{"id": 1, "method": "info", "params": [1]}\x03', "'params' must be an object"),
@@ -63,6 +59,17 @@ def test_a_bad_request_is_answered_with_an_error(tmp_path: Path, raw: bytes, wor
         assert answer["error"]["error"] == "WebRequestError"
         assert words in answer["error"]["message"]
         assert alive(client)
+
+    with_client(tmp_path, config(tmp_path), body)
+
+
+@pytest.mark.parametrize(
+    "raw", [b"not json", b"\xff\xfe\x00", b"", b"[" * 100_000], ids=["text", "bytes", "empty", "deep"]
+)
+def test_what_is_not_json_is_ignored(tmp_path: Path, raw: bytes) -> None:
+    def body(client: Client) -> None:
+        client.send_raw(raw + b'\x03{"id": 6, "method": "info"}\x03')
+        assert client.receive()["id"] == 6
 
     with_client(tmp_path, config(tmp_path), body)
 

@@ -25,6 +25,19 @@ def test_a_hole_that_narrows_by_a_tenth_is_found_within_ten_seconds(simulate: Si
     assert 0.002 < sigma_mm < 0.015
 
 
+@pytest.mark.parametrize("share", [0.3813 / 0.4, 0.3659 / 0.4, 0.3454 / 0.4])
+def test_diameters_of_the_source_are_found_within_five_percent_in_a_prints_motion(
+    simulate: Simulate, share: float
+) -> None:
+    """Tlegenov 2018, Table 2, on a disc of short segments with retractions; the last 30 s."""
+    hole_mm = 0.4 * share
+    disc = (ROOT / "config" / "studies" / "disc.gcode").read_text()
+    run = simulate(disc, config=CONFIG, more=["--fault", f"clog:{hole_mm:.4f}@{BEGIN_S}", "--until", "110"])
+    assert run.status == 0, run.stderr
+    found = [row["diameter_mm"] for row in run.summary["nozzle_monitor"] if row["t_s"] > BEGIN_S + 25.0]
+    assert found and found == pytest.approx([hole_mm] * len(found), rel=0.05)
+
+
 @pytest.mark.parametrize("fault", ["grind:0.3", "runout"])
 def test_lost_filament_is_no_clog(simulate: Simulate, fault: str) -> None:
     run = simulate(square(ROUNDS), config=CONFIG, more=["--fault", f"{fault}@{BEGIN_S}"])

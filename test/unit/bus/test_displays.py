@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +13,7 @@ from bus_rig import BusSession, run
 from extras.display import font8x16
 from simulation.panel.chips import Hd44780, PageChip, Picture, St7920
 from simulation.panel.image import as_text
+from simulation.panel.wires import BYTE, RELEASED, SELECTED, shift_register, words
 
 SPI = "spi_software_sclk_pin: PC1\nspi_software_mosi_pin: PC2\nspi_software_miso_pin: PC3\n"
 LCDS = {
@@ -76,28 +76,6 @@ def config(lcd_type: str, more: str = "display_group: mine\n") -> str:
     return f"[display]\nlcd_type: {lcd_type}\n{LCDS[lcd_type]}{more}{SCREEN}"
 
 
-def shift_register(chip: Any) -> Callable[[int], None]:
-    """Outputs of the 74HC595 of a MightyBoard."""
-    before = 0
-
-    def latch(outputs: int) -> None:
-        nonlocal before
-        if before & ~outputs & 0x08:
-            chip.strobe(before >> 4, bool(before & 0x02))
-        before = outputs
-
-    return latch
-
-
-def take_words(chip: Hd44780, frame: bytes) -> None:
-    bits = int.from_bytes(frame, "big")
-    count, rest = divmod(8 * len(frame), 9)
-    assert not rest, "whole words of nine bits"
-    for number in reversed(range(count)):
-        word = bits >> 9 * number & 0x1FF
-        chip.byte(word & 0xFF, bool(word >> 8))
-
-
 def take_page_messages(session: BusSession, chip: PageChip, data_line: int, reset: int | None = None) -> None:
     """SPI with a data line, in order."""
     is_data = False
@@ -115,16 +93,18 @@ def take_page_messages(session: BusSession, chip: PageChip, data_line: int, rese
 def seen_letters(session: BusSession, lcd_type: str) -> Hd44780:
     """A character display after all it has been sent."""
     chip = Hd44780(20, lcd_type != "aip31068_spi")
-    latch = shift_register(chip)
+    wires = {"hd44780_spi": shift_register, "aip31068_spi": words}
+    take = wires[lcd_type](chip) if lcd_type in wires else None
     for name, values, _, _ in session.chip.sent:
         if name.startswith("hd44780_send") and lcd_type == "hd44780":
             for value in values[1]:
                 chip.strobe(value >> 4, name.endswith("data"))
                 chip.strobe(value & 0x0F, name.endswith("data"))
-        elif name == "spi_send" and lcd_type == "hd44780_spi":
-            latch(values[1][-1])
-        elif name == "spi_send" and lcd_type == "aip31068_spi":
-            take_words(chip, bytes(values[1]))
+        elif name == "spi_send" and take:
+            take(SELECTED, 0, False)
+            for value in values[1]:
+                take(BYTE, value, False)
+            take(RELEASED, 0, False)
     return chip
 
 

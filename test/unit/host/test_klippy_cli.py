@@ -9,6 +9,8 @@ import sys
 import time
 from pathlib import Path
 
+from simulation import world as world_module
+
 ROOT = Path(__file__).resolve().parents[3]
 PROGRAM = [sys.executable, str(ROOT / "klippy" / "klippy.py")]
 
@@ -33,6 +35,29 @@ def test_batch_mode_with_a_broken_config_says_why_and_fails(tmp_path: Path) -> N
     assert "'[mcu' in the config (printer.cfg, line 3)" in answer.stderr
     assert "Traceback" not in answer.stderr
     assert "line 3" in log.read_text()
+
+
+def test_a_print_from_the_storage_goes_to_its_end_in_batch_mode(tmp_path: Path) -> None:
+    """The input ends right after the command that starts it."""
+    world_module.build()
+    lines = [
+        "G28",
+        *(f"G1 X{n % 90 + 1} Y{n % 37 + 1} F6000" for n in range(3000)),
+        "G1 X77 Y11",
+        "M118 the end",
+    ]
+    (tmp_path / "part.gcode").write_text("\n".join(lines))
+    config = f"[include {ROOT}/config/example-cartesian.cfg]\n[respond]\n[virtual_sdcard]\npath: {tmp_path}\n"
+    (tmp_path / "printer.cfg").write_text(config)
+    (tmp_path / "in.gcode").write_text("SDCARD_PRINT_FILE FILENAME=part.gcode\n")
+    done = run(
+        str(tmp_path / "printer.cfg"), "-i", str(tmp_path / "in.gcode"), "-o", str(tmp_path / "out"),
+        "-d", str(world_module.MCU_DICTIONARY), "-l", str(tmp_path / "log"),
+    )  # fmt: skip
+    log = (tmp_path / "log").read_text()
+    assert done.returncode == 0, log[-2000:]
+    end = f"Exiting SD card print (position {(tmp_path / 'part.gcode').stat().st_size})"
+    assert log.index(end) < log.index("Exiting (print time")
 
 
 def test_missing_files_are_named(tmp_path: Path) -> None:

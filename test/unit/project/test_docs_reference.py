@@ -226,3 +226,16 @@ def test_every_source_that_is_cited_is_listed_and_every_listed_one_is_cited() ->
     cited = {" ".join(key.split()) for key in re.findall(rf"\b(?:{names})\s+\d{{4}}\b", text)}
     assert cited - listed == set()
     assert listed - cited == set()
+
+
+def test_the_compatibility_page_names_what_is_missing() -> None:
+    options, fields = compatibility.options_here(), compatibility.fields_here()
+    assert compatibility.by_owner({"fan": ["pin", "wings"], "kite": ["string"]}, options)[2:] == [
+        "| `fan` | 1 of 2 | `wings` |",
+        "| `kite` | 0 of 1 | `string` |",
+    ]
+    assert (
+        compatibility.by_owner({"toolhead": ["position", "wings"]}, fields)[2]
+        == "| `toolhead` | 1 of 2 | `wings` |"
+    )
+    assert "tachometer_ppr" in options["heater_fan"] and "spi_bus" in options["tmc2130"]  # by "options of"

@@ -1,0 +1,36 @@
+"""NOZZLE_MONITOR_CALIBRATE in closed loop: it finds the mount of the simulated machine, and its law of the flow."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from probe_rig import CONFIG, run
+from simulation.runner import PRINTED
+
+CLOG = CONFIG.with_name("sim-clog.cfg")
+GCODE = "M104 S220\nG28\nG1 X90 Y90 Z60 F6000\nM109 S220\nNOZZLE_MONITOR_CALIBRATE\nG4 P2000\nNOZZLE_REPORT\n"
+
+
+def test_the_mounts_frequency_and_flow_exponent_are_those_of_the_machine(tmp_path: Path) -> None:
+    mount = [
+        ("simulator mount nozzle", "frequency", "187"),
+        ("simulator mount nozzle", "flow_exponent", "1.25"),
+    ]
+    result = run(tmp_path, GCODE, *mount, config=CLOG)
+    assert result.status == PRINTED, result.reason
+    saved = result.object("configfile").get_status(0.0)["save_config_pending_items"]["nozzle_monitor"]
+    assert float(saved["mount_frequency"]) == pytest.approx(187.0, abs=1.0)
+    assert float(saved["mount_quality"]) == pytest.approx(20.0, rel=0.3)
+    assert float(saved["flow_exponent"]) == pytest.approx(1.25, abs=0.15)
+    assert re.search(r"The mount rings at 18\d\.\d Hz", result.text)
+    assert "Diameter: " in result.text
+
+
+def test_a_cold_nozzle_and_a_mount_without_vibration_are_refused(tmp_path: Path) -> None:
+    cold = run(tmp_path, "G28\nNOZZLE_MONITOR_CALIBRATE\n", config=CLOG)
+    assert "heat the nozzle first; it has 2" in cold.reason + cold.text
+    dead = run(tmp_path, GCODE, ("simulator mount nozzle", "amplitude", "0"), config=CLOG)
+    assert "flow adds no vibration" in dead.reason + dead.text
