@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer deb test test-browser test-flash check format bench bench-plan bench-control bench-disturbance bench-machines bench-clog bench-studies soak soak-motion soak-api fuzz mutants clean distclean
+.PHONY: help setup setup-test sim chelper demo printer deb test test-browser test-flash check format bench bench-plan bench-control bench-disturbance bench-machines bench-clog bench-studies soak soak-motion soak-api soak-kill fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -38,6 +38,7 @@ help:
 	@echo "make bench-studies      the studies of config/studies: random machines, calibrated machines, the sample"
 	@echo "make soak               a long print in closed loop: does it leak? (HOURS=10, hours of wall time, too)"
 	@echo "make soak-api           clients that misbehave beside a print, one thing a simulated second (HOURS=24)"
+	@echo "make soak-kill          the host is killed while it writes a file (KILLS=200 of each kind)"
 	@echo "make soak-motion        random moves on every machine against the analytic path (SECONDS=600)"
 	@echo "make mutants FILE=guard  do its tests notice each small change of a safety file? (without FILE: all, hours)"
 	@echo "make fuzz    fuzz the firmware's message parser (FUZZ_SECONDS=600)"
@@ -119,6 +120,9 @@ soak-motion: setup-test chelper
 soak-api: setup sim chelper
 	@$(PYTHON) scripts/bench/soak_api.py --hours $(or $(HOURS),24)
 
+soak-kill: setup-test chelper
+	@KILLS=$(or $(KILLS),200) $(PYTHON) -m pytest test/unit/host/test_killed.py
+
 # --- test ----------------------------------------------------------------------------------------
 # Both are run to their end whatever the other finds; the tests' closing line comes last.
 test: setup-test sim chelper
@@ -128,7 +132,7 @@ test: setup-test sim chelper
 	exit $$status
 
 # What only these need is installed by these only.
-test-browser: sim chelper
+test-browser: setup sim chelper
 test-browser test-flash: test-%:
 	@scripts/setup.sh $*
 	@$(PYTHON) -m pytest -m $* $(TEST_ARGS)
@@ -181,7 +185,7 @@ check-words:
 check-formats: sim
 	$(PYTHON) scripts/check/check_formats.py $(OUT)/simulator/ferrite.dict
 
-# FILE: guard oversample phase wire timed_output supervision.
+# FILE: guard signal_test oversample phase wire timed_output supervision.
 mutants: setup-test
 	@$(PYTHON) scripts/check/mutants.py $(FILE)
 

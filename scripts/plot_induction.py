@@ -28,6 +28,7 @@ from thermal.models.drive_law import DriveLaw
 
 DUMP_COLUMNS = {"time", "phase", "count", "raw_mean", "raw_min", "raw_max"}
 ROWS_MAX = 20000  # more dots than a picture shows
+GOOD_C = 2.0  # what a calibration should reach
 
 
 def draw_dump(columns: dict[str, fit_sensing.Array], figure: Figure) -> None:
@@ -35,13 +36,14 @@ def draw_dump(columns: dict[str, fit_sensing.Array], figure: Figure) -> None:
     time_s = columns["time"] - columns["time"][0]
     top.fill_between(time_s, columns["raw_min"], columns["raw_max"], color="0.85", label="extremes")
     top.plot(time_s, columns["raw_mean"], lw=0.8, label="mean")
-    top.set(ylabel="ADC code")
+    top.set(ylabel="ADC code", title="Signal of the coil: mean and extremes of each block")
     top.legend(loc="upper right")
     middle.step(time_s, 100.0 * (columns["phase"] / fit_sensing.PHASE_FULL_TICKS) ** 2, where="post", lw=0.8)
-    middle.set(ylabel="power, %")
+    middle.set(ylabel="power, % of full", title="Power", ylim=(0.0, None))
     if "temperature" in columns:
         bottom.plot(time_s, columns["temperature"], lw=0.8)
-    bottom.set(xlabel="time, s", ylabel="temperature, °C")
+    bottom.set(xlabel="time, s", ylabel="temperature, °C", title="Temperature, as the law in force has it")
+    bottom.margins(x=0.01)
 
 
 def draw_sweep(path: Path, figure: Figure) -> None:
@@ -50,7 +52,8 @@ def draw_sweep(path: Path, figure: Figure) -> None:
     left, middle, right = figure.subplots(1, 3)
     reference = np.array(recording.reference)
     left.plot(reference[:, 0] - reference[0, 0], reference[:, 1])
-    left.set(xlabel="time, s", ylabel="reference, °C", title=f"lag {result.lag.tau_s:.2f} s")
+    left.set(xlabel="time, s", ylabel="reference, °C", title=f"Reference, lag {result.lag.tau_s:.2f} s")
+    left.margins(x=0.01)
     points = result.points
     best = result.laws[result.best].regression
     residual = fit_sensing.temperature_residuals(best.law, best.values(), points)
@@ -60,10 +63,15 @@ def draw_sweep(path: Path, figure: Figure) -> None:
         colour, label = colormaps["turbo"](0.05 + 0.9 * power), f"{100 * power:.3g} %"
         middle.plot(points.temp_c[mask], points.error[mask], ".", color=colour, ms=3, label=label)
         right.plot(points.temp_c[mask], residual[mask], ".", color=colour, ms=3)
-    middle.set(xlabel="skin, °C", ylabel="error, units", title="all powers at all temperatures")
-    middle.legend(fontsize=7)
-    right.axhspan(-2, 2, color="0.92", zorder=0)
-    right.set(xlabel="skin, °C", ylabel="law − skin, °C", title=f"law {best.law} (grey: ±2 °C)")
+    middle.set(xlabel="skin, °C", ylabel="phase signal, units", title="Signal over temperature")
+    middle.legend(fontsize=7, title="power", title_fontsize=7)
+    scale = max(1.25 * GOOD_C, 1.1 * float(np.nanmax(np.abs(residual), initial=0.0)))
+    right.axhspan(-GOOD_C, GOOD_C, color="0.92", zorder=0)
+    right.axhline(0.0, color="0.6", lw=0.7)
+    rms = float(np.sqrt(np.nanmean(residual**2)))
+    title = f"Law {best.law}: rms {rms:.2f} °C (grey: ±{GOOD_C:.0f} °C)"
+    right.set(xlabel="skin, °C", ylabel="law − skin, °C", title=title, ylim=(-scale, scale))
+    figure.suptitle(f"Calibration run {path.name}")
 
 
 def _numeric(path: Path) -> dict[str, fit_sensing.Array]:

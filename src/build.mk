@@ -16,10 +16,11 @@ C_WARNINGS := -std=gnu11 -Wall -Wextra -Werror
 
 # sched and basecmd first: their DECL_INIT functions run first.
 FIRMWARE_CORE := src/sched.c src/basecmd.c src/command.c src/wire.c src/debugcmds.c
-FIRMWARE_GLUE := src/timed_output.c src/gpiocmds.c src/pwmcmds.c src/adccmds.c src/onoffcmds.c \
+FIRMWARE_GLUE := src/timed_output.c src/gpiocmds.c src/pwmcmds.c src/adccmds.c src/onoffcmds.c src/supplycmds.c \
 	src/trsync.c src/stepper.c src/endstop.c
 # The induction heater; needs board/bridge_pwm.h and board/sync_adc.h.
-FIRMWARE_INDUCTION := src/oversample.c src/phase.c src/guard.c src/filters.c src/inductioncmds.c
+FIRMWARE_INDUCTION := src/oversample.c src/phase.c src/guard.c src/signal_test.c src/filters.c \
+	src/block_record.c src/inductionconfig.c src/inductioncmds.c
 # Buses and pin peripherals.  A port takes what it has room and hardware for; *_hardware needs board/spi.h, board/i2c.h.
 FIRMWARE_BUS := src/spicmds.c src/spi_software.c src/thermocouple.c src/i2ccmds.c src/i2c_software.c
 FIRMWARE_ACCELEROMETERS := src/sensor_bulk.c src/accelerometers.c

@@ -21,7 +21,7 @@
 
 #include <stdint.h>
 
-enum { COMMAND_ARGS_MAX = 10, COMMAND_NO_BUFFER = 0xff };
+enum { COMMAND_ARGS_MAX = 12, COMMAND_NO_BUFFER = 0xff };
 
 /* What a handler is given.  val[i] is the i-th parameter that is not a byte string, in the order of the format;
  * negative numbers are the 32-bit pattern.  data points into the receive buffer: valid until the handler returns. */

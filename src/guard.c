@@ -4,9 +4,11 @@
 void
 guard_init(struct guard *g, uint16_t adc_max, uint32_t max_duration, uint32_t silence)
 {
-    *g = (struct guard){
-        .adc_max = adc_max, .max_duration = max_duration, .silence = silence, .flat_code = UINT16_MAX
-    };
+    *g = (struct guard){.adc_max = adc_max,
+                        .max_duration = max_duration,
+                        .silence = silence,
+                        .ceiling_share = UINT16_MAX,
+                        .flat_code = UINT16_MAX};
 }
 
 uint8_t
@@ -18,6 +20,21 @@ guard_add_row(struct guard *g, struct guard_row row)
         return 0;
     g->rows[g->row_count++] = row;
     return 1;
+}
+
+void
+guard_set_ceiling(struct guard *g, uint16_t phase, uint16_t share)
+{
+    g->ceiling_phase = phase;
+    g->ceiling_share = share;
+}
+
+static uint16_t
+high_limit(const struct guard *g, const struct guard_row *row, uint16_t phase)
+{
+    if (phase < g->ceiling_phase || g->ceiling_share == UINT16_MAX)
+        return row->high;
+    return (uint16_t)(row->low + ((uint32_t)(row->high - row->low) * g->ceiling_share >> 16));
 }
 
 /* Has the phase moved while all samples stayed on one code? */
@@ -42,7 +59,7 @@ judge(struct guard *g, const struct guard_row *row, const struct guard_input *b)
     uint8_t is_stuck = stands_still(g, b);
     if (b->sum < (uint32_t)row->low * b->count)
         return GUARD_TRIP_LOW;
-    if (b->sum > (uint32_t)row->high * b->count)
+    if (b->sum > (uint32_t)high_limit(g, row, b->phase) * b->count)
         return GUARD_TRIP_HIGH;
     if (b->min == 0 || b->max >= g->adc_max)
         return GUARD_TRIP_CLIPPED;
@@ -60,8 +77,8 @@ row_for(const struct guard *g, uint16_t phase)
     return row && row->trip_blocks ? row : 0;
 }
 
-static enum guard_trip
-latch(struct guard *g, enum guard_trip trip, uint32_t value, uint16_t count)
+enum guard_trip
+guard_latch(struct guard *g, enum guard_trip trip, uint32_t value, uint16_t count)
 {
     if (g->trip)
         return GUARD_TRIP_NONE;
@@ -83,7 +100,7 @@ guard_block(struct guard *g, const struct guard_input *block)
     g->bad_blocks++; /* cannot run over before the trip: 255 in a row trip under every row */
     if (g->bad_blocks < row->trip_blocks)
         return GUARD_TRIP_NONE;
-    return latch(g, bad, block->sum, block->count);
+    return guard_latch(g, bad, block->sum, block->count);
 }
 
 void
@@ -133,5 +150,5 @@ guard_check_silence(struct guard *g, uint32_t clock)
 {
     if (!g->lapsed || !is_overdue(g, clock))
         return GUARD_TRIP_NONE;
-    return latch(g, GUARD_TRIP_TIMEOUT, clock, 0);
+    return guard_latch(g, GUARD_TRIP_TIMEOUT, clock, 0);
 }

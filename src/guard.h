@@ -14,6 +14,9 @@
  * Silent host: with power on, a phase command must be applied at least every max_duration ticks.  Else the power lapses:
  * the caller switches off, and the next phase command ends the lapse.  No command for `silence` ticks in all trips.
  *
+ * Ceiling: from a phase on, a row's high limit is lowered to low + share/65536 of the way to it, so that a nozzle that is driven
+ * hard is not driven far beyond its target.  It follows the target at run time.  Share 65535 leaves the row as it is.
+ *
  * The first trip is latched with the value that caused it; only guard_init clears it.
  * Formats: u16 limits and counts, u32 sums; low * count <= 65535 * 65535 < 2^32.
  * Contexts: guard_block in the ADC's interrupt once a block, about 40 cycles and a few for each row; the rest in the
@@ -33,6 +36,9 @@ enum guard_trip {
     GUARD_TRIP_CLIPPED = 3,
     GUARD_TRIP_STUCK = 4,
     GUARD_TRIP_TIMEOUT = 5,
+    GUARD_TRIP_UNMOVED = 6,  /* these three: signal_test.h */
+    GUARD_TRIP_CONDUCTS = 7,
+    GUARD_TRIP_JUMP = 8,
 };
 
 struct guard_row {
@@ -53,6 +59,7 @@ struct guard {
     uint32_t trip_value;   /* sum of the tripping block; for TIMEOUT the clock */
     uint16_t trip_count;   /* samples in that sum */
     uint16_t adc_max;
+    uint16_t ceiling_phase, ceiling_share;
     uint8_t trip;          /* enum guard_trip, latched */
     uint8_t bad_blocks;    /* in a row */
     uint8_t row_count;
@@ -66,6 +73,9 @@ struct guard {
 void guard_init(struct guard *g, uint16_t adc_max, uint32_t max_duration, uint32_t silence);
 /* 0 if the table is full, the phase does not ascend or low > high; 1 if taken. */
 uint8_t guard_add_row(struct guard *g, struct guard_row row);
+void guard_set_ceiling(struct guard *g, uint16_t phase, uint16_t share);
+/* A trip found elsewhere.  Returns it, or GUARD_TRIP_NONE when already tripped. */
+enum guard_trip guard_latch(struct guard *g, enum guard_trip trip, uint32_t value, uint16_t count);
 /* Judge a block; returns the trip it causes (GUARD_TRIP_NONE also when already tripped). */
 enum guard_trip guard_block(struct guard *g, const struct guard_input *block);
 /* A phase command was applied at `clock`. */

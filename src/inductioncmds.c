@@ -24,75 +24,37 @@
 #include <string.h>
 
 #include "basecmd.h"
+#include "block_record.h"
 #include "board/bridge_pwm.h"
 #include "board/irq.h"
 #include "board/sync_adc.h"
 #include "board/timer.h"
 #include "command.h"
-#include "guard.h"
-#include "induction_timing.h"
-#include "oversample.h"
-#include "phase.h"
+#include "induction_unit.h"
 #include "sched.h"
 
-#ifdef PORT_SYNC_HALF_LEN
-enum { HALF_LEN = PORT_SYNC_HALF_LEN };
-#else
-enum { HALF_LEN = 32 };
-#endif
-
 enum {
-    SYNC_ADC_MAX = 4095,     /* the synchronous ADC has 12 bits on every port */
-    BLOCKS_WAITING_MAX = 32, /* power of two; 51 ms of blocks of 192 samples for a host link that stalls */
-    RECORD_SIZE_MAX = 16,
-    DATA_SIZE_MAX = 48,      /* what fits one message: 7 plain records, 3 of the longest */
-    RECORDS_MAX = 7,
-    LONE_RECORD_US = 20000,  /* a record that would wait longer for others goes without them */
-    LATE_MARGIN_US = 20,     /* a late phase command is applied so much after its arrival */
-    SILENCE_US = 3000000,    /* a host that is silent for longer is dead; queued motion lasts no longer */
+    DATA_SIZE_MAX = 48,  /* what fits one message: 7 plain records, 3 of the longest */
+    TEST_AHEAD = 4,      /* samples between planning a test and its first; a timer needs 10 us */
+    SAMPLES_MISSING_MAX = 2 * HALF_LEN + 64, /* a half buffer that is only late counts as a gap */
+    CHECK_US = 4000,     /* so often it is looked whether samples come */
+    LATE_MARGIN_US = 20, /* a late phase command is applied so much after its arrival */
 };
 
-DECL_CONSTANT("INDUCTION_FREQUENCY", INDUCTION_FREQUENCY);
-DECL_CONSTANT("INDUCTION_OVERSAMPLE", INDUCTION_OVERSAMPLE);
-DECL_CONSTANT("INDUCTION_BLOCK_SAMPLES", INDUCTION_BLOCK_SAMPLES);
-DECL_CONSTANT("INDUCTION_SETTLE_SAMPLES", INDUCTION_SETTLE_SAMPLES);
-DECL_CONSTANT("INDUCTION_RECORDS", INDUCTION_RECORDS);
-DECL_CONSTANT("INDUCTION_LEAD_US", INDUCTION_LEAD_US);
-DECL_CONSTANT("INDUCTION_LIMIT_ROWS", GUARD_ROWS_MAX);
-DECL_CONSTANT("INDUCTION_Y_MIN", OVERSAMPLE_Y_MIN);
-DECL_CONSTANT("INDUCTION_Y_MAX", OVERSAMPLE_Y_MAX);
 DECL_ENUMERATION("induction_trip", "none", GUARD_TRIP_NONE);
 DECL_ENUMERATION("induction_trip", "low", GUARD_TRIP_LOW);
 DECL_ENUMERATION("induction_trip", "high", GUARD_TRIP_HIGH);
 DECL_ENUMERATION("induction_trip", "clipped", GUARD_TRIP_CLIPPED);
 DECL_ENUMERATION("induction_trip", "stuck", GUARD_TRIP_STUCK);
 DECL_ENUMERATION("induction_trip", "timeout", GUARD_TRIP_TIMEOUT);
+DECL_ENUMERATION("induction_trip", "unmoved", GUARD_TRIP_UNMOVED);
+DECL_ENUMERATION("induction_trip", "conducts", GUARD_TRIP_CONDUCTS);
+DECL_ENUMERATION("induction_trip", "jump", GUARD_TRIP_JUMP);
 
-DECL_RESPONSE(response_induction_state, "induction_state oid=%c clock=%u phase=%hu trip=%c value=%u");
+DECL_RESPONSE(response_induction_state, "induction_state oid=%c clock=%u phase=%hu trip=%c value=%u moved=%hu");
 DECL_RESPONSE(response_induction_block, "induction_block oid=%c sequence=%hu clock=%u data=%*s");
 
-struct induction {
-    struct timer timer;
-    struct bridge_pwm bridge;
-    struct sync_adc adc;
-    uint32_t period_ticks, start_clock;
-    uint32_t next_index;    /* first sample not yet accounted for */
-    uint32_t hold_samples;  /* how long a lone record waits */
-    uint8_t oid, sampling, reporting, resync;
-    uint8_t records;        /* sent together */
-    struct phase_schedule schedule;
-    struct oversample oversample;
-    struct guard guard;
-    /* finished blocks, irq to task: numbers run, places are modulo the length */
-    struct oversample_block waiting[BLOCKS_WAITING_MAX];
-    struct oversample_block surplus;  /* one that finds no place */
-    uint32_t newest_sum;
-    uint16_t newest_count;
-    uint16_t sequence;      /* of the oldest waiting block */
-    uint8_t block_head, block_tail;
-};
-
-static struct induction *unit;  /* the one induction heater of this MCU; samples_ready gets no object */
+static struct induction *unit;  /* the one induction heater of this MCU; induction_samples gets no object */
 static struct task_wake report_wake;
 
 void
@@ -103,13 +65,40 @@ induction_init(void)
 }
 DECL_INIT(induction_init);
 
+struct induction *
+induction_unit(void)
+{
+    return unit;
+}
+
+void
+induction_use(struct induction *u)
+{
+    unit = u;
+}
+
 /****************************************************************
  * Phases (timer context)
  ****************************************************************/
 
+#ifdef PORT_SYNC_ADC_FIXED
+#define sync_adc_move(adc, ticks) ((void)0)
+#endif
+
+/* A test under way ends without a verdict: the drive steps. */
+static void
+cancel_test(struct induction *u)
+{
+    uint16_t settle = u->oversample.config.settle_samples;
+    sched_del_timer(&u->test_timer);
+    if (signal_test_cancel(&u->test, sync_adc_position(u->adc), settle) == SIGNAL_TEST_MOVE)
+        sync_adc_move(u->adc, 0);
+}
+
 static void
 apply_phase(struct induction *u, uint16_t phase, uint32_t clock)
 {
+    cancel_test(u);
     bridge_pwm_set_phase(u->bridge, phase);
     phase_applied(&u->schedule, sync_adc_position(u->adc), phase);
     guard_fed(&u->guard, clock, phase);
@@ -119,6 +108,7 @@ apply_phase(struct induction *u, uint16_t phase, uint32_t clock)
 static void
 bridge_off(struct induction *u)
 {
+    cancel_test(u);
     bridge_pwm_off(u->bridge);
     phase_applied(&u->schedule, sync_adc_position(u->adc), 0);
 }
@@ -136,13 +126,20 @@ trip(struct induction *u, enum guard_trip reason)
     static const enum shutdown_reason reasons[] = {
         [GUARD_TRIP_LOW] = SHUTDOWN_INDUCTION_LOW,         [GUARD_TRIP_HIGH] = SHUTDOWN_INDUCTION_HIGH,
         [GUARD_TRIP_CLIPPED] = SHUTDOWN_INDUCTION_CLIPPED, [GUARD_TRIP_STUCK] = SHUTDOWN_INDUCTION_STUCK,
-        [GUARD_TRIP_TIMEOUT] = SHUTDOWN_INDUCTION_TIMEOUT,
+        [GUARD_TRIP_TIMEOUT] = SHUTDOWN_INDUCTION_TIMEOUT, [GUARD_TRIP_UNMOVED] = SHUTDOWN_INDUCTION_UNMOVED,
+        [GUARD_TRIP_CONDUCTS] = SHUTDOWN_INDUCTION_CONDUCTS, [GUARD_TRIP_JUMP] = SHUTDOWN_INDUCTION_JUMP,
     };
     switch_off(u);
     shutdown(reasons[reason]);
 }
 
-/* When phase_timer must run next; 0 if it need not. */
+static uint32_t
+earlier(uint32_t a, uint32_t b)
+{
+    return timer_is_before(b, a) ? b : a;
+}
+
+/* When the timer of phases must run next; 0 if it need not. */
 static uint8_t
 next_event(const struct induction *u, uint32_t *clock)
 {
@@ -150,8 +147,10 @@ next_event(const struct induction *u, uint32_t *clock)
     if (!pending && !guard_is_waiting(&u->guard))
         return 0;
     *clock = pending ? pending->due : guard_deadline(&u->guard);
-    if (pending && guard_is_waiting(&u->guard) && timer_is_before(guard_deadline(&u->guard), *clock))
-        *clock = guard_deadline(&u->guard);
+    if (guard_is_waiting(&u->guard))
+        *clock = earlier(*clock, guard_deadline(&u->guard));
+    if (u->guard.powered)
+        *clock = earlier(*clock, timer_read_time() + timer_from_us(CHECK_US));
     return 1;
 }
 
@@ -165,8 +164,18 @@ free_nodes(struct phase_node *node)
     }
 }
 
-static uint8_t
-phase_timer(struct timer *t)
+/* Without samples nothing judges them. */
+static void
+check_samples(struct induction *u)
+{
+    if (!u->guard.powered || sync_adc_position(u->adc) - u->next_index <= SAMPLES_MISSING_MAX)
+        return;
+    switch_off(u);
+    shutdown(SHUTDOWN_SAMPLES_STOPPED);
+}
+
+uint8_t
+induction_phase_timer(struct timer *t)
 {
     struct induction *u = container_of(t, struct induction, timer);
     uint32_t now = timer_read_time();
@@ -182,12 +191,71 @@ phase_timer(struct timer *t)
     enum guard_trip tripped = guard_check_silence(&u->guard, now);
     if (tripped != GUARD_TRIP_NONE)
         trip(u, tripped);
+    check_samples(u);
     return next_event(u, &t->waketime) ? SF_RESCHEDULE : SF_DONE;
+}
+
+/****************************************************************
+ * Tests of the signal: signal_test.h
+ ****************************************************************/
+
+/* The middle of the period before sample `index`: what is set now takes effect with that sample. */
+static uint32_t
+clock_before(const struct induction *u, uint32_t index)
+{
+    return u->start_clock + index * u->period_ticks - u->period_ticks / 2;
+}
+
+uint8_t
+induction_test_timer(struct timer *t)
+{
+    struct induction *u = container_of(t, struct induction, test_timer);
+    uint32_t from = sync_adc_position(u->adc);
+    uint8_t move = u->test.kind == SIGNAL_TEST_MOVE, ends = u->test.begun;
+    if (move)
+        sync_adc_move(u->adc, ends ? 0 : SYNC_ADC_MOVE_TICKS);
+    else
+        bridge_pwm_set_phase(u->bridge, ends ? u->schedule.commanded : 0);
+    if (ends) {
+        signal_test_end(&u->test, from, u->oversample.config.settle_samples);
+        return SF_DONE;
+    }
+    signal_test_begin(&u->test, from);
+    t->waketime = clock_before(u, from + signal_test_length(&u->test));
+    return SF_RESCHEDULE;
+}
+
+/* Irq.  A test begins where a block ends, if the samples before it are still to come and the drive does not step
+ * until it is over. */
+static void
+plan_test(struct induction *u)
+{
+    const struct oversample *o = &u->oversample;
+    uint32_t at = u->next_index + o->block_len - o->count;
+    if (!signal_test_is_due(&u->test, u->next_index) || o->settle_left || o->phase != u->schedule.commanded ||
+        o->phase < u->test.limits.phase)
+        return;
+    if (at - u->next_index < SIGNAL_TEST_LEN || (int32_t)(at - sync_adc_position(u->adc)) < TEST_AHEAD)
+        at += o->block_len;
+    uint32_t over = clock_before(u, at + SIGNAL_TEST_OFF_LEN + o->config.settle_samples + SIGNAL_TEST_LEN);
+    if (u->schedule.first && timer_is_before(u->schedule.first->due, over))
+        return;
+    if (signal_test_plan(&u->test, at, o->phase) == SIGNAL_TEST_NONE)
+        return;
+    u->test_timer.waketime = clock_before(u, at);
+    sched_add_timer(&u->test_timer);
 }
 
 /****************************************************************
  * Samples (irq context)
  ****************************************************************/
+
+static void
+trip_if(struct induction *u, enum guard_trip found, uint32_t value, uint16_t count)
+{
+    if (found != GUARD_TRIP_NONE && guard_latch(&u->guard, found, value, count) != GUARD_TRIP_NONE)
+        trip(u, found);
+}
 
 static uint8_t
 blocks_waiting(const struct induction *u)
@@ -214,6 +282,8 @@ take_block(struct induction *u, const struct oversample_block *b)
     enum guard_trip tripped = guard_block(&u->guard, &seen);
     if (tripped != GUARD_TRIP_NONE)
         trip(u, tripped);
+    if (u->test.limits.jump)
+        trip_if(u, signal_test_block(&u->test, &seen, b->first), b->sum, b->count);
     if (!u->reporting)
         return;
     if (b == &u->surplus)
@@ -229,9 +299,24 @@ take_samples(struct induction *u, const uint16_t *samples, uint16_t count)
     while (count) {
         uint16_t run, taken;
         uint16_t phase = phase_run(&u->schedule, u->next_index, count, &run);
+        uint8_t skip = 0;
+        if (u->test.kind || u->test.begun) {
+            skip = signal_test_run(&u->test, u->next_index, run, &run);
+            trip_if(u, signal_test_feed(&u->test, samples, u->next_index, run), u->test.inside, SIGNAL_TEST_LEN);
+        }
         if (oversample_step(&u->oversample, phase, b)) {
             take_block(u, b);
             b = next_block(u);
+        }
+        if (skip) {
+            if (oversample_skip(&u->oversample, run, b)) {
+                take_block(u, b);
+                b = next_block(u);
+            }
+            u->next_index += run;
+            count -= run;
+            samples += run;
+            continue;
         }
         for (; run; run -= taken, count -= taken, samples += taken) {
             uint8_t finished = oversample_feed(&u->oversample, samples, run, u->next_index, &taken, b);
@@ -264,10 +349,21 @@ newest_end(uint32_t position)
     return position - position % HALF_LEN;
 }
 
+/* Samples of a test under way are missing: it is undone, without a verdict. */
 static void
-samples_ready(const uint16_t *samples, uint16_t count)
+lose_test(struct induction *u)
+{
+    uint8_t off = u->test.kind == SIGNAL_TEST_OFF && u->test.begun && !u->test.ended;
+    cancel_test(u);
+    if (off)
+        bridge_pwm_set_phase(u->bridge, u->schedule.commanded);
+}
+
+void
+induction_samples(const uint16_t *samples, uint16_t count)
 {
     struct induction *u = unit;
+    sched_report(SCHED_SAMPLES);
     if (!u)
         return;
     uint32_t position = sync_adc_position(u->adc);
@@ -275,6 +371,7 @@ samples_ready(const uint16_t *samples, uint16_t count)
         u->resync = 0;
         u->next_index = newest_end(position) - count;
         oversample_init(&u->oversample, u->oversample.config);
+        lose_test(u);
     }
     uint32_t ahead = position - u->next_index;
     if (ahead < count)
@@ -282,11 +379,13 @@ samples_ready(const uint16_t *samples, uint16_t count)
     if (ahead > 2u * HALF_LEN) {
         struct oversample_block *b = next_block(u);
         uint32_t lost = newest_end(position) - u->next_index;
+        lose_test(u);
         u->next_index += lost;
         if (oversample_gap(&u->oversample, lost, b))
             take_block(u, b);
     } else {
         take_samples(u, samples, count);
+        plan_test(u);
     }
     if (u->reporting && records_to_send(u))
         sched_wake_task(&report_wake);
@@ -295,50 +394,6 @@ samples_ready(const uint16_t *samples, uint16_t count)
 /****************************************************************
  * Reports (task context)
  ****************************************************************/
-
-/* A record, little endian, the optional parts in this order:
- *
- *     u16 bits 0-11 lowest sample, bits 12-15 flags · u8 highest - lowest · u24 value
- *     PHASE u16 phase (else as in the record before; always in a message's first)
- *     CUT   u16 count (else block_len)
- *     GAP   u16 discarded · u16 lost (else 0)
- *     WIDE  u16 highest sample (the u8 is then 255)
- *
- * 6 bytes for a whole block under an unchanged phase, 16 at most.  The message's clock is that of its first record's first
- * sample; the next record's lies count periods on, and discarded + lost more, because every sample is accounted for.  Only
- * where those two saturate that would not hold: such a record begins a message.
- */
-enum { RECORD_PHASE = 0x1000, RECORD_CUT = 0x2000, RECORD_GAP = 0x4000, RECORD_WIDE = 0x8000, WIDE_SPAN = 255 };
-
-static uint8_t *
-put_u16(uint8_t *p, uint16_t v)
-{
-    *p++ = (uint8_t)v;
-    *p++ = (uint8_t)(v >> 8);
-    return p;
-}
-
-/* `before` is the record before in the same message, or NULL. */
-static uint8_t *
-put_record(uint8_t *p, const struct oversample_block *b, const struct oversample_block *before, uint16_t block_len)
-{
-    uint16_t span = b->max - b->min, flags = 0;
-    flags |= !before || before->phase != b->phase ? RECORD_PHASE : 0;
-    flags |= b->count != block_len ? RECORD_CUT : 0;
-    flags |= b->discarded || b->lost ? RECORD_GAP : 0;
-    flags |= span >= WIDE_SPAN ? RECORD_WIDE : 0;
-    p = put_u16(p, (b->min & SYNC_ADC_MAX) | flags);
-    *p++ = flags & RECORD_WIDE ? WIDE_SPAN : (uint8_t)span;
-    p = put_u16(p, (uint16_t)b->value);
-    *p++ = (uint8_t)(b->value >> 16);
-    if (flags & RECORD_PHASE)
-        p = put_u16(p, b->phase);
-    if (flags & RECORD_CUT)
-        p = put_u16(p, b->count);
-    if (flags & RECORD_GAP)
-        p = put_u16(put_u16(p, b->discarded), b->lost);
-    return flags & RECORD_WIDE ? put_u16(p, b->max) : p;
-}
 
 static uint8_t
 saturated(const struct oversample_block *b)
@@ -350,7 +405,7 @@ saturated(const struct oversample_block *b)
 static uint8_t
 send_report(struct induction *u)
 {
-    uint8_t data[DATA_SIZE_MAX + RECORD_SIZE_MAX], *end = data;
+    uint8_t data[DATA_SIZE_MAX + BLOCK_RECORD_MAX], *end = data;
     const struct oversample_block *before = NULL;
     irqstatus_t flag = irq_save();
     uint8_t ready = u->reporting ? records_to_send(u) : 0, records = 0;
@@ -360,7 +415,7 @@ send_report(struct induction *u)
         const struct oversample_block *b = &u->waiting[u->block_tail & (BLOCKS_WAITING_MAX - 1)];
         if (before && saturated(b))
             break;
-        uint8_t *after = put_record(end, b, before, u->oversample.block_len);
+        uint8_t *after = block_record_put(end, b, before, u->oversample.block_len);
         if (after > data + DATA_SIZE_MAX)
             break;
         end = after;
@@ -391,76 +446,16 @@ DECL_TASK(induction_task);
  * Commands (task context)
  ****************************************************************/
 
+/* From `phase` on the nozzle may read no higher than `share` of the way between the limits of its row (guard.h). */
 void
-command_config_induction(const struct command_args *args)
+command_induction_ceiling(const struct command_args *args)
 {
-    struct induction *u = oid_alloc((uint8_t)args->val[0], command_config_induction, sizeof(*u));
-    uint32_t period_ticks = args->val[3], phase_max = args->val[4], max_duration = args->val[5];
-    /* Half the clock's range: a deadline must be tellable from the past. */
-    if (unit || phase_max > BRIDGE_PHASE_MAX || !max_duration || max_duration > INT32_MAX / 2)
-        shutdown(SHUTDOWN_INDUCTION_CONFIG);
-    u->oid = (uint8_t)args->val[0];
-    u->bridge = bridge_pwm_setup((uint8_t)args->val[1], period_ticks);
-    u->adc = sync_adc_setup(args->val[2], u->bridge, HALF_LEN, samples_ready);
-    u->period_ticks = period_ticks;
-    u->hold_samples = timer_from_us(LONE_RECORD_US) / period_ticks;
-    u->records = INDUCTION_RECORDS;
-    u->timer.func = phase_timer;
-    phase_init(&u->schedule, (uint16_t)phase_max);
-    guard_init(&u->guard, SYNC_ADC_MAX, max_duration, timer_from_us(SILENCE_US));
-    oversample_init(&u->oversample, (struct oversample_config){.y = INDUCTION_OVERSAMPLE,
-                                                                .settle_samples = INDUCTION_SETTLE_SAMPLES,
-                                                                .block_len = INDUCTION_BLOCK_SAMPLES});
-    move_request_size(sizeof(struct phase_node));
-    unit = u;
+    struct induction *u = induction_of(args);
+    irqstatus_t flag = irq_save();
+    guard_set_ceiling(&u->guard, (uint16_t)args->val[1], (uint16_t)args->val[2]);
+    irq_restore(flag);
 }
-DECL_COMMAND(command_config_induction,
-             "config_induction oid=%c bridge=%c adc_pin=%u period_ticks=%u phase_max=%hu max_duration=%u");
-
-void
-command_config_induction_sense(const struct command_args *args)
-{
-    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
-    struct oversample_config config = {
-        .y = (uint8_t)args->val[1],
-        .settle_samples = (uint16_t)args->val[2],
-        .ema_shift = (uint8_t)args->val[3],
-    };
-    if (u->sampling || !oversample_init(&u->oversample, config))
-        shutdown(SHUTDOWN_INDUCTION_CONFIG);
-}
-DECL_COMMAND(command_config_induction_sense,
-             "config_induction_sense oid=%c oversample=%c settle_samples=%hu ema_shift=%c");
-
-/* Shorter blocks than 4^oversample samples, and how many records go together; after config_induction_sense. */
-void
-command_config_induction_block(const struct command_args *args)
-{
-    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
-    struct oversample_config config = u->oversample.config;
-    config.block_len = (uint16_t)args->val[1];
-    uint8_t records = (uint8_t)args->val[2];
-    if (u->sampling || !records || records > RECORDS_MAX || !oversample_init(&u->oversample, config))
-        shutdown(SHUTDOWN_INDUCTION_CONFIG);
-    u->records = records;
-}
-DECL_COMMAND(command_config_induction_block, "config_induction_block oid=%c samples=%hu records=%c");
-
-void
-command_config_induction_limit(const struct command_args *args)
-{
-    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
-    struct guard_row row = {
-        .phase = (uint16_t)args->val[1],
-        .low = (uint16_t)args->val[2],
-        .high = (uint16_t)args->val[3],
-        .trip_blocks = (uint8_t)args->val[4],
-    };
-    if (u->sampling || !guard_add_row(&u->guard, row))
-        shutdown(SHUTDOWN_INDUCTION_CONFIG);
-}
-DECL_COMMAND(command_config_induction_limit,
-             "config_induction_limit oid=%c phase=%hu low=%hu high=%hu trip_blocks=%c");
+DECL_COMMAND(command_induction_ceiling, "induction_ceiling oid=%c phase=%hu share=%hu");
 
 /* Sampling starts before the first heat and never stops: the guard judges also when nobody wants reports. */
 static void
@@ -473,6 +468,7 @@ start_sampling(struct induction *u)
     u->start_clock = sync_adc_start(u->adc);
     u->next_index = 0;
     irq_restore(flag);
+    sched_watch(SCHED_SAMPLES, 1);
 }
 
 /* Did the line hold back a step for so long that its time is over?  Then it gives no power. */
@@ -517,7 +513,7 @@ enum { PLAN_STEP_SIZE = 4 };
 void
 command_queue_induction_plan(const struct command_args *args)
 {
-    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
+    struct induction *u = induction_of(args);
     const uint8_t *p = args->data, *end = p + args->data_len;
     uint32_t clock = args->val[1];
     if (args->data_len % PLAN_STEP_SIZE)
@@ -536,7 +532,7 @@ DECL_COMMAND(command_queue_induction_plan, "queue_induction_plan oid=%c clock=%u
 void
 command_induction_report(const struct command_args *args)
 {
-    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
+    struct induction *u = induction_of(args);
     start_sampling(u);
     irqstatus_t flag = irq_save();
     uint8_t enable = args->val[1] != 0;
@@ -562,13 +558,14 @@ scaled_mean(const struct induction *u, uint32_t sum, uint16_t count)
 void
 command_induction_query(const struct command_args *args)
 {
-    struct induction *u = oid_lookup((uint8_t)args->val[0], command_config_induction);
+    struct induction *u = induction_of(args);
     irqstatus_t flag = irq_save();
     uint8_t tripped = u->guard.trip;
     uint32_t sum = tripped ? u->guard.trip_value : u->newest_sum;
     uint16_t count = tripped ? u->guard.trip_count : u->newest_count, phase = u->schedule.commanded;
+    uint16_t moved = signal_test_moved(&u->test);
     irq_restore(flag);
-    respond(&response_induction_state, u->oid, timer_read_time(), phase, tripped, scaled_mean(u, sum, count));
+    respond(&response_induction_state, u->oid, timer_read_time(), phase, tripped, scaled_mean(u, sum, count), moved);
 }
 DECL_COMMAND_FLAGS(command_induction_query, HF_IN_SHUTDOWN, "induction_query oid=%c");
 
@@ -580,6 +577,7 @@ induction_shutdown(void)
     if (!u)
         return;
     switch_off(u);
+    sched_watch(SCHED_SAMPLES, 0); /* what has stopped shall be reported, not reset */
     phase_forget(&u->schedule);
     u->reporting = 0;
     u->block_tail = u->block_head;

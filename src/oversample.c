@@ -89,6 +89,15 @@ oversample_gap(struct oversample *o, uint32_t count, struct oversample_block *bl
 }
 
 uint8_t
+oversample_skip(struct oversample *o, uint16_t count, struct oversample_block *block)
+{
+    uint8_t finished = o->count ? cut_block(o, block) : 0;
+    o->discarded = saturating_add(o->discarded, count);
+    o->settle_left = count < o->settle_left ? (uint16_t)(o->settle_left - count) : 0;
+    return finished;
+}
+
+uint8_t
 oversample_feed(struct oversample *o, const uint16_t *samples, uint16_t count, uint32_t first, uint16_t *taken,
                 struct oversample_block *block)
 {

@@ -63,12 +63,14 @@ struct oversample {
 /* Returns 0 if the configuration is out of range (nothing is changed), 1 if good. */
 uint8_t oversample_init(struct oversample *o, struct oversample_config config);
 
-/* Each of these three may finish a block: it is then in *block and 1 is returned. */
+/* Each of these four may finish a block: it is then in *block and 1 is returned. */
 
 /* From the next sample on this phase holds.  The same phase again is no step. */
 uint8_t oversample_step(struct oversample *o, uint16_t phase, struct oversample_block *block);
 /* `count` samples were overwritten before they could be read. */
 uint8_t oversample_gap(struct oversample *o, uint32_t count, struct oversample_block *block);
+/* `count` samples are no reading (signal_test.h): a block ends before them. */
+uint8_t oversample_skip(struct oversample *o, uint16_t count, struct oversample_block *block);
 /* Take samples[0] (index `first`) and as many after it as end at most one block; *taken says how many.  Call again with
  * the rest. */
 uint8_t oversample_feed(struct oversample *o, const uint16_t *samples, uint16_t count, uint32_t first, uint16_t *taken,

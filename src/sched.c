@@ -52,7 +52,9 @@ static struct {
     uint8_t reason;                   /* of the shutdown now in force or being entered; SHUTDOWN_NONE: running */
     uint8_t outputs_again;            /* a shutdown came in an interrupt: run DECL_SHUTDOWN again after the task */
     uint8_t announce_shutdown, announce_start;
-    uint8_t timers_alive;             /* the timer interrupt has come since the watchdog was fed */
+    volatile uint8_t alive;           /* enum sched_source: which have come since the watchdog was fed */
+    uint8_t watched;                  /* which must have */
+    uint8_t feeds;
     uint8_t dispatching;              /* the head of the list is the timer that runs now */
     uint16_t intervals_late;          /* since a timer was last in time */
     uint8_t intervals_busy;           /* since tasks have last had a turn */
@@ -72,7 +74,9 @@ power_on_state(void)
     sched.outputs_again = 0;
     sched.announce_shutdown = 0;
     sched.announce_start = 1;
-    sched.timers_alive = 0;
+    sched.alive = 0;
+    sched.watched = SCHED_TIMERS;
+    sched.feeds = 0;
     sched.dispatching = 0;
     sched.intervals_late = 0;
     sched.intervals_busy = 0;
@@ -204,7 +208,7 @@ after_pause(void)
 uint32_t
 sched_timer_dispatch(void)
 {
-    sched.timers_alive = 1;
+    sched_report(SCHED_TIMERS);
     sched.dispatching = sched.timers != NULL;
     sched_guarded(run_due_timers, NULL);
     sched.dispatching = 0;
@@ -235,7 +239,28 @@ task_pass(void *unused)
     compile_time_tasks();
 }
 
-/* The watchdog is fed for tasks and timers both being alive: limits of time (heaters, a silent host) live in timers. */
+void
+sched_report(enum sched_source source)
+{
+    sched.alive |= source;
+}
+
+void
+sched_watch(enum sched_source source, uint8_t on)
+{
+    irqstatus_t flag = irq_save();
+    sched.watched = on ? sched.watched | source : sched.watched & (uint8_t)~source;
+    irq_restore(flag);
+}
+
+uint8_t
+sched_watchdog_feeds(void)
+{
+    return sched.feeds;
+}
+
+/* The watchdog is fed for tasks and all watched interrupts being alive: limits of time (heaters, a silent host) live in timers,
+ * those of the signal in the interrupt of the samples. */
 void
 sched_run_tasks(void)
 {
@@ -243,9 +268,10 @@ sched_run_tasks(void)
     sched.tasks_waiting = 0;
     sched_guarded(task_pass, NULL);
     sched.pass_ticks = timer_read_time() - start;
-    if (!sched.timers_alive)
+    if (sched.watched & (uint8_t)~sched.alive)
         return;
-    sched.timers_alive = 0;
+    sched.alive = 0;
+    sched.feeds++;
     watchdog_feed();
 }
 

@@ -66,6 +66,12 @@ enum shutdown_reason sched_shutdown_reason(void);
 void sched_clear_shutdown(void);
 void sched_respond_shutdown(void);               /* report to the host why a command was refused */
 
+/* Who must have come for the watchdog to be fed: the tasks, the timer interrupt, and what is watched besides. */
+enum sched_source { SCHED_TIMERS = 1, SCHED_SAMPLES = 2 };
+void sched_report(enum sched_source source);     /* interrupts: it has come */
+void sched_watch(enum sched_source source, uint8_t on);
+uint8_t sched_watchdog_feeds(void);              /* runs round; any context */
+
 /* For ports.  ----------------------------------------------------------------------------------------------- */
 
 void sched_main(void);               /* boot and loop for ever; a port with its own loop uses the next five */

@@ -54,6 +54,7 @@
     X(SHUTDOWN_LCD_DELAY, "Invalid display delay") \
     X(SHUTDOWN_ONOFF_TIMEOUT, "Missed renewal of on-off set point") \
     X(SHUTDOWN_ONOFF_SILENT, "On-off heater without readings") \
+    X(SHUTDOWN_SUPPLY_SWITCH, "Invalid supply switch interval") \
     /* induction heater */ \
     X(SHUTDOWN_INDUCTION_CONFIG, "Invalid induction configuration") \
     X(SHUTDOWN_INDUCTION_PHASE, "Induction phase out of range") \
@@ -63,6 +64,9 @@
     X(SHUTDOWN_INDUCTION_HIGH, "Induction coil signal above its limit") \
     X(SHUTDOWN_INDUCTION_CLIPPED, "Induction coil signal at the end of the ADC's range") \
     X(SHUTDOWN_INDUCTION_STUCK, "Induction coil signal stands still") \
+    X(SHUTDOWN_INDUCTION_UNMOVED, "Induction coil signal does not follow its sampling instant") \
+    X(SHUTDOWN_INDUCTION_CONDUCTS, "Induction coil carries current though the bridge is off") \
+    X(SHUTDOWN_INDUCTION_JUMP, "Induction coil signal changed faster than a nozzle can") \
     X(SHUTDOWN_BRIDGE_ID, "Not a valid bridge") \
     X(SHUTDOWN_BRIDGE_PERIOD, "Bridge period out of range") \
     X(SHUTDOWN_SYNC_ADC, "Synchronous ADC cannot be set up so") \

@@ -29,7 +29,7 @@ from .induction import calibrate as induction_calibrate
 from .induction import dump as induction_dump
 from .induction import flow as induction_flow
 from .induction import record as induction_record
-from .induction import settings
+from .induction import settings, supply_switch
 from .induction import supply as induction_supply
 from .induction.mcu import InductionUnit
 from .outputs import output_file
@@ -238,6 +238,8 @@ class InductionHeater:
         return eventtime + period_s if self._running else self._reactor.NEVER
 
     def _send(self, commands: list[PhaseCommand], now_s: float) -> None:
+        # a calibration heats to where it must
+        self.unit.set_ceiling(self.loop.state.target_c if self._run is None else math.inf)
         if commands:
             self.unit.queue_plan(commands)
             if self._view is not None:
@@ -562,7 +564,9 @@ def load_config_prefix(config: ConfigWrapper) -> InductionSection:
     unit_settings = settings.read_unit(config)
     parameters = settings.read_parameters(config, unit_settings)
     rows = settings.guard_rows(config, parameters)
-    unit = InductionUnit(sense["chip"], sense["pin"], unit_settings, rows)
+    tests = settings.read_tests(config, parameters.front)
+    ceiling = settings.ceiling(config, parameters, rows)
+    unit = InductionUnit(sense["chip"], sense["pin"], unit_settings, rows, tests, ceiling)
     heater = InductionHeater(
         printer,
         name,
@@ -584,6 +588,7 @@ def load_config_prefix(config: ConfigWrapper) -> InductionSection:
     induction_dump.InductionDump(printer, heater, folder).register()
     heater.record = induction_record.InductionRecord(config, heater, rows, folder)
     heater.record.register()
+    supply_switch.read(config)
     supply = induction_supply.read(config)
     if supply is not None:
         supply.serve(heater)

@@ -141,6 +141,23 @@ SHUTDOWN_HELP = (
         " or nozzle has the same effect (INDUCTION_CALIBRATE).",
     ),
     (
+        ("Induction coil signal does not follow",),
+        "The board moved the instant at which it samples the signal of the induction coil, and the reading did not move"
+        " by as much as it must: the signal is frozen, or its gain is not signal_gain. Check the sensing coil's lead,"
+        " the amplifier and its supply.",
+    ),
+    (
+        ("Induction coil carries current",),
+        "The board turned the bridge off, and the signal was still that of a driven coil. Cut the supply. Then check"
+        " the transistors of the bridge and their drivers for one that conducts all the time, and adc_zero: it must be"
+        " what the ADC reads without current.",
+    ),
+    (
+        ("Induction coil signal changed faster",),
+        "The reading of the induction coil jumped by more than the temperature of a nozzle can in that time. Check the"
+        " connections of coil and capacitor, whether the nozzle sits firmly in the coil, and the bridge's supply.",
+    ),
+    (
         ("Induction bridge off: no phase command",),
         "The board received nothing from the host for 3 s; it had switched the bridge off before. The host program"
         " ended, the host computer was too busy or swapping memory, or the cable came off.",

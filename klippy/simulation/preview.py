@@ -7,13 +7,15 @@ certain: reading ends at the first command that may give coordinates another mea
 from __future__ import annotations
 
 import math
+import mmap
+import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
+import chelper
 from gcode_command import CHECKSUM, LINE_NUMBER, TRADITIONAL_WORD
 
 # Commands that leave the meaning of coordinates alone.
@@ -29,9 +31,7 @@ _HARMLESS = frozenset(
 _MOVES = frozenset(("G0", "G1", "G2", "G3"))
 _AXES = "XYZ"
 _PLACE = re.compile(r"([XYZ])([^A-Z]*)")
-_VALUE = {axis: re.compile(axis + "([^A-Z\n]*)") for axis in _AXES}
-_COMMENT = re.compile(r";[^\n]*")
-_PLAIN = ("G1 ", "G0 ", ";", "\n")  # lines that do no more than move
+_NEWLINE = ord("\n")
 _NAME = re.compile(r"[A-Z_][A-Z0-9_]*", re.IGNORECASE)
 _NUMBERED = re.compile(r"[GMT][0-9]")  # what every dialect's commands look like
 _HEAD_BYTES = 8192  # a binary file shows a zero byte within this
@@ -71,60 +71,60 @@ def objection(path: Path, machine: Machine) -> str | None:
     with path.open("rb") as stream:
         if b"\0" in stream.read(_HEAD_BYTES):
             return f"{path.name} is not G-code: it is a binary file"
+        size = stream.seek(0, os.SEEK_END)
+        data = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
     is_gcode, head = False, _Head()
     watching = bool(machine.ranges)
     plain = watching and all(machine.knows(move) and move not in machine.macros for move in ("G0", "G1"))
-    with path.open(encoding="utf-8", errors="replace") as stream:
-        for number, line in _lines(stream, head, machine.ranges if plain else {}):
-            command, rest = _split(line)
-            if not command:
-                continue
-            known = machine.knows(command)
-            is_gcode = is_gcode or known or _NUMBERED.match(command) is not None
-            if watching and known:
-                try:
-                    problem = _follow(head, command, rest, machine)
-                except _UncertainError:
-                    watching, problem = False, ""
-                if problem:
-                    return f"{path.name}, line {number}: '{line.strip()[:60]}' is out of range: {problem}"
-            if is_gcode and not watching:
-                return None
+    for number, line in _lines(data, head, machine.ranges if plain else {}):
+        command, rest = _split(line)
+        if not command:
+            continue
+        known = machine.knows(command)
+        is_gcode = is_gcode or known or _NUMBERED.match(command) is not None
+        if watching and known:
+            try:
+                problem = _follow(head, command, rest, machine)
+            except _UncertainError:
+                watching, problem = False, ""
+            if problem:
+                return f"{path.name}, line {number}: '{line.strip()[:60]}' is out of range: {problem}"
+        if is_gcode and not watching:
+            return None
     return None if is_gcode or head.has_moved else f"{path.name} is not G-code: no line of it is a command"
 
 
 def _lines(
-    stream: Iterable[str], head: _Head, ranges: Mapping[str, tuple[float, float]]
+    data: mmap.mmap | bytes, head: _Head, ranges: Mapping[str, tuple[float, float]]
 ) -> Iterator[tuple[int, str]]:
     """Lines with their numbers, without runs of plain moves that stay within the ranges: these are nearly all."""
-    run: list[str] = []
-    for number, line in enumerate(chain(stream, ("",)), 1):
-        if line.startswith(_PLAIN):
-            run.append(line)
+    ffi, lib = chelper.get_ffi()
+    text, span = ffi.from_buffer(data), ffi.new("struct rows_span *")
+    number = at = 0
+    while at < len(data):
+        count = lib.rows_span(span, text + at, len(data) - at) if ranges and head.absolute else 0
+        if count and _stay_within(head, span, ranges):
+            at, number = at + count, number + span.lines
             continue
-        if run and not (ranges and _stay_within(head, run, ranges)):
-            yield from enumerate(run, number - len(run))
-        run = []
-        yield number, line
+        end = at + count if count else data.find(b"\n", at) + 1 or len(data)
+        for line in data[at:end].decode(errors="replace").split("\n"):
+            number += 1
+            yield number, line
+        number, at = number - (data[end - 1] == _NEWLINE), end
 
 
-def _stay_within(head: _Head, run: Sequence[str], ranges: Mapping[str, tuple[float, float]]) -> bool:
-    """Whether these moves surely do; then the head is where they end."""
-    if not head.absolute:
-        return False
-    text, ends = _COMMENT.sub("", "".join(run)).upper(), {}
-    for axis in _AXES:
-        try:
-            places = [head.origin[axis] + float(value) for value in _VALUE[axis].findall(text)]
-        except ValueError:
-            return False
-        if places:
+def _stay_within(head: _Head, span: Any, ranges: Mapping[str, tuple[float, float]]) -> bool:
+    """Whether these moves surely do; then the head is where they end. `span`: C's struct rows_span."""
+    ends = {}
+    for bit, axis in enumerate(_AXES):
+        if span.given >> bit & 1:
             low, high = ranges.get(axis, (-math.inf, math.inf))
-            if not low <= min(places) <= max(places) <= high:
+            origin = head.origin[axis]
+            if not low <= origin + span.low[bit] <= origin + span.high[bit] <= high:
                 return False
-            ends[axis] = places[-1]
+            ends[axis] = origin + span.last[bit]
     head.position.update(ends)
-    head.has_moved = head.has_moved or "G" in text
+    head.has_moved = head.has_moved or span.moves > 0
     return True
 
 

@@ -20,7 +20,17 @@ from .builds import OUT
 
 SOURCE = Path(__file__).resolve().parents[2] / "src" / "guard.c"
 FLAGS = ("-std=c11", "-O2", "-fPIC", "-shared")
-TRIPS = ("", "too low", "too high", "clipped", "stuck", "timeout")  # enum guard_trip
+TRIPS = (
+    "",
+    "too low",
+    "too high",
+    "clipped",
+    "stuck",
+    "timeout",
+    "unmoved",
+    "conducts",
+    "jump",
+)  # enum guard_trip
 
 
 @cache
@@ -47,7 +57,7 @@ class Guard:
     def __init__(self, header: dict[str, Any]) -> None:
         ffi, self._lib = _library()
         self._guard, self._block = ffi.new("struct guard *"), ffi.new("struct guard_input *")
-        self._lib.guard_init(self._guard, header["adc_max"], 0xFFFFFFFF)
+        self._lib.guard_init(self._guard, header["adc_max"], 0xFFFFFFFF, 0xFFFFFFFF)
         for phase, low, high in header["guard"]:
             row = {"phase": phase, "low": low, "high": high, "trip_blocks": header["trip_blocks"]}
             self._lib.guard_add_row(self._guard, ffi.new("struct guard_row *", row)[0])

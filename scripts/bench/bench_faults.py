@@ -58,6 +58,10 @@ QUICK_FAULTS = (
 )
 FAULT = "simulator.fault"
 BY = {  # words of the message that ended a print → short name
+    "coil signal does not follow": "MCU: signal does not follow",
+    "though the bridge is off": "MCU: bridge conducts",
+    "changed faster": "MCU: signal jumps",
+    "samples do not arrive": "MCU: no samples",
     "above its limit": "MCU: above its limit",
     "below its limit": "MCU: below its limit",
     "signal st": "MCU: signal stands still",

@@ -32,6 +32,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -46,6 +47,9 @@ END = b"\x03"
 WINDOW_STEPS = 16  # steps on each side that a local parabola is fitted through
 GRID_S = 0.001  # velocity and acceleration are worked out on a grid
 SMOOTH_S = 0.008
+COMPRESSION_US = 25.0  # a step may be shifted by so much
+ERROR_SCALE_US = 30.0  # the scale is this at least, and holds this percentage of the steps
+ERROR_SHOWN_PERCENT = 99.0
 SLOWEST_MM_S = 0.5  # below, a step's error in time says nothing
 LINEAR_MISS_STEPS = 1.5  # a motor that follows the axes linearly is never farther from them
 
@@ -308,9 +312,29 @@ def error_to_neighbours(motor: Motor) -> Array:
     return error
 
 
-def draw(motors: list[Motor], plans: dict[str, Plan], figure: Figure) -> None:
+def draw_errors(axes: Axes, errors: list[tuple[Array, Array]]) -> None:
+    """Step errors in µs over time, on a scale that fits; marks at its edge for what goes beyond."""
+    every = np.concatenate([np.abs(error_us) for _, error_us in errors] or [np.zeros(1)])
+    scale = max(ERROR_SCALE_US, 1.2 * float(np.percentile(every, ERROR_SHOWN_PERCENT)) if every.size else 0.0)
+    for times, error_us in errors:
+        (dots,) = axes.plot(times, error_us, ".", ms=1.5)
+        for sign, mark in ((1.0, "^"), (-1.0, "v")):
+            beyond = sign * error_us > scale
+            marks = np.full(int(beyond.sum()), sign * 0.97 * scale)
+            axes.plot(times[beyond], marks, mark, ms=4, color=dots.get_color())
+    for limit_us in (-COMPRESSION_US, COMPRESSION_US):
+        axes.axhline(limit_us, color="0.4", lw=0.7, ls="--")
+    cut = int((every > scale).sum())
+    title = f"Step error (dashed: compression; large at corners without a plan); {cut} of {every.size} beyond"
+    axes.set(ylabel="step error, µs", xlabel="print time, s", ylim=(-scale, scale))
+    axes.set_title(title, fontsize=9, loc="left")
+
+
+def draw(motors: list[Motor], plans: dict[str, Plan], figure: Figure, title: str) -> None:
     """Four panels over a common time."""
+    figure.suptitle(title)
     place, speed, accel, miss = figure.subplots(4, 1, sharex=True)
+    errors = []
     for motor in motors:
         if len(motor.times) < 3:
             continue
@@ -324,13 +348,20 @@ def draw(motors: list[Motor], plans: dict[str, Plan], figure: Figure) -> None:
             error = error_to_neighbours(motor)
         local = np.interp(motor.times, grid, velocity)
         fast = np.abs(local) > SLOWEST_MM_S
-        miss.plot(motor.times[fast], 1e6 * error[fast] / local[fast], ".", ms=1.5)
+        errors.append((motor.times[fast], 1e6 * error[fast] / local[fast]))
+    draw_errors(miss, errors)
     place.set(ylabel="position, mm")
     place.legend(loc="upper right", fontsize="small")
     speed.set(ylabel="velocity, mm/s")
     accel.set(ylabel="acceleration, mm/s²")
-    miss.set(ylabel="step error, µs", xlabel="time, s", ylim=(-60, 60))
+    for axes, name in (
+        (place, "Position"),
+        (speed, "Velocity"),
+        (accel, f"Acceleration, over {1e3 * SMOOTH_S:.0f} ms"),
+    ):
+        axes.set_title(name, fontsize=9, loc="left")
     for axes in (place, speed, accel, miss):
+        axes.margins(x=0.01)
         axes.grid(alpha=0.3)
 
 
@@ -369,7 +400,9 @@ def main(argv: list[str] | None = None) -> int:
         print(f"motion_plot: {e}", file=sys.stderr)
         return 2
     figure = Figure(figsize=(12, 10), layout="constrained")
-    draw(motors, plans, figure)
+    draw(
+        motors, plans, figure, f"Motors, from {options.output if options.kind == 'batch' else options.socket}"
+    )
     figure.savefig(options.out, dpi=110)
     for motor in motors:
         print(f"{motor.name}: {len(motor.times)} steps in {motor.times[-1] - motor.times[0]:.3f} s")

@@ -31,7 +31,7 @@ from pathlib import Path
 
 NUMBER_TYPES = {"%c": "u", "%hu": "u", "%hi": "s", "%u": "w", "%i": "w"}
 BUFFER_TYPES = ("%*s", "%.*s")
-COMMAND_ARGS_MAX = 10  # as in src/command.h
+COMMAND_ARGS_MAX = 12  # as in src/command.h
 COMMAND_FLAGS = {"0": 0, "HF_IN_SHUTDOWN": 1}
 IDENTIFY = "identify offset=%u count=%c"
 IDENTIFY_RESPONSE = "identify_response offset=%u data=%.*s"

@@ -55,7 +55,16 @@ OFFLINE = f"{PURE_PYTHON}/identification/fit"
 OFFLINE_PACKAGES = frozenset({"numpy", "scipy", "pyswarm"})
 
 # C files that compute and nothing else (state and input in, result out), without suffix.
-PURE_C = ("oversample", "oversample_kernel", "phase", "guard", "filters", "wire")
+PURE_C = (
+    "oversample",
+    "oversample_kernel",
+    "phase",
+    "guard",
+    "signal_test",
+    "block_record",
+    "filters",
+    "wire",
+)
 FORBIDDEN_IN_PURE_C = re.compile(r"^(board/|sched\.h$|command\.h$|basecmd\.h$)")
 PORTS = ("atmega2560", "stm32f334", "simulator", "template")
 # What the simulated world and the emulators may take from src/.

@@ -45,7 +45,7 @@ HEAD = """\
 # Compatibility with Klipper
 
 Written by `scripts/check/compatibility.py`; a test compares it with the program. Names are those of Klipper's reference
-pages of summer 2026. [Config_Reference](Config_Reference.md), [G-Codes](G-Codes.md) and
+pages; options and fields of 2026 may be missing. [Config_Reference](Config_Reference.md), [G-Codes](G-Codes.md) and
 [Status_Reference](Status_Reference.md) list those of this program, with what each does.
 
 A section that is missing does not stop the printer ([why](Config_Reference.md#sections-of-klipper-that-are-missing)).

@@ -1,4 +1,6 @@
-"""Options of Config_Reference.md and fields of Status_Reference.md in Klipper's documentation, as of summer 2026.
+"""Options of Config_Reference.md and fields of Status_Reference.md in Klipper's documentation.
+
+The newest names may be missing.
 
 A word with + stands for a group of options. Numbered options stand with their first number. An indented line goes on.
 """

@@ -36,6 +36,7 @@ _SUPERVISION_TESTS = (
 )
 SAFETY: dict[str, tuple[Part, ...]] = {
     "guard": (Part("src/guard.c", ("test/c/test_induction_guard.py",)),),
+    "signal_test": (Part("src/signal_test.c", ("test/c/test_signal_test.py",)),),
     "oversample": (Part("src/oversample.c", ("test/c/test_induction_oversample.py",)),),
     "phase": (Part("src/phase.c", ("test/c/test_induction_phase.py",)),),
     "wire": (Part("src/wire.c", ("test/c/test_wire.py",)),),

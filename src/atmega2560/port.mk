@@ -6,7 +6,7 @@ PORT_PACKAGES := gcc-avr avr-libc
 
 # No bridge.
 PORT_FIRMWARE := $(FIRMWARE_CORE) src/timed_output.c src/gpiocmds.c src/pwmcmds.c src/adccmds.c src/trsync.c src/stepper.c \
-	src/endstop.c src/onoffcmds.c $(FIRMWARE_BUS) $(FIRMWARE_BUS_HARDWARE) $(FIRMWARE_PINS)
+	src/endstop.c src/onoffcmds.c src/supplycmds.c $(FIRMWARE_BUS) $(FIRMWARE_BUS_HARDWARE) $(FIRMWARE_PINS)
 MEGA := src/atmega2560
 PORT_SOURCES := $(MEGA)/boot.c $(MEGA)/timer.c $(MEGA)/gpio.c $(MEGA)/console.c $(MEGA)/adc.c $(MEGA)/pwm.c $(MEGA)/spi.c \
 	$(MEGA)/i2c.c $(MEGA)/led.c

@@ -13,6 +13,10 @@
  *                      clock on.  Half buffer k holds samples k * half_len ...; if position runs more than
  *                      2 * half_len ahead of what `ready` has been given, samples were lost.
  *
+ *   sync_adc_move      any context: from the next period edge on samples are taken so many ticks later in the period than
+ *                      usual, 0 as usual; seen from sample number sync_adc_position() on.  At most SYNC_ADC_MOVE_TICKS.
+ *                      A port that cannot do that defines PORT_SYNC_ADC_FIXED and need not have the function.
+ *
  * half_len is the caller's choice, PORT_SYNC_HALF_LEN if the port defines it (they share an interrupt's cost).
  */
 #ifndef BOARD_SYNC_ADC_H
@@ -21,6 +25,8 @@
 #include <stdint.h>
 
 #include "board/bridge_pwm.h"
+
+enum { SYNC_ADC_MOVE_TICKS = 7 }; /* 97 ns at 72 MHz: 4.2 degrees of 120 kHz */
 
 struct sync_adc {
     uint8_t id;
@@ -31,5 +37,6 @@ typedef void (*sync_adc_ready_fn)(const uint16_t *samples, uint16_t count);
 struct sync_adc sync_adc_setup(uint32_t pin, struct bridge_pwm bridge, uint16_t half_len, sync_adc_ready_fn ready);
 uint32_t sync_adc_start(struct sync_adc a);
 uint32_t sync_adc_position(struct sync_adc a);
+void sync_adc_move(struct sync_adc a, uint16_t ticks);
 
 #endif

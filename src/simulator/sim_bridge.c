@@ -23,7 +23,8 @@ enum { HALF_LEN_MAX = 128, PERIOD_TICKS_MIN = 72, PERIOD_TICKS_MAX = 65535 };
 static struct {
     uint32_t period_ticks;       /* 0: not set up */
     uint64_t base_clock;
-    uint16_t pending_phase;
+    uint16_t pending_phase, pending_move, moved;
+    uint64_t move_clock;         /* when pending_move comes into force; SIM_NEVER: nothing pending */
     uint64_t edge_clock;         /* when pending_phase comes into force; SIM_NEVER: nothing pending */
     uint16_t half_len;           /* 0: the ADC is not set up */
     sync_adc_ready_fn ready;
@@ -36,7 +37,7 @@ static struct {
 void
 sim_bridge_init(void)
 {
-    bridge = (typeof(bridge)){ .edge_clock = SIM_NEVER, .half_clock = SIM_NEVER };
+    bridge = (typeof(bridge)){ .move_clock = SIM_NEVER, .edge_clock = SIM_NEVER, .half_clock = SIM_NEVER };
 }
 DECL_INIT(sim_bridge_init);
 
@@ -142,6 +143,16 @@ sync_adc_position(struct sync_adc a)
     return (uint32_t)((sim_clock - bridge.start_clock) / bridge.period_ticks) + 1;
 }
 
+void
+sync_adc_move(struct sync_adc a, uint16_t ticks)
+{
+    (void)a;
+    if (ticks == bridge.moved)
+        return;
+    bridge.moved = bridge.pending_move = ticks;
+    bridge.move_clock = next_edge();
+}
+
 /****************************************************************
  * Events
  ****************************************************************/
@@ -149,7 +160,8 @@ sync_adc_position(struct sync_adc a)
 uint64_t
 sim_bridge_next_event(void)
 {
-    return bridge.edge_clock < bridge.half_clock ? bridge.edge_clock : bridge.half_clock;
+    uint64_t edge = bridge.edge_clock < bridge.move_clock ? bridge.edge_clock : bridge.move_clock;
+    return edge < bridge.half_clock ? edge : bridge.half_clock;
 }
 
 static void
@@ -161,6 +173,12 @@ call_ready(void *half)
 void
 sim_bridge_run(void)
 {
+    if (bridge.move_clock <= sim_clock) {
+        read_samples_before(sim_clock);
+        bridge.move_clock = SIM_NEVER;
+        if (sim_board.sync_adc_move)
+            sim_board.sync_adc_move(sim_board.ctx, bridge.pending_move, sim_clock);
+    }
     if (bridge.edge_clock <= sim_clock)
         send_phase(bridge.pending_phase);
     if (bridge.half_clock > sim_clock)

@@ -36,6 +36,9 @@ struct sim_board {
     /* `count` samples at first_clock, first_clock + period_ticks, ...; all lie under the phase last set, and after
      * all samples read before. */
     void (*sync_adc_read)(void *ctx, uint16_t *samples, uint32_t count, uint64_t first_clock, uint32_t period_ticks);
+    /* Samples from the next sync_adc_read() on are taken `ticks` later in the period than the machine was tuned for.  May
+     * be NULL. */
+    void (*sync_adc_move)(void *ctx, uint32_t ticks, uint64_t clock);
     void (*console_send)(void *ctx, const uint8_t *data, uint32_t len, uint64_t clock);
     /* Devices on hardware buses; either may be NULL: nothing is connected.  What comes back takes the place of `data`;
      * pin_write has selected the chip before. */

@@ -6,7 +6,7 @@
  * of sampling (DS9994), which are 159 cycles.
  *
  * The sensor is wired to ADC1 alone, whose regular conversions are the bridge's samples: it is an injected conversion of ADC1.  Begun
- * during a sample it would abort it, begun too late delay the next, so it begins in the gap (of 42 ticks at the shortest period):
+ * during a sample it would abort it, begun too late delay the next, so it begins in the gap (of 35 ticks at the shortest period):
  *
  *     edge                                                                          edge
  *      |__====_________|           gap           |____________________________________|__====____
@@ -28,7 +28,7 @@ enum {
     SAMPLING_181 = 6,           /* SMPR: 181.5 cycles; DS9994: enough for 20 kOhm at least */
     CONVERSION_TICKS = 194, NOBODY = 0,
     PIN_TEMPERATURE = 254, SENSOR = 16, /* V_TS: channel 16 of ADC1 (RM0364; ADC2 has none of that number) */
-    AFTER_EDGE_TICKS = 30,      /* trigger at 2, latency, 14 cycles of conversion */
+    AFTER_EDGE_TICKS = 37,      /* trigger at 2 or 9, latency, 14 cycles of conversion */
     BEFORE_EDGE_TICKS = CONVERSION_TICKS + 34, /* latency; from reading the bridge's counter to the start */
     GAP_SPINS = 100,            /* at 8 cycles at least: more than there are from one gap to the next */
 };

@@ -48,6 +48,7 @@ _Static_assert(DEAD_STEPS > 0 && DEAD_STEPS <= 511, "dead time out of range");
 
 static struct {
     uint32_t period_steps;      /* 0: not set up; nothing below touches HRTIM then, its clock may be off */
+    uint16_t sample_steps;      /* ADC trigger after the edge */
     uint8_t on;                 /* outputs enabled */
 } bridge;
 
@@ -128,7 +129,7 @@ objection_inside(void)
         return SHUTDOWN_BRIDGE_DELAY_LINE;
     const uint32_t running = HRTIM_MASTER_MCR_TACEN | HRTIM_MASTER_MCR_TBCEN;
     if (!leg_reads_back(LEG_A) || !leg_reads_back(LEG_B) || (HRTIM_MASTER_MCR & running) != running ||
-        HRTIM_TIM_CMP1(LEG_A) != bridge.period_steps / 2 || HRTIM_TIM_CMP4(LEG_A) != SAMPLE_STEPS ||
+        HRTIM_TIM_CMP1(LEG_A) != bridge.period_steps / 2 || HRTIM_TIM_CMP4(LEG_A) != bridge.sample_steps ||
         HRTIM_ADC1R != HRTIM_ADC1R_AD1TAC4 || HRTIM_FLTINR1 != fault_input_word)
         return SHUTDOWN_BRIDGE_REGISTERS;
     if (!counts(LEG_A) || !counts(LEG_B))
@@ -208,6 +209,7 @@ bridge_pwm_setup(uint8_t id, uint32_t period_ticks)
     set_up_leg(LEG_B);
     HRTIM_TIM_RST1(LEG_B) = HRTIM_TIM_RST1_PER | HRTIM_TIM_RST1_CMP2;
     HRTIM_TIM_CMP2(LEG_B) = bridge.period_steps;
+    bridge.sample_steps = SAMPLE_STEPS;
     HRTIM_TIM_CMP4(LEG_A) = SAMPLE_STEPS;
     HRTIM_ADC1R = HRTIM_ADC1R_AD1TAC4;
     HRTIM_TIM_CR(LEG_A) = control_word();
@@ -227,6 +229,15 @@ uint32_t
 bridge_period_ticks(void)
 {
     return bridge.period_steps / STEPS_PER_TICK;
+}
+
+/* The trigger's compare register is preloaded like the others: in force from the next edge on. */
+void
+bridge_move_sampling(uint16_t ticks)
+{
+    bridge.sample_steps = (uint16_t)(SAMPLE_STEPS + ticks * STEPS_PER_TICK);
+    if (bridge.period_steps)
+        HRTIM_TIM_CMP4(LEG_A) = bridge.sample_steps;
 }
 
 /* Ticks until the next period edge, rounded up. */

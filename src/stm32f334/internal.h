@@ -44,6 +44,7 @@ void pin_set_open_drain(uint32_t pin);
 uint8_t pin_level(uint32_t pin);
 
 /* bridge.c */
+void bridge_move_sampling(uint16_t ticks);
 uint32_t bridge_period_ticks(void);
 uint32_t bridge_ticks_to_edge(void);
 uint32_t bridge_next_edge(void);

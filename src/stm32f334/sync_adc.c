@@ -156,6 +156,13 @@ sync_adc_position(struct sync_adc a)
     return position;
 }
 
+void
+sync_adc_move(struct sync_adc a, uint16_t ticks)
+{
+    (void)a;
+    bridge_move_sampling(ticks);
+}
+
 enum shutdown_reason
 sync_adc_objection(void)
 {

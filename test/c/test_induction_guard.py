@@ -184,6 +184,31 @@ def test_a_bridge_that_is_off_for_good_waits_for_nobody():
     assert not lib.guard_is_waiting(g) and not lib.guard_lapse(g, 10**9)
 
 
+@pytest.mark.parametrize(
+    ("phase", "share", "mean", "verdict"),
+    [
+        (20000, 0x8000, 500, NONE),  # half the way from 200 to 800
+        (20000, 0x8000, 500.1, HIGH),
+        (19999, 0x8000, 800, NONE),
+        (20000, 65535, 800, NONE),
+        (20000, 0, 200.1, HIGH),
+        (20000, 0, 199, LOW),
+    ],
+)
+def test_the_ceiling_lowers_the_high_limit_from_its_phase_on(phase, share, mean, verdict):
+    g = guard((2000, 200, 800, 1))
+    lib.guard_set_ceiling(g, 20000, share)
+    assert judge(g, mean, phase=phase) == verdict
+
+
+def test_a_trip_found_elsewhere_is_latched_like_its_own():
+    g = guard((0, 200, 900, 1))
+    assert lib.guard_latch(g, 6, 77, 16) == 6
+    assert lib.guard_latch(g, 7, 78, 17) == NONE
+    assert judge(g, 1000) == NONE
+    assert (g.trip, g.trip_value, g.trip_count) == (6, 77, 16)
+
+
 @settings(max_examples=200, deadline=None)
 @given(
     rows=st.lists(

@@ -90,6 +90,20 @@ class Reference:
                 self._finish(whole=True)
 
 
+def test_skipped_samples_end_a_block_and_count_as_discarded_and_as_settling() -> None:
+    fast = Fast(4, 20, 0, 192)
+    fast.step(1000)
+    assert lib.oversample_skip(fast.c, 8, fast.block) == 0
+    fast.feed([100] * 112, 8)  # 12 of them settle
+    assert lib.oversample_skip(fast.c, 30, fast.block) == 1
+    assert (fast.block.first, fast.block.count, fast.block.discarded) == (20, 100, 20)
+    assert lib.oversample_skip(fast.c, 30, fast.block) == 0
+    fast.feed([100] * 5, 180)
+    assert lib.oversample_skip(fast.c, 1, fast.block) == 0, "too few for a block"
+    fast.feed([100] * 192, 186)
+    assert (fast.blocks[-1].first, fast.blocks[-1].count, fast.blocks[-1].discarded) == (186, 192, 66)
+
+
 class Fast:
     """The firmware's code, driven as its interrupt drives it."""
 

@@ -41,6 +41,7 @@ class Unit:
         y: int = 5,
         shift: int = 0,
         block: tuple[int, int] | None = None,
+        tests: dict[str, int] | None = None,
         **changes: int,
     ) -> None:
         self.mcu = Mcu()
@@ -62,6 +63,7 @@ class Unit:
                 else []
             ),
             *(("config_induction_limit", row) for row in rows),
+            *([("config_induction_test", {"oid": 0, **tests})] if tests else []),
         )
 
     def phase(self, phase: int, delay_s: float = 0.001) -> int:
@@ -493,6 +495,72 @@ def test_a_stalled_reader_is_reported_what_it_missed():
     unit.report()
     unit.mcu.run(0.05)
     assert unit.records()[sent].number == 0
+
+
+TESTS = {"moved_low": 16 * 72, "moved_high": 16 * 98, "off_low": 246, "off_high": 266, "interval": 1200}
+TESTS |= {"tolerance": 26, "slack": 16, "phase": 2012, "jump": 240, "rise": 16, "fall": 1}
+
+
+def answering(frozen_s: float = 9.0, stuck_s: float = 9.0, stopped_s: float = 9.0) -> Unit:
+    """A unit with all tests on a signal that answers them, until a fault sets in."""
+    unit = Unit(y=4, block=(192, 3), tests=TESTS)
+
+    def code(clock: int) -> int:
+        noise = clock // PERIOD * 7 % 3 - 1
+        if clock > frozen_s * FREQ:
+            return 450 + noise
+        phase = max(((at, phase) for at, phase in unit.mcu.bridge_sets if at <= clock), default=(0, 0))[1]
+        late = max(((at, ticks) for at, ticks in unit.mcu.sampling_moves if at <= clock), default=(0, 0))[1]
+        driven = phase or clock > stuck_s * FREQ
+        return noise + (450 + 12 * late if driven else 256)
+
+    unit.mcu.sample_code = code
+    unit.report()
+    return unit
+
+
+def test_tests_of_the_signal_run_while_the_bridge_is_driven_and_their_samples_reach_no_block():
+    unit = answering()
+    unit.hold(14230, 0.2)
+    assert unit.state()["trip"] == 0
+    moves = [clock for clock, ticks in unit.mcu.sampling_moves if ticks]
+    assert max(b - a for a, b in itertools.pairwise(moves[:4])) < 0.002 * FREQ, "these are learned from"
+    assert unit.state()["moved"] == 16 * 84
+    moves = moves[3:]
+    offs = [clock for clock, phase in unit.mcu.bridge_sets[2:] if not phase]
+    assert 6 <= len(moves) <= 10 and 6 <= len(offs) <= 10
+    driven = [r for r in unit.records() if r.phase == 14230]
+    assert {(r.min, r.max) for r in driven} == {(449, 451)}
+    for before, after in itertools.pairwise(driven):
+        assert after.clock == before.clock + (before.count + after.discarded + after.lost) * PERIOD
+    assert max(b - a for a, b in itertools.pairwise(moves)) < 0.027 * FREQ
+
+
+@pytest.mark.parametrize(
+    ("fault", "text", "within_s"),
+    [
+        ("frozen_s", "Induction coil signal does not follow its sampling instant", 0.030),
+        ("stuck_s", "Induction coil carries current though the bridge is off", 0.030),
+    ],
+)
+def test_a_signal_that_does_not_answer_shuts_down_with_the_bridge_off(fault, text, within_s):
+    unit = answering(**{fault: 0.1})
+    unit.hold(14230, 0.1 + within_s)
+    assert unit.mcu.shutdown_reason() == text
+    assert unit.mcu.bridge_sets[-1][1] == 0
+    assert not unit.mcu.sampling_moves or unit.mcu.sampling_moves[-1][1] == 0
+
+
+def test_a_step_of_the_drive_in_a_test_takes_effect_at_its_clock():
+    """Plans that step every 0.7 ms leave no room for a whole test; each step is carried out all the same."""
+    unit = answering()
+    clocks = []
+    for n in range(60):
+        clocks.append(unit.phase(14230 + n % 2, 0.0005))
+        unit.mcu.run(0.0007)
+    steps = [(clock, phase) for clock, phase in unit.mcu.bridge_sets if phase >= 14230]
+    for clock, n in zip(clocks[1:], range(1, 60), strict=True):
+        assert any(phase == 14230 + n % 2 and 0 <= at - clock <= PERIOD for at, phase in steps)
 
 
 def test_the_plants_temperature_comes_through_the_whole_chain():

@@ -10,6 +10,7 @@ from measure import PERIOD, TRAVEL, Sampling, everything_cost, run_sampling
 SECONDS = 1.5  # ten in scripts/bench/bench_firmware.py
 SAMPLES_IRQ = 16 + 11  # DMA1 channel 1
 BLOCK, Y = 192, 5
+MAX_PER_SAMPLE_TESTED = 4.6
 MAX_PER_SAMPLE = 4.0  # a plain loop over the samples is 4.5 alone
 
 
@@ -65,6 +66,16 @@ def test_the_phases_in_the_compare_registers_are_those_commanded(run: Sampling) 
 def test_a_sample_costs_few_instructions(run: Sampling) -> None:
     """All of the interrupt: entry, sums, extremes, blocks, guard, exit."""
     assert run.spent(SAMPLES_IRQ) / run.samples <= MAX_PER_SAMPLE
+
+
+def test_tests_of_the_signal_cost_little_more_and_no_sample() -> None:
+    tested = run_sampling(SECONDS / 3, (BLOCK, 2), tests=True)
+    assert tested.spent(SAMPLES_IRQ) / tested.samples <= MAX_PER_SAMPLE_TESTED
+    assert max(tested.after["longest_ticks"].values()) / FREQ < 100e-6
+    assert tested.after["samples_lost"] == 0
+    for (clock, row), (next_clock, following) in zip(tested.records, tested.records[1:], strict=False):
+        assert next_clock == clock + (row.count + following.discarded) * PERIOD
+    assert sum(row.discarded for _, row in tested.records) > 20 * 66, "tests were made"
 
 
 @pytest.mark.parametrize(("block", "limit"), [((1024, 2), 4.0), ((192, 2), 6.1)])

@@ -19,6 +19,7 @@ CASES = {
     ),
 }
 HEAT_WITHIN_S = {"nozzle": 5.0, "load": 120.0}  # induction, a 40 W cartridge
+HOLD_WITHIN_C = {"nozzle": 0.5, "load": 3.0}
 SHUTDOWN_WITHIN_S = 5.0
 HOMING_STEPS = 2  # a switch seen 25 us later: one step at 40 mm/s, both ways
 # The file's end. Induction: M109 looks at the heater a few times a second. The cartridge settles over half a minute,
@@ -67,14 +68,15 @@ def test_both_take_the_same_time(stories: tuple[Story, Story]) -> None:
 
 
 def test_both_reach_and_hold_the_temperature(stories: tuple[Story, Story]) -> None:
-    """25 to 250 °C in closed loop (200 on the Mega), within 3 °C from settling on, in the print and after it."""
+    """25 to 250 °C in closed loop (200 on the Mega), and near it from settling on, in the print and after it."""
     for story in stories:
-        heater, target_c = story.outcome.summary["heater"], story.case.target_c
+        heater, target_c = story.heater, story.case.target_c
         assert heater["targets"][0]["target_c"] == target_c
         assert heater["targets"][0]["reach_s"] < HEAT_WITHIN_S[story.case.heater]
-        assert heater["settled_max_error_c"] < 3.0
-        assert len(story.held_c) > 5 and all(abs(c - target_c) < 3.0 for c in story.held_c)
-    times = [story.outcome.summary["heater"]["time_to_heat_s"] for story in stories]
+        within_c = HOLD_WITHIN_C[story.case.heater]
+        assert heater["settled_max_error_c"] < within_c
+        assert len(story.held_c) > 5 and all(abs(c - target_c) < within_c for c in story.held_c)
+    times = [story.heater["time_to_heat_s"] for story in stories]
     assert times[0] == pytest.approx(times[1], rel=0.01, abs=0.1)
 
 

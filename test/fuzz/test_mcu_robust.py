@@ -89,7 +89,7 @@ def build(tmp_path: Path, text: str) -> subprocess.CompletedProcess[str]:
         ('DECL_COMMAND(h, "a x");', "parameter 'x' of 'a' is not of the form name=%type"),
         ('DECL_COMMAND(h, "a x=%u x=%u");', "'a' has two parameters called 'x'"),
         ('DECL_COMMAND(h, "A-b x=%u");', "does not begin with a message name"),
-        ('DECL_COMMAND(h, "a x=%*s y=%*s");', "more than 10 numbers or than one byte string"),
+        ('DECL_COMMAND(h, "a x=%*s y=%*s");', "more than 12 numbers or than one byte string"),
         ('DECL_COMMAND_FLAGS(h, HF_OFTEN, "a x=%u");', "unknown command flag 'HF_OFTEN'"),
         ('DECL_RESPONSE(q, "a x=%u");\nDECL_RESPONSE(q2, "a");', "response 'a' is declared already"),
         ('DECL_CONSTANT("C", 1);\nDECL_CONSTANT("C", 2);', "constant 'C' is declared already"),

@@ -132,7 +132,7 @@ def test_the_picture_finds_speed_and_error(streamed: StreamedSimulation) -> None
     assert error is not None
     assert np.abs(error).max() < 80.0 * 30e-6
     figure = Figure()
-    motion_plot.draw([motor], host.plans, figure)
+    motion_plot.draw([motor], host.plans, figure, "stepper_x")
     assert len(figure.axes) == 4
 
 

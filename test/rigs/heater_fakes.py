@@ -49,6 +49,7 @@ class FakeMcu:
     def __init__(self) -> None:
         self.now_s = 0.0
         self.config: list[str] = []
+        self.others: dict[str, FakeMcu] = {}
         self.init: list[str] = []
         self.sent: list[list[int]] = []
         self.response: Callable[[dict[str, Any]], None] | None = None
@@ -87,7 +88,7 @@ class FakeMcu:
         return {"CLOCK_FREQ": 72e6}[name]
 
     def get_constants(self) -> dict[str, int]:
-        return {"BRIDGE_PHASE_MAX": 45000}
+        return {"BRIDGE_PHASE_MAX": 45000, "INDUCTION_MOVE_TICKS": 7}
 
     def seconds_to_clock(self, seconds: float) -> int:
         return int(seconds * 72e6)
@@ -106,6 +107,10 @@ class FakeMcu:
 
     def lookup_command(self, msgformat: str, cq: Any = None) -> FakeMcu:
         return self
+
+    def try_lookup_command(self, msgformat: str) -> FakeMcu:
+        """What its messages are is in `sent` of the one returned."""
+        return self.others.setdefault(msgformat.split(maxsplit=1)[0], FakeMcu())
 
     def send(self, data: list[int], minclock: int = 0, reqclock: int = 0) -> None:
         self.sent.append(data)

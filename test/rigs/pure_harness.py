@@ -32,7 +32,7 @@ SANITIZERS = {
     "address": ("-fsanitize=address,undefined", "-fno-sanitize-recover=all"),
 }
 
-INDUCTION_SOURCES = ("filters.c", "oversample.c", "phase.c", "guard.c")
+INDUCTION_SOURCES = ("filters.c", "oversample.c", "phase.c", "guard.c", "signal_test.c")
 PLANT_SOURCES = tuple(map(str, sorted(PLANT.glob("*.c"))))
 PLANT_HEADERS = (PLANT / "plant.h", PLANT / "thermal_load.h")
 

@@ -13,6 +13,7 @@ from typing import Any
 
 from simulation.emulator import Emulator
 from simulation.runner import Outcome, RunOptions, Simulation
+from simulation.summary import heater_figures
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -53,6 +54,7 @@ class Story:
     extruded_mm3: float = 0.0
     end_of_print_s: float = 0.0
     held_c: list[float] = field(default_factory=list)  # true temperature, every 0.25 s, after the print
+    heater: dict[str, Any] = field(default_factory=dict)  # its figures before the fault
     fault_s: float = 0.0  # the moment something broke
     shutdown_s: float = 0.0
     energy_after_j: float = 0.0  # put into the heater after the shutdown
@@ -110,6 +112,7 @@ class Play(Simulation):
         story.extruded_mm3 = self.world.figures()["extruded_mm3"]
         while self._seconds() < story.end_of_print_s + self.HOLD_S and self._pause():
             story.held_c.append(self._temperature_c())
+        story.heater = heater_figures(self.world.figures(), self.world.epochs())
         name, value = self.case.broken
         story.fault_s = self._seconds()
         self.world.set_parameter(self.case.heater, 0, name, value)

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from system.conftest import CONFIG, ROOT, Simulate
+from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 
 OFF = """
 [simulator nozzle nozzle]
@@ -127,7 +128,8 @@ def test_a_run_on_a_broken_machine_ends_by_itself_and_keeps_the_trace(
     )
     text = log.read_text()
     assert "Calibration ended" in text or run.status == 3, text[-2000:]
-    assert run.column("phase_ticks")[-1] == 0
+    at_the_end = run.column("phase_ticks")[-20:]
+    assert set(at_the_end) <= {0, SENSING_PHASE_TICKS} and at_the_end.count(0) > 10  # off, but for looks
     assert list(tmp_path.glob("induction-nozzle-*.csv"))
 
 

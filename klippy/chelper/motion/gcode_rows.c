@@ -177,3 +177,43 @@ rows_run(struct row_state *s, const char *text, int len)
     }
     return done;
 }
+
+static void
+widen(struct rows_span *span, const struct gcode_words *words)
+{
+    for (int axis = 0; axis < 3; axis++) {
+        const double value = words->value[axis];
+        if (!(words->given >> axis & 1))
+            continue;
+        const int first = !(span->given >> axis & 1);
+        span->low[axis] = first ? value : fmin(span->low[axis], value);
+        span->high[axis] = first ? value : fmax(span->high[axis], value);
+        span->last[axis] = value;
+        span->given |= 1u << axis;
+    }
+    span->moves++;
+}
+
+int
+rows_span(struct rows_span *span, const char *text, int len)
+{
+    int done = 0;
+    *span = (struct rows_span){ .lines = 0 };
+    while (done < len) {
+        const char *line = text + done, *p = line;
+        const char *end = memchr(line, '\n', (size_t)(len - done));
+        struct gcode_words words = { .given = 0 };
+        if (!end)
+            break;
+        while (*p == ' ')
+            p++;
+        if (!at_end(p)) {
+            if (!parse_line(line, &words))
+                break;
+            widen(span, &words);
+        }
+        span->lines++;
+        done = (int)(end + 1 - text);
+    }
+    return done;
+}

@@ -44,4 +44,14 @@ void gcode_destination(const struct gcode_modes *modes, const struct gcode_words
  * due. Returns how many characters are done with; always ends behind a line end. */
 int rows_run(struct row_state *state, const char *text, int len);
 
+/* What rows of plain lines say of X, Y and Z: lowest, highest and last value as written. */
+struct rows_span {
+    double low[3], high[3], last[3];
+    unsigned int given;             /* bit per axis */
+    int lines, moves;
+};
+/* Reads text[0..len) up to a line that is no plain move, comment or empty one. Returns how many characters are done with;
+ * always ends behind a line end. */
+int rows_span(struct rows_span *span, const char *text, int len);
+
 #endif

@@ -17,9 +17,12 @@ from dataclasses import dataclass
 from typing import Any
 
 from thermal.records import PHASE_MAX_TICKS, PhaseCommand
-from thermal.sensing import convert
+from thermal.sensing import convert, guard_limits
 from thermal.sensing.blocks import Blocks
+from thermal.sensing.features import FeatureParameters
 from thermal.sensing.guard_limits import LimitRow
+
+from .signal_limits import signal_limits
 
 PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
 # Steps that may wait on the MCU at one time: a plan, and what stays of the one before.
@@ -30,8 +33,22 @@ BATCH_S = 0.020
 BATCH_SLACK_S = 0.005  # should a message be lost
 BLOCK_FORMAT = "induction_block oid=%c sequence=%hu clock=%u data=%*s"
 PLAN_STEP = struct.Struct("<HH")
+CEILING_FORMAT = "induction_ceiling oid=%c phase=%hu share=%hu"
+TEST_FORMAT = (
+    "config_induction_test oid=%c moved_low=%hu moved_high=%hu off_low=%hu off_high=%hu interval=%hu phase=%hu"
+    " jump=%hu rise=%hu fall=%hu tolerance=%c slack=%hu"
+)
 
 OnBlocks = Callable[[Blocks], None]
+
+
+@dataclass(frozen=True, slots=True)
+class TestSettings:
+    """The board's tests of the signal; plain values."""
+
+    interval_s: float  # from test to test; 0: none
+    gain_units_deg: float | None  # as measured
+    front: FeatureParameters
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,14 +69,27 @@ class UnitSettings:
 class InductionUnit:
     """One bridge with its synchronous ADC on one MCU."""
 
-    def __init__(self, mcu: Any, sense_pin: str, settings: UnitSettings, limits: Sequence[LimitRow]) -> None:
+    def __init__(
+        self,
+        mcu: Any,
+        sense_pin: str,
+        settings: UnitSettings,
+        limits: Sequence[LimitRow],
+        tests: TestSettings | None = None,
+        ceiling: guard_limits.Ceiling | None = None,
+    ) -> None:
         self.mcu = mcu
         self.settings = settings
         self._sense_pin = sense_pin
         self._limits = list(limits)
+        self._tests = tests
+        self._ceiling = ceiling
         self._oid = mcu.create_oid()
         self._on_blocks: OnBlocks = lambda blocks: None
         self._queue_plan: Any = None
+        self._set_ceiling: Any = None
+        self._share = 0xFFFF  # of the rows, as the firmware begins ...
+        self._ceiling_c = math.inf  # ... and the target it is for
         self._period_s, self._second_ticks = math.inf, 1
         self._batched = False
         self._stream: convert.Stream | None = None
@@ -96,12 +126,37 @@ class InductionUnit:
                 f"config_induction_limit oid={oid} phase={row.phase_ticks} low={row.low_raw}"
                 f" high={row.high_raw} trip_blocks={settings.trip_blocks}"
             )
+        self._configure_tests(clock_hz)
         mcu.add_config_cmd(f"induction_report oid={oid} enable=1", is_init=True)
         queue = mcu.alloc_command_queue()
         self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
+        self._set_ceiling = mcu.try_lookup_command(CEILING_FORMAT) if self._ceiling else None
         self._period_s = period_ticks / clock_hz
         self._second_ticks = round(clock_hz)
         mcu.register_batch(self._take_batch, BLOCK_FORMAT)
+
+    def _configure_tests(self, clock_hz: float) -> None:
+        tests, mcu = self._tests, self.mcu
+        if tests is None or not tests.interval_s:
+            return
+        name = mcu.get_name()
+        if mcu.try_lookup_command(TEST_FORMAT) is None:
+            logging.warning("induction unit on mcu '%s': its firmware has no tests of the signal", name)
+            return
+        moved_s = float(mcu.get_constants().get("INDUCTION_MOVE_TICKS", 0)) / clock_hz
+        if not moved_s:
+            logging.warning(
+                "induction unit on mcu '%s': cannot move its sampling instant, no test of gain", name
+            )
+        limits = signal_limits(
+            tests.front, self.settings.frequency_hz, tests.interval_s, tests.gain_units_deg, moved_s
+        )
+        mcu.add_config_cmd(
+            f"config_induction_test oid={self._oid} moved_low={limits.moved_low} moved_high={limits.moved_high}"
+            f" off_low={limits.off_low} off_high={limits.off_high} interval={limits.interval}"
+            f" phase={limits.phase} jump={limits.jump} rise={limits.rise} fall={limits.fall}"
+            f" tolerance={limits.tolerance} slack={limits.slack}"
+        )
 
     # Samples up
 
@@ -129,6 +184,19 @@ class InductionUnit:
         self.mcu.register_batch(self._take_batch, BLOCK_FORMAT, count * message_s + BATCH_SLACK_S, count)
 
     # Phases down
+
+    def set_ceiling(self, target_c: float) -> None:
+        """The board trips when the nozzle is driven hard and reads far above this target."""
+        if self._set_ceiling is None or self._ceiling is None:
+            return
+        target_c = guard_limits.stepped(target_c)
+        if target_c == self._ceiling_c:
+            return
+        self._ceiling_c = target_c
+        share = self._ceiling.share(target_c)
+        if share != self._share:
+            self._share = share
+            self._set_ceiling.send([self._oid, self._ceiling.phase_ticks, share])
 
     def queue_plan(self, commands: Sequence[PhaseCommand]) -> None:
         """Send phases in order of time, in place of all that is pending from the first of them on."""

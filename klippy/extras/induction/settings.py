@@ -22,10 +22,13 @@ from thermal.sensing import (
 )
 
 from ..heater import laws as heater_laws
-from .mcu import UnitSettings
+from .mcu import TestSettings, UnitSettings
 
 LOOK_SAMPLES, LONG_LOOK_SAMPLES = 16, 64
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
+# 20 % of the square of the phase, half of full power: no nozzle is held with that.
+CEILING_PHASE_TICKS = 20125
+TEST_INTERVAL_MIN_S = 0.005
 GUARD_LOW_C = -60.0  # below any workshop by more than the law's error
 ADC_MAX_12_BIT = 4095
 UNCALIBRATED = "uncalibrated"
@@ -90,6 +93,19 @@ def read_unit(config: ConfigWrapper) -> UnitSettings:
         block_samples,
         records,
     )
+
+
+def read_tests(config: ConfigWrapper, front: features.FeatureParameters) -> TestSettings:
+    """The board's tests of its signal; all of them are off with an interval of 0."""
+    interval_s = config.getfloat("signal_test_interval", 0.0, minval=0.0, maxval=0.1)
+    if 0.0 < interval_s < TEST_INTERVAL_MIN_S:
+        raise config.error(
+            f"Option 'signal_test_interval' in section '{config.get_name()}'"
+            f" ({config.where('signal_test_interval')}): {interval_s:g} s leaves no time for the signal itself; 0 (no"
+            f" tests) or {TEST_INTERVAL_MIN_S:g} to 0.1."
+        )
+    gain = config.getfloat("signal_gain", None, above=0.0)
+    return TestSettings(interval_s, gain, front)
 
 
 def _timing(config: ConfigWrapper, unit: UnitSettings) -> loop.Timing:
@@ -303,3 +319,14 @@ def guard_rows(config: ConfigWrapper, parameters: loop.LoopParameters) -> list[g
         )
     except ValueError as e:
         raise config.error(f"Section '{config.get_name()}': {e}") from None
+
+
+def ceiling(
+    config: ConfigWrapper, parameters: loop.LoopParameters, rows: list[guard_limits.LimitRow]
+) -> guard_limits.Ceiling | None:
+    """The limit that follows the target; None without a calibration."""
+    margin_c = config.getfloat("guard_margin", 40.0, minval=5.0, maxval=200.0)
+    if not parameters.supervise.calibrated:
+        return None
+    law, front = parameters.estimator.law, parameters.front
+    return guard_limits.Ceiling(CEILING_PHASE_TICKS, law, front, tuple(rows), margin_c)

@@ -211,6 +211,13 @@ void plant_set_inputs(struct plant *p, double flow_mm3_s, double fan)
     p->fan = fmin(fmax(fan, 0.0), 1.0);
 }
 
+void plant_move_sampling(struct plant *p, double late_ns)
+{
+    p->tank.drive.late_ns += late_ns - p->moved_ns;
+    p->moved_ns = late_ns;
+    tank_changed(&p->tank);
+}
+
 void plant_set_head(struct plant *p, double place, double way_mm)
 {
     p->effects.head = place;

@@ -61,6 +61,7 @@ struct plant {
     // inputs
     double phase_ticks;  // commanded
     double flow_in, fan; // mm^3/s at the motor, 0..1
+    double moved_ns;     // sampling instant, moved by the board
     int supply_open;     // the switch in the bridge's supply has opened
     // thermal state
     double time_s;
@@ -105,6 +106,7 @@ double plant_get_param(const struct plant *p, int index);
 void plant_set_phase(struct plant *p, double phase_ticks); // 0..45000, from now on; 0 = bridge off
 void plant_set_supply(struct plant *p, int open);          // the switch between supply and bus
 void plant_set_inputs(struct plant *p, double flow_mm3_s, double fan);
+void plant_move_sampling(struct plant *p, double late_ns); // on top of skew_ns, until the next call
 void plant_set_head(struct plant *p, double place, double way_mm); // place: -1..1; way: of the motors that move it
 void plant_advance(struct plant *p, double dt_s); // sub-steps of at most 10 ms inside
 // n ADC codes at consecutive bridge periods, the first one at the present instant. About 1 to 3 ns a sample.

@@ -162,7 +162,7 @@ void effects_drive(const struct plant *p, struct tank_drive *d)
     d->l1_factor *= 1 + v->coil_expansion_per_k * coil_k + (e->moves ? 1e-6 * v->move_ppm_um * place_um(p) : 0);
     d->l1_add_uh = 1e-3 * v->cable_l1_nh * e->head;
     d->r_add_ohm = v->coil_ohm * v->coil_rise_per_k * coil_k;
-    d->late_ns = v->skew_ns + v->delay_ns_k * (v->board_c - values_hold_c);
+    d->late_ns = p->moved_ns + v->skew_ns + v->delay_ns_k * (v->board_c - values_hold_c);
     if (plant_fault_is(p, PLANT_LEG_DEAD) && p->phase_ticks > 0) // the legs lie phi/2 before and behind the middle
         d->late_ns += 0.25e9 / d->frequency_hz * (p->phase_ticks / phase_full_ticks - 1);
     d->signal_error = 0;

@@ -18,7 +18,7 @@
 //
 // The signal is limited, hence independent of the current's size, until the current is too small for the limiter
 // (limiter_a): without drive the output falls to error 0. Signal model 1 is Table 1's direct law instead of psi:
-//   error = a T exp(-b p) + c + d p.
+//   error = a T exp(-b p) + c + d p + gain 360 deg f skew.
 #include "plant_tank.h"
 
 #include <math.h>
@@ -146,10 +146,8 @@ void tank_set_drive(struct tank *t, const struct plant_values *v, const struct t
 double tank_error(const struct tank *t, const struct plant_values *v, struct tank_point p)
 {
     const double current = sqrt(p.i_re * p.i_re + p.i_im * p.i_im);
-    double error = p.offset;
-    if (v->signal_model < 0.5 || t->drive.empty) {
-        const double psi_deg = atan2(-p.i_im, -p.i_re) * (180 / pi);
-        error += v->gain_units_deg * (psi_deg + 360 * t->drive.frequency_hz * t->drive.late_ns * 1e-9);
-    }
+    double error = p.offset + v->gain_units_deg * 360 * t->drive.frequency_hz * t->drive.late_ns * 1e-9;
+    if (v->signal_model < 0.5 || t->drive.empty)
+        error += v->gain_units_deg * atan2(-p.i_im, -p.i_re) * (180 / pi);
     return current > 20 * v->limiter_a ? error : error * tanh(current / v->limiter_a);
 }

@@ -355,6 +355,13 @@ void machine_sample(struct machine *m, int mcu, uint16_t *out, uint32_t count, d
     plant_sample(&n->plant, out, count, period_s);
 }
 
+void machine_move_sampling(struct machine *m, int mcu, double late_s)
+{
+    int index = m->nozzle_of_mcu[mcu];
+    if (index >= 0)
+        plant_move_sampling(&m->nozzles[index].plant, 1e9 * late_s);
+}
+
 /* ---- once a millisecond ---------------------------------------------------------------------- */
 
 /* Flow at the motor during the last tick; the plants even out single steps by their own compliance. */

@@ -194,6 +194,7 @@ uint8_t machine_pin_read(struct machine *m, int mcu, uint32_t pin, double now_s)
 uint16_t machine_adc_read(struct machine *m, int mcu, uint32_t pin, double now_s);
 void machine_bridge_set(struct machine *m, int mcu, uint16_t phase, double now_s);
 void machine_sample(struct machine *m, int mcu, uint16_t *out, uint32_t count, double first_s, double period_s);
+void machine_move_sampling(struct machine *m, int mcu, double late_s);
 void machine_spi_exchange(struct machine *m, int mcu, uint8_t *data, uint32_t len, double now_s);
 uint8_t machine_i2c_exchange(struct machine *m, int mcu, uint8_t address, const uint8_t *write, uint32_t write_len,
                              uint8_t *read, uint32_t read_len, double now_s);

@@ -63,6 +63,13 @@ static void on_sync_adc_read(void *ctx, uint16_t *samples, uint32_t count, uint6
                    period_ticks / m->clock_hz);
 }
 
+static void on_sync_adc_move(void *ctx, uint32_t ticks, uint64_t clock)
+{
+    struct world_mcu *m = ctx;
+    (void)clock;
+    machine_move_sampling(&m->world->machine, m->index, ticks / m->clock_hz);
+}
+
 static void on_console_send(void *ctx, const uint8_t *data, uint32_t len, uint64_t clock)
 {
     struct world_mcu *m = ctx;
@@ -130,6 +137,7 @@ int world_mcu_load(struct world_mcu *m, const char *path)
         .adc_read = on_adc_read,
         .bridge_set = on_bridge_set,
         .sync_adc_read = on_sync_adc_read,
+        .sync_adc_move = on_sync_adc_move,
         .console_send = on_console_send,
         .spi_exchange = on_spi_exchange,
         .i2c_exchange = on_i2c_exchange,

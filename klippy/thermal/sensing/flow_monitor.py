@@ -43,7 +43,7 @@ class FlowMonitorParameters:
     noise_w_s: float = 0.15  # W s^0.5: of the balance without melt and fan
     gain: float = 1.0
     gain_sigma: float = 0.10  # of a melt that was not calibrated
-    step_s: float = 1.0
+    step_s: float = 2.0  # a retraction and its return weigh little in it
     flow_min_w: float = 0.3  # planned melt that takes less says nothing
     model_share: float = 0.05  # of the planned melt's heat: errors of its law when the flow changes
     stored_max_w: float = 15.0  # in a faster change of temperature the capacity is judged, not the melt
@@ -172,7 +172,8 @@ def _judge(p: FlowMonitorParameters, state: FlowMonitorState, step: Step) -> Non
     missing_w = sum(row[i] * state.unknowns[i] for i in UNKNOWNS) - step.taken_j / lasts_s  # minus innovation
     if planned_w >= p.flow_min_w and state.time_s >= state.judged_from_s:
         _test(p, state, planned_w * lasts_s, missing_w * lasts_s, lasts_s, variance, step.other)
-    if not state.lost and state.evidence < 0.25 * p.threshold:
+    is_usual = missing_w < LEARN_SIGMA * math.sqrt(variance)
+    if not state.lost and is_usual and state.evidence < 0.25 * p.threshold:
         _learn(state, spread, variance, -missing_w, lasts_s)
 
 
@@ -207,6 +208,7 @@ def _test(
         state.evidence = state.alone = state.joint = state.weight = state.weighted_share = 0.0
 
 
+LEARN_SIGMA = 3.0  # a step that misses more may be the first of a loss
 LOST_WEIGHT = 0.2  # of a step, in the share that is lost
 WALK = (5e-4, 1e-5, 3e-3)  # of the unknowns, in a second
 

@@ -19,6 +19,14 @@ from .laws import Law
 _POWER_PERCENT = (0.2, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0)
 
 
+STEP_C = 5.0  # a target that moves along a plan is not worth a message for less
+
+
+def stepped(target_c: float) -> float:
+    """The next step from this target on."""
+    return STEP_C * math.ceil(target_c / STEP_C) if target_c < math.inf else math.inf
+
+
 @dataclass(frozen=True, slots=True)
 class LimitRow:
     """Raw codes between which a healthy nozzle reads at this phase."""
@@ -31,6 +39,29 @@ class LimitRow:
 def _raw(law: Law, front: FeatureParameters, temp_c: float, phase: float) -> float:
     """Code the law predicts."""
     return front.adc_zero_raw + law.error(temp_c, phase) / front.units_per_lsb
+
+
+@dataclass(frozen=True, slots=True)
+class Ceiling:
+    """How far up a row a nozzle may read that is driven with `phase_ticks` or more: its target, and a margin."""
+
+    phase_ticks: int
+    law: Law
+    front: FeatureParameters
+    rows: tuple[LimitRow, ...]
+    margin_c: float
+
+    def share(self, target_c: float) -> int:
+        """In 1/65536 of the way from a row's low limit to its high one, the highest of all rows; 65535: all of it."""
+        if target_c == math.inf:
+            return 0xFFFF
+        temp_c = stepped(target_c) + self.margin_c
+        rows = [row for row in self.rows if row.phase_ticks >= self.phase_ticks]
+        reach = max(
+            (_raw(self.law, self.front, temp_c, r.phase_ticks) - r.low_raw) / (r.high_raw - r.low_raw)
+            for r in rows
+        )
+        return min(0xFFFF, max(0, math.ceil(0x10000 * reach)))
 
 
 def guard_limits(law: Law, front: FeatureParameters, temp_low_c: float, temp_high_c: float) -> list[LimitRow]:

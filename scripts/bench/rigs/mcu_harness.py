@@ -179,6 +179,7 @@ class Mcu:
         self.pin_writes: list[tuple[int, int, int]] = []  # clock, pin, value
         self.pwm_writes: list[tuple[int, int, int, int]] = []  # clock, pin, cycle_ticks, value
         self.bridge_sets: list[tuple[int, int]] = []  # clock, phase
+        self.sampling_moves: list[tuple[int, int]] = []  # clock, ticks late
         self.sample_reads: list[tuple[int, int, int]] = []  # first clock, count, period
         self.sent: list[tuple[int, bytes]] = []  # clock, block
         self.input_level: Callable[[int, int], int] = lambda pin, clock: 0
@@ -229,6 +230,7 @@ class Mcu:
             "adc_read": lambda _c, pin, clock: self.adc_code(pin, clock),
             "bridge_set": lambda _c, phase, clock: self.bridge_sets.append((clock, phase)),
             "sync_adc_read": sync_adc_read,
+            "sync_adc_move": lambda _c, ticks, clock: self.sampling_moves.append((clock, ticks)),
             "console_send": lambda _c, data, n, clock: self.sent.append((clock, bytes(ffi.buffer(data, n)))),
             "spi_exchange": spi_exchange,
             "i2c_exchange": i2c_exchange,

@@ -80,13 +80,28 @@ def clock_offset(chip: Firmware) -> int:
     return (chip.chip.peek("ticks") - chip.chip.peek("tim2.count")) % 2**32
 
 
-def run_sampling(seconds: float, block: tuple[int, int] = (192, 2), steps_hz: int = TRAVEL) -> Sampling:
+# All tests of the signal, at the interval of the product, with limits that any signal keeps whose moves are positive.
+SIGNAL_TESTS = {
+    "oid": 0,
+    "moved_low": 0,
+    "moved_high": 65535,
+    "off_low": 0,
+    "off_high": 65535,
+    "interval": 1200,
+}
+SIGNAL_TESTS |= {"phase": 2012, "jump": 65535, "rise": 0, "fall": 0, "tolerance": 255, "slack": 65535}
+
+
+def run_sampling(
+    seconds: float, block: tuple[int, int] = (192, 2), steps_hz: int = TRAVEL, *, tests: bool = False
+) -> Sampling:
     """Heat with changing phases, step an axis, sample and report, for so long."""
-    chip = sampling_unit(block)
+    chip = sampling_unit(block, beside=(("config_induction_test", SIGNAL_TESTS),) if tests else ())
     given: dict[int, int] = {}
 
     def sample(clock: int) -> int:
-        given[clock] = code_at(clock)
+        moved = chip.sampling_moves[-1][1] if tests and chip.sampling_moves else 0
+        given[clock] = (1000 + clock // PERIOD % 3 + 12 * moved) if tests else code_at(clock)
         return given[clock]
 
     chip.sample_code = sample
@@ -110,7 +125,8 @@ def run_sampling(seconds: float, block: tuple[int, int] = (192, 2), steps_hz: in
         clock = (chip.now - offset + FREQ // 200) & 0xFFFFFFFF
         chip.post("queue_induction_plan", oid=0, clock=clock, steps=one_step(phase))
         chip.run(0.03)
-        phases.append((phase, chip.bridge_sets[-1][1], chip.chip.peek("hrtim.lag")))
+        if not tests:  # one may have the bridge off now
+            phases.append((phase, chip.bridge_sets[-1][1], chip.chip.peek("hrtim.lag")))
         turn += 1
     after = chip.chip.counters()
     assert chip.shutdown_reason() is None, chip.shutdown_reason()

@@ -289,6 +289,43 @@ def test_a_flood_of_queries_holds_nobody_up_and_an_emergency_stop_goes_first(tmp
     with_client(tmp_path, config(tmp_path), body, before)
 
 
+LOOP = b'{"id": 1, "method": "gcode/script", "params": {"script": "TRY"}}'
+SUBSCRIBE = {
+    "objects": {"id": 1, "method": "objects/subscribe", "params": {"objects": {"configfile": None}}},
+    "output": {"id": 1, "method": "gcode/subscribe_output", "params": {"response_template": {"m": 1}}},
+}
+ABUSES: dict[str, tuple[bytes, int, str]] = {
+    "2,000 subscriptions to an object": (json.dumps(SUBSCRIBE["objects"]).encode(), 2000, ""),
+    "2,000 subscriptions to the output": (json.dumps(SUBSCRIBE["output"]).encode(), 2000, ""),
+    "a request of 1 MB": (
+        b'{"id": 1, "method": "info", "params": {"a": [' + b"1," * 500_000 + b"1]}}",
+        1,
+        "longer",
+    ),
+    "a number of a billion bits": (LOOP, 1, "bits"),
+}
+
+
+@pytest.mark.parametrize("name", ABUSES)
+def test_what_a_client_may_send_holds_nobody_up(tmp_path: Path, name: str) -> None:
+    data, count, words = ABUSES[name]
+    holds: list[list[float]] = []
+
+    def body(client: Client) -> None:
+        holds[0][0] = 0.0
+        client.send_raw((data + b"\x03") * count)
+        for _ in range(count):
+            answer = client.receive()
+            while "id" not in answer and answer.get("error") is None:  # of a subscription
+                answer = client.receive()
+            assert words in str(answer.get("error", "")) and bool(words) == ("error" in answer)
+        assert holds[0][0] < 0.050
+        assert alive(Client(client.sock.getpeername()))
+
+    macro = "[gcode_macro TRY]\ngcode:\n    M117 {2**(2**30)}\n"
+    with_client(tmp_path, config(tmp_path) + macro, body, lambda s: holds.append(longest_hold(s)))
+
+
 def test_more_clients_than_there_may_be_are_refused_and_the_first_ones_stay(tmp_path: Path) -> None:
     def body(client: Client) -> None:
         path = client.sock.getpeername()

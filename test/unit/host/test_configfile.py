@@ -197,6 +197,19 @@ def test_wrong_values_name_option_section_file_and_line(
     assert "(printer.cfg, line 3)" in str(caught.value)
 
 
+def test_a_pipe_a_device_or_a_folder_is_no_file_to_include(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.cfg")  # opening it would wait for a writer for ever
+    (tmp_path / "zero.cfg").symlink_to("/dev/zero")
+    (tmp_path / "folder.cfg").mkdir()
+    main = tmp_path / "printer.cfg"
+    for name in ("pipe.cfg", "zero.cfg", "/dev/zero", "folder.cfg", "f*.cfg"):
+        main.write_text(f"[include {name}]\n")
+        with pytest.raises(
+            ConfigError, match=r"Unable to open config file .*: (it is no plain file|Is a directory)"
+        ):
+            ConfigParser(ConfigData()).parse_file(str(main))
+
+
 def test_missing_option_names_the_section_and_its_line() -> None:
     with pytest.raises(ConfigError, match=r"'x' in section 'a' must be specified \(printer.cfg, line 2\)"):
         wrapper("\n[a]\n").get("x")

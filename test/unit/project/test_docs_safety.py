@@ -14,7 +14,7 @@ import pytest
 from doc_rig import ROOT, Figures
 from extras import heaters, induction_heater
 from extras.induction import calibrate as induction_calibrate
-from extras.induction import settings
+from extras.induction import settings, signal_limits
 from heater_fakes import CommandError, FakePrinter
 from induction_rig import PERIOD_S, Plant, Rig, default_parameters, true_law
 from thermal.control import nozzle_model
@@ -55,6 +55,7 @@ def option(name: str) -> Any:
     fake, config = printer()
     parameters()
     settings.guard_rows(config, parameters())
+    settings.read_tests(config, parameters().front)
     return fake._access[SECTION, name]
 
 
@@ -166,7 +167,7 @@ def supervision_claims() -> Iterator[str]:
 
 def guard_claims() -> Iterator[str]:
     max_duration_s = option("max_duration")
-    silence = re.search(r"SILENCE_US = (\d+)", (ROOT / "src/inductioncmds.c").read_text())
+    silence = re.search(r"SILENCE_US = (\d+)", (ROOT / "src/inductionconfig.c").read_text())
     assert silence
     yield f"`max_duration` ({1e3 * max_duration_s:g} ms): bridge off; shutdown after {1e-6 * int(silence[1]):g} s"
     timing = parameters().timing
@@ -178,6 +179,38 @@ def guard_claims() -> Iterator[str]:
     p = parameters()
     expected = guard_limits.guard_limits(p.estimator.law, p.front, low_c, p.supervise.temp_high_c + margin_c)
     assert settings.guard_rows(printer()[1], p) == expected
+
+
+def signal_claims() -> Iterator[str]:
+    """The tests of src/signal_test.h with the limits of extras/induction/signal_limits.py."""
+    header = (ROOT / "src" / "signal_test.h").read_text(encoding="utf-8")
+    board = (ROOT / "src" / "board" / "sync_adc.h").read_text(encoding="utf-8")
+
+    def constant(name: str) -> int:
+        return int(re.findall(rf"\b{name} = (\d+)", header + board)[0])
+
+    assert option("signal_test_interval") == 0.0
+    interval_s, length = 0.010, constant("SIGNAL_TEST_LEN")
+    yield f"need `signal_test_interval` ({interval_s:.3f} below; off by default)"
+    off, ticks = constant("SIGNAL_TEST_OFF_LEN"), constant("SYNC_ADC_MOVE_TICKS")
+    assert signal_limits.SLACK_LSB == 1.0
+    moved = signal_limits.GAIN_UNITS_DEG * 360.0 * ticks / 72e6 / PERIOD_S
+    heating = f"Each {2e3 * interval_s:g} ms of heating the"
+    hard = f"{2e3 * interval_s:g} ms of heating ({1e3 * interval_s:g} ms at more than half the phase)"
+    yield f"{hard} the sampling instant is moved by {ticks} ticks for {length} samples."
+    yield f"moves by {moved:.0f} units with the published amplifier"
+    learned = 1 << constant("SIGNAL_TEST_LEARN_SHIFT")
+    yield f"from the first {learned} tests, which may differ from that by a factor of {signal_limits.GAIN_RANGE:g}"
+    yield f"must be within {100 * signal_limits.LEARNED_TOLERANCE:g} % of it and one LSB"
+    yield f"by what that says, within {100 * signal_limits.MEASURED_TOLERANCE:g} % and one LSB"
+    yield f"{heating} bridge is off for {off} samples ({1e3 * off * PERIOD_S:.1g} ms)."
+    yield f"The last {length} must be within {signal_limits.OFF_UNITS:g} units of `adc_zero`"
+    assert (constant("SIGNAL_TEST_BAD"), constant("SIGNAL_JUMP_BLOCKS")) == (2, 3)
+    yield f"at the same drive by more than {signal_limits.JUMP_UNITS:g} units, three blocks in a row"
+    yield f"drive the limit is {signal_limits.JUMP_UNITS * (1.0 + PHASE_MAX_TICKS / 2**15):.0f} units"
+    samples = 2.0 * interval_s / PERIOD_S
+    lost = (length + off + option("settle_samples")) / samples
+    yield f"The tests cost {100 * lost:.1f} % of the samples and the bridge {100 * off / samples:.0f} % of its time."
 
 
 def drift_claims() -> Iterator[str]:
@@ -230,7 +263,15 @@ def dead_host_claims() -> Iterator[str]:
     yield f"at the latest | max {math.ceil(20.0 * held_s) / 20.0:g} s"
 
 
-GROUPS = (nozzle_claims, loop_claims, supervision_claims, guard_claims, drift_claims, dead_host_claims)
+GROUPS = (
+    nozzle_claims,
+    loop_claims,
+    supervision_claims,
+    guard_claims,
+    signal_claims,
+    drift_claims,
+    dead_host_claims,
+)
 
 
 @cache

@@ -333,8 +333,10 @@ def blocks(temp: float, phase: int, count: int = 2) -> bytes:
     return pack([Row(192, value, phase, code - 2, code + 3)] * count, 192)  # 0.9 LSB of noise
 
 
-def nozzle() -> tuple[FakePrinter, Any]:
-    printer = machine()
+def nozzle(more: str = "") -> tuple[FakePrinter, Any]:
+    printer = FakePrinter(
+        CONFIG.replace("{control}", "pid").replace("sense_pin: PA0", f"sense_pin: PA0\n{more}"), LOADERS
+    )
     heater = printer.load("extruder")
     printer.mcu.configure()
     printer.send("klippy:connect")
@@ -446,6 +448,14 @@ def test_two_extruders_cannot_share_one_nozzle() -> None:
         printer.lookup_object("induction_heater nozzle").serve(printer.config("extruder"))
 
 
+def test_the_units_own_tests_are_configured_when_asked_for() -> None:
+    printer, _ = nozzle("signal_test_interval: 0.010")
+    assert printer.mcu.config[-1] == (
+        "config_induction_test oid=3 moved_low=451 moved_high=4060 off_low=246 off_high=266 interval=1200"
+        " phase=2012 jump=240 rise=15 fall=1 tolerance=26 slack=16"
+    )
+
+
 def test_the_unit_is_configured_before_it_may_heat() -> None:
     printer, _ = nozzle()
     first, sense, block, *limits = printer.mcu.config
@@ -457,6 +467,16 @@ def test_the_unit_is_configured_before_it_may_heat() -> None:
     assert limits
     assert all(line.startswith("config_induction_limit oid=3 phase=") for line in limits)
     assert printer.mcu.init == ["induction_report oid=3 enable=1"]
+
+
+def test_the_board_learns_how_hot_a_nozzle_may_be_that_is_driven_hard() -> None:
+    printer, heater = nozzle()
+    deliver(printer, 0, 200.0, 2012)
+    heater.set_temp(250.0)
+    heater.set_temp(150.0)
+    ceilings = printer.mcu.others["induction_ceiling"].sent
+    shares = [share for oid, phase, share in ceilings if (oid, phase) == (3, 20125)]
+    assert len(shares) == len(ceilings) == 3 and shares[0] < shares[2] < shares[1] < 0xFFFF
 
 
 def test_blocks_become_temperature_and_phase_commands_ahead_of_time() -> None:

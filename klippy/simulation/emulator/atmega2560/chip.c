@@ -278,6 +278,25 @@ chip_watchdog_reset(void)
 }
 
 static void
+hear_simavr(avr_t *avr, const int level, const char *format, va_list args)
+{
+    if (avr != chip || level != LOG_ERROR)
+        return;
+    char text[200];
+    vsnprintf(text, sizeof text, format, args);
+    text[strcspn(text, "\n")] = 0;
+    if (!strstr(text, "crashed")) /* that shows in the processor's state */
+        chip_fault("%s", text);
+}
+
+/* simavr reports to one function of the process; another chip's may have been unloaded since. */
+static void
+listen(void)
+{
+    avr_global_logger_set(hear_simavr);
+}
+
+static void
 sleep_until(uint64_t target)
 {
     uint64_t next = chip->cycle_timers.timer ? chip->cycle_timers.timer->when : target;
@@ -322,6 +341,7 @@ sim_mcu_boot(const struct sim_board *outside, uint64_t clock)
         chip_fault("no image has been loaded");
         return;
     }
+    listen();
     avr_reset(chip);
     for (int i = 0; i < VECTOR_COUNT; i++)
         me.lines[i].avr.pending = 0;
@@ -363,6 +383,7 @@ sim_mcu_advance(uint64_t clock)
 {
     if (!me.powered || me.faulted || me.reset_asked || clock <= chip_clock())
         return;
+    listen();
     uint64_t before = chip->cycle;
     run_to(clock - me.base);
     counters.ticks += chip->cycle - before;
@@ -371,8 +392,10 @@ sim_mcu_advance(uint64_t clock)
 void
 sim_mcu_receive(const uint8_t *data, uint32_t len)
 {
-    if (me.powered && !me.faulted && !me.reset_asked)
-        usart_receive(data, len);
+    if (!me.powered || me.faulted || me.reset_asked)
+        return;
+    listen();
+    usart_receive(data, len);
 }
 
 int
@@ -388,23 +411,11 @@ sim_mcu_take_reset(void)
  * emulator.h
  ****************************************************************/
 
-static void
-hear_simavr(avr_t *avr, const int level, const char *format, va_list args)
-{
-    if (avr != chip || level != LOG_ERROR)
-        return;
-    char text[200];
-    vsnprintf(text, sizeof text, format, args);
-    text[strcspn(text, "\n")] = 0;
-    if (!strstr(text, "crashed")) /* that shows in the processor's state */
-        chip_fault("%s", text);
-}
-
 const char *
 emulator_load(const char *elf_path)
 {
     if (!chip) {
-        avr_global_logger_set(hear_simavr);
+        listen();
         chip = avr_make_mcu_by_name("atmega2560");
         if (!chip)
             return "this libsimavr does not know the ATmega2560";

@@ -28,6 +28,7 @@ static struct adc {
     uint8_t regulator_step, calibrated;
     struct event done, injected, dma;
     int in_step;             /* converting at each trigger of HRTIM */
+    uint32_t moved;         /* by how much that has moved within the period since the conversions began */
     uint64_t first_trigger;  /* clock of the next trigger that has not been converted */
     uint32_t period;
 } adcs[UNITS];
@@ -195,8 +196,15 @@ static void update_step(unsigned unit)
             fault("ADC%u: a conversion takes longer than the bridge's period", unit + 1);
         if (a->sqr[0] & 15u)
             fault("ADC%u: more than one conversion a trigger is not modelled (SQR1 = 0x%x)", unit + 1, a->sqr[0]);
+        uint32_t later = a->in_step && period == a->period ? (uint32_t)((at + period - a->first_trigger % period) % period) : 0;
+        a->moved = a->in_step ? (a->moved + later) % period : 0;
+        if (board.sync_adc_move)
+            board.sync_adc_move(board.ctx, a->moved, now());
+        if (later) /* there is one trigger in each period, also when the edge before it is noticed late */
+            a->first_trigger += later < period / 2 ? later : (uint64_t)later - period;
+        else
+            a->first_trigger = at > now() ? at - (at - now() - 1) / period * period : at + ((now() - at) / period + 1) * period;
         a->period = period;
-        a->first_trigger = at > now() ? at - (at - now() - 1) / period * period : at + ((now() - at) / period + 1) * period;
     }
     a->in_step = steps;
     plan(unit);
