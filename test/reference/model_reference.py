@@ -31,7 +31,9 @@ TEMP = Nodes._fields.index("temp_c")
 SETTLED_MM3_S = 0.2  # the flow at the nozzle still follows that of the motor when farther from it than this
 
 
-RIDDEN_C, RIDDEN_SWINGS, RIDDEN_S, RIDDEN_MAX_C = 0.5, 2.5, 1.0, 4.0  # a mean error while the reading swings
+# The mean of a reading that swings.
+RIDDEN_C, RIDDEN_AFTER_S, RIDDEN_SWINGS, RIDDEN_NEAR_C = 0.5, 2.0, 6.0, 10.0
+RIDDEN_S, RIDDEN_MAX_C = 1.0, 4.0
 
 
 def _wanted(inputs: ControlInput, time_s: float) -> float:
@@ -49,13 +51,18 @@ def _target(
     return then_c - min(p.band_c, max(-p.band_c, now_c - temp_c)) * remaining
 
 
-def _ridden(p: ModelParameters, state: ModelState, inputs: ControlInput, dt_s: float) -> float:
-    """What is added to the wanted temperature while the reading swings."""
+def _ridden(p: ModelParameters, state: ModelState, inputs: ControlInput, dt_s: float) -> ModelState:
+    """With what is added to the wanted temperature while the reading swings."""
     share = min(1.0, max(0.0, dt_s / RIDDEN_S))
-    error_c = _wanted(inputs, state.time_s) - state.nodes.temp_c
-    if p.coloured_c2_s and state.swing_c >= RIDDEN_C and abs(error_c) <= RIDDEN_SWINGS * state.swing_c:
-        return min(RIDDEN_MAX_C, max(-RIDDEN_MAX_C, state.ridden_c + share * error_c))
-    return state.ridden_c - share * state.ridden_c
+    now_c = _wanted(inputs, state.time_s)
+    swings = p.coloured_c2_s > 0.0 and state.swing_c >= RIDDEN_C
+    is_near = abs(now_c - state.nodes.temp_c) <= min(RIDDEN_NEAR_C, RIDDEN_SWINGS * state.swing_c)
+    swinging_s, ridden_c = state.swinging_s + dt_s if swings and is_near else 0.0, state.ridden_c
+    if not swings:
+        ridden_c -= share * ridden_c
+    elif swinging_s >= RIDDEN_AFTER_S:
+        ridden_c = min(RIDDEN_MAX_C, max(-RIDDEN_MAX_C, ridden_c + share * (now_c - state.read_c)))
+    return state._replace(swinging_s=swinging_s, ridden_c=ridden_c)
 
 
 def _shifted(inputs: ControlInput, by_c: float) -> ControlInput:
@@ -214,7 +221,7 @@ def model_step(
         off = Planned(apply_s, 0.0)
         sent = _remembered(state, time_s, off) if own else ()
         return ControlOutput(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), state._replace(output=0.0, sent=sent)
-    state = state._replace(ridden_c=_ridden(p, state, inputs, state.time_s - before_s))
+    state = _ridden(p, state, inputs, state.time_s - before_s)
     inputs = _shifted(inputs, state.ridden_c)
     future = _Future(p, state, inputs, state.time_s)
     future.follow(state.sent if inputs.pending is None else inputs.pending, samples[-1].output, apply_s)

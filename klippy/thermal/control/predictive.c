@@ -225,16 +225,19 @@ decide(const struct model_params *p, const struct model_state *s, const struct m
     plan(&f, out->value, out);
 }
 
-// While the reading swings, an output that is cut at zero moves the mean: a nozzle heats faster than it cools. What the
-// estimate is off by in the mean is then added to the wanted temperature.
+// While the reading swings, an output that is cut at zero moves the mean of the estimate and of the nozzle: it heats faster
+// than it cools. The mean of the reading moves with that of the nozzle. What it is off by is added to what is wanted.
 static void
 ride(const struct model_params *p, struct model_state *s, const struct model_inputs *in, double dt_s)
 {
-    double share = lesser(1.0, greater(0.0, dt_s / RIDDEN_S)), error_c = wanted_c(in, s->time_s) - s->nodes.temp_c;
-    if (p->coloured_c2_s && s->swing_c >= RIDDEN_C && fabs(error_c) <= RIDDEN_SWINGS * s->swing_c)
-        s->ridden_c = lesser(RIDDEN_MAX_C, greater(-RIDDEN_MAX_C, s->ridden_c + share * error_c));
-    else
+    double share = lesser(1.0, greater(0.0, dt_s / RIDDEN_S)), now_c = wanted_c(in, s->time_s);
+    int swings = p->coloured_c2_s && s->swing_c >= RIDDEN_C;
+    int is_near = fabs(now_c - s->nodes.temp_c) <= lesser(RIDDEN_NEAR_C, RIDDEN_SWINGS * s->swing_c);
+    s->swinging_s = swings && is_near ? s->swinging_s + dt_s : 0.0;
+    if (!swings)
         s->ridden_c -= share * s->ridden_c;
+    else if (s->swinging_s >= RIDDEN_AFTER_S)
+        s->ridden_c = bounded(s->ridden_c + share * (now_c - s->read_c), RIDDEN_MAX_C);
 }
 
 void

@@ -9,10 +9,12 @@
 #define SAME_SHARE 0.004
 // Nearer than this to the reference, and not about to change: no horizon is worth sending.
 #define SETTLED_C 0.25
-// Readings that swing by more than this, with the estimate within so many swings: the estimate's mean error is taken
-// out within this time, up to a limit. See ride().
+// A reading that has swung by at least this for so long, with the estimate within so many swings and not farther than
+// this: its mean is brought to the wanted temperature within RIDDEN_S, up to a limit. A single disturbance ends sooner.
 #define RIDDEN_C 0.5
-#define RIDDEN_SWINGS 2.5
+#define RIDDEN_AFTER_S 2.0
+#define RIDDEN_SWINGS 6.0
+#define RIDDEN_NEAR_C 10.0
 #define RIDDEN_S 1.0
 #define RIDDEN_MAX_C 4.0
 #define SETTLED_MM3_S 0.2 // the flow at the nozzle still follows that of the motor when farther from it than this
