@@ -5,8 +5,8 @@
 
 Each message of blocks (5 ms; while holding, a batch of two or four) makes one control step. A new phase starts on an
 edge between two blocks, so that no block is cut. It is the first edge at least `lead_s` ahead: time for a busy host and
-for the link. A misjudged edge costs one short block. The returned commands replace all that was sent before for times from
-the first of them on. bridge_driver.py runs the control law (`LoopParameters.control`).
+for the link. A misjudged edge costs one short block. The returned commands replace all that was sent before for times
+from the first of them on. bridge_driver.py runs the control law (`LoopParameters.control`).
 
 The bridge turns itself off after `max_duration` without a command; `refresh_s` is a third of that. Without a
 temperature for `stale_s` the loop does not heat: it goes back to the smallest phase that still measures. Without blocks
