@@ -88,26 +88,13 @@ power_on_state(void)
  * Timers
  ****************************************************************/
 
-/* Into the list from `link` on; behind those of the same clock. */
-static inline void
-insert_from(struct timer **link, struct timer *t)
-{
-    struct timer *next = *link;
-    while (next && !timer_is_before(t->waketime, next->waketime)) {
-        link = &next->next;
-        next = next->next;
-    }
-    t->next = next;
-    *link = t;
-}
-
 void
 sched_add_timer_always(struct timer *t)
 {
     irqstatus_t flag = irq_save();
     if (timer_is_before(t->waketime, timer_read_time()))
         shutdown(SHUTDOWN_TIMER_TOO_CLOSE);
-    insert_from(sched.dispatching ? &sched_turn.timers->next : &sched_turn.timers, t);
+    sched_insert(sched.dispatching ? &sched_turn.timers->next : &sched_turn.timers, t);
     if (sched_turn.timers == t)
         timer_kick();
     irq_restore(flag);
@@ -178,22 +165,21 @@ run_due_timers(void *unused)
             return;
         }
         uint8_t result = t->func(t);
-        if (LIKELY(result == SF_RESCHEDULE)) {
+        if (result == SF_DONE) {
+            t = sched_turn.timers = sched_turn.timers->next;
+        } else if (LIKELY(result < SF_SORTED)) {
             if (!still_first(t))
                 t = sched_put_back(t);
-        } else if (result >= SF_SOON) {
+        } else {
             if (result == SF_INTERVAL_OVER)
                 break;
-            sched.intervals_late = 0;
+            t = sched_turn.timers;
+            if (result != SF_SORTED)
+                sched.intervals_late = 0;
             if (result == SF_NOTHING_DUE) {
                 sched.intervals_busy = 0;
                 return;
             }
-            t = sched_turn.timers;
-        } else {
-            t = sched_turn.timers;
-            if (result == SF_DONE)
-                t = sched_turn.timers = t->next;
         }
         if (!--left)
             break;

@@ -50,18 +50,24 @@ extern struct sched_turn {
     uint32_t end;
 } sched_turn;
 
-/* The head of the list has run and wants to again, but another is due before it: into the list behind those of the same
- * clock.  Returns the new head. */
-static inline struct timer *
-sched_put_back(struct timer *t)
+/* Into the list from `link` on; behind those of the same clock. */
+static inline void
+sched_insert(struct timer **link, struct timer *t)
 {
-    struct timer *head = t->next, **link = &head->next, *next;
     const uint32_t waketime = t->waketime;
-    sched_turn.timers = head;
+    struct timer *next;
     while ((next = *link) && !timer_is_before(waketime, next->waketime))
         link = &next->next;
     t->next = next;
     *link = t;
+}
+
+/* The head of the list has run and wants to again, but another is due before it.  Returns the new head. */
+static inline struct timer *
+sched_put_back(struct timer *t)
+{
+    struct timer *head = sched_turn.timers = t->next;
+    sched_insert(&head->next, t);
     return head;
 }
 
