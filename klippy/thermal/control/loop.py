@@ -238,7 +238,7 @@ class InductionLoop:
         """Messages of blocks may come in batches of that long: off or held, and a shorter one with a change planned."""
         if self.state.target_c <= 0.0:
             return HELD_BATCH_S
-        if not self.is_settled():
+        if not self._driver.PLANS or not self.state.bridge.driving or not self.is_settled():
             return 0.0
         return HELD_BATCH_S if self._driver.is_held() else PLANNED_BATCH_S
 

@@ -137,6 +137,8 @@ def _saturation(v: dict[str, float], k: float) -> tuple[float, float]:
 
 BLOCK_LEN, OVERSAMPLE, RECORDS = 192, 4, 3  # as [induction_heater] has them by default
 MESSAGE_S, BATCH_SLACK_S = 0.0048, 0.005  # likewise: messages may wait for one another
+BATCH_MESSAGES = int(loop.HELD_BATCH_S / MESSAGE_S)
+BATCH_WAIT_S = BATCH_MESSAGES * MESSAGE_S + BATCH_SLACK_S
 
 
 def default_parameters(**changes: Any) -> loop.LoopParameters:
