@@ -425,9 +425,11 @@ def test_the_extruder_s_settings_show_the_limits_of_its_nozzle() -> None:
     printer, _ = nozzle()
     limits = {"min_temp": 0.0, "max_temp": 320.0, "min_extrude_temp": 160.0}
     assert limits.items() <= printer.settings("extruder").items()
+    heater = {"sensor_type": "induction", "control": "model", "smooth_time": 0.05, "max_power": 1.0}
+    assert heater.items() <= printer.settings("extruder").items()
 
 
-@pytest.mark.parametrize("option", ["min_temp", "max_temp"])
+@pytest.mark.parametrize("option", ["min_temp", "max_temp", "sensor_type", "control"])
 def test_a_limit_at_the_extruder_of_a_nozzle_is_sent_to_its_place(option: str) -> None:
     text = CONFIG.replace("{control}", "pid").replace("min_extrude_temp: 160", f"{option}: 0.5")
     where = rf"'{option}' in section 'extruder' \(printer.cfg, line \d+\).*\[induction_heater nozzle\]"
@@ -485,6 +487,7 @@ def test_blocks_become_temperature_and_phase_commands_ahead_of_time() -> None:
     heater.set_temp(250.0)
     assert heater.get_status(100.0) == {
         "temperature": pytest.approx(200.0, abs=0.1),
+        "temperature_source": "measured",
         "target": 250.0,
         "power": 1.0,
     }
@@ -573,6 +576,66 @@ def test_after_a_shutdown_status_shows_no_power_and_a_reading_that_ages() -> Non
     assert "pwm=0.000 power_w=0.00 phase=0" in heater.stats(105.0)[1]
     assert (after["valid"], after["guard"], after["calibrating"]) == (False, "off", False)
     assert after["estimate_age"] == pytest.approx(5.0, abs=0.1)
+
+
+def stopped_nozzle(target_c: float = 250.0) -> tuple[FakePrinter, Any]:
+    printer, heater = nozzle()
+    deliver(printer, 0, 200.0, 2012)
+    heater.set_temp(target_c)
+    printer.invoke_shutdown("Shutdown due to M112 command")
+    return printer, heater
+
+
+def cool(printer: FakePrinter, seconds: int) -> None:
+    tick = printer.reactor.timers[-1]
+    for _ in range(2 * seconds):
+        printer.reactor.now_s += 0.5
+        tick(printer.reactor.now_s)
+
+
+def test_after_a_shutdown_the_temperature_goes_on_as_modelled_and_says_so() -> None:
+    printer, heater = stopped_nozzle()
+    assert "// Induction heater 'nozzle': its temperature is modelled from here on" in printer.gcode.lines
+    cool(printer, 10)
+    after_10_s = heater.get_status(0.0)["temperature"]
+    cool(printer, 90)
+    after_100_s = heater.get_status(0.0)["temperature"]
+    assert 120.0 < after_10_s < 190.0 and 30.0 < after_100_s < 80.0
+    assert heater.get_status(0.0)["temperature_source"] == "modelled"
+    assert not heater.can_extrude
+    printer.send("klippy:disconnect")
+    assert not printer.reactor.timers
+
+
+def test_after_a_shutdown_it_is_never_below_what_still_reads_and_a_rise_is_alarmed() -> None:
+    printer, heater = stopped_nozzle()
+    reading_c = [190.0]
+    heater.stopped.sensor = SimpleNamespace(get_temp=lambda eventtime: (reading_c[0], 0.0))
+    for _ in range(10):
+        cool(printer, 1)
+        reading_c[0] -= 0.5
+    assert heater.get_temp(0.0)[0] > 184.0
+    assert not any(line.startswith("!!") for line in printer.gcode.lines)
+    for _ in range(10):
+        cool(printer, 1)
+        reading_c[0] += 5.0
+    alarms = [line for line in printer.gcode.lines if line.startswith("!!")]
+    assert len(alarms) == 3 and "gets hotter after the stop (200 C)" in alarms[0]
+    assert heater.get_temp(0.0)[0] > 225.0
+
+
+def test_after_a_shutdown_current_in_the_coil_is_alarmed_once() -> None:
+    printer, heater = stopped_nozzle()
+    zero = round(heater.parameters.front.adc_zero_raw) << 4
+    for raw, phase in ((zero, 0), (zero + 400, 2012)):
+        printer.mcu.response({"phase": phase, "value": raw})
+        cool(printer, 2)
+        assert not heater.notices.kept
+    for _ in range(2):
+        printer.mcu.response({"phase": 0, "value": zero + 400})
+    assert [3] in printer.mcu.sent, "it was asked for"
+    (notice,) = heater.notices.kept
+    assert notice.startswith("current flows in the coil after the stop")
 
 
 def test_a_reading_without_news_is_no_longer_valid() -> None:
