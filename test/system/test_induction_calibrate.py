@@ -155,7 +155,7 @@ SHOWN = re.compile(r"LOOK ([-0-9.]+) ([0-9.]+) ([0-9.]+) (True|False) (True|Fals
         ("tank", "manual", 3.0),  # the law in force, which is right here
         ("uncalibrated", "reference", 15.0),
         ("uncalibrated", "manual", 30.0),
-        ("uncalibrated", "one reading", 60.0),  # of another nozzle than this one
+        ("uncalibrated", "one reading", 15.0),  # of another nozzle than this one
     ],
 )
 def test_status_follows_the_nozzle_while_it_is_calibrated(

@@ -377,7 +377,11 @@ def test_commands_take_the_name_of_the_section_that_of_the_extruder_or_of_the_on
         assert heater.get_temp(0.0)[1] == 200.0
         heater.set_temp(0.0)
         assert heater_tuning.heater_of(printer, FakeCommand(printer.gcode, HEATER=name)) is heater
-    assert heater_tuning.heater_of(printer, FakeCommand(printer.gcode), sole_nozzle=True) is heater
+        assert printer.lookup_object("heaters").lookup_heater(name) is heater
+    for sole_nozzle in (True, False):
+        assert heater_tuning.heater_of(printer, FakeCommand(printer.gcode), sole_nozzle) is heater
+    mux["SET_HEATER_TEMPERATURE", None](FakeCommand(printer.gcode, TARGET="150"))
+    assert heater.get_temp(0.0)[1] == 150.0
 
 
 TWO = (
