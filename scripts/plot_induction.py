@@ -9,7 +9,7 @@ Exit status 0 drawn, 2 the file is neither, or the picture cannot be written.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import sys

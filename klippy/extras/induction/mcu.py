@@ -94,7 +94,7 @@ class InductionUnit:
         self._ask_state: Any = None
         self._on_current: Callable[[bool], None] = lambda flows: None
         self._share = 0xFFFF  # of the rows, as the firmware begins ...
-        self._ceiling_c = self._target_c = math.inf  # ... and the step of the target, and the target, it is for
+        self._ceiling_c = self._target_c = math.inf  # ... the step of the target it is for, and that target
         self._period_s = math.inf
         self._batched = False
         self._stream: convert.Stream | None = None
