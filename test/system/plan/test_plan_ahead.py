@@ -1,4 +1,6 @@
-"""The plan takes no time from the look-ahead: each move is sent as early and made at the same time as without it."""
+"""The plan takes no time from the look-ahead: each move is sent as early, and made at the same time, as without it.
+
+An enabled plan keeps more motion ahead, so that most moves are sent earlier."""
 
 from __future__ import annotations
 
@@ -67,5 +69,5 @@ def test_every_move_comes_as_early_and_is_deposited_at_the_same_time(tmp_path: P
     assert np.abs(starts - ends).max() < 1e-6  # never dry: each begins where the one before it ends
     # how far ahead of the machine each batch was given out; the host looks at other moments, some ms apart
     assert len(planned.ahead_s) == len(without.ahead_s)
-    assert planned.ahead_s[-20:] == pytest.approx(without.ahead_s[-20:], abs=0.02)
+    assert np.min(np.subtract(planned.ahead_s[5:], without.ahead_s[5:])) > -0.02
     assert min(planned.ahead_s[5:]) > min(without.ahead_s[5:]) - 0.02
