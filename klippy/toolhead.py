@@ -8,8 +8,8 @@ Three times matter, all in print_time (seconds of the main MCU's clock):
     now (estimated)            done_time                 print_time
     ----|===== at the MCU ======|==== planned moves =======|.... look-ahead queue ....
 
-print_time and the queue run ahead of now by up to BUFFER_FULL_S, then move() waits. If too little is ahead and nothing more comes,
-the timer `_watch` plans what there is, to a stop, so that the head never halts in mid-move.
+print_time and the queue run ahead of now by up to BUFFER_FULL_S, then move() waits. If too little is ahead and nothing
+more comes, the timer `_watch` plans what there is, to a stop, so that the head never halts in mid-move.
 In batch mode there is no now: nothing ever waits.
 """
 

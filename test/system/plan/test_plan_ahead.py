@@ -1,6 +1,6 @@
 """The plan takes no time from the look-ahead: each move is sent as early, and made at the same time, as without it.
 
-An enabled plan keeps more motion ahead, so that most moves are sent earlier."""
+An enabled plan keeps more motion ahead, so that moves are sent earlier."""
 
 from __future__ import annotations
 
