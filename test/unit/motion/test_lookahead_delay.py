@@ -27,7 +27,7 @@ FILES = {
 
 @pytest.mark.parametrize("name", FILES)
 @pytest.mark.parametrize("command", ["M220 S50", "SET_GCODE_OFFSET Z_ADJUST=0.05 MOVE=1", "PAUSE"])
-def test_a_command_acts_within_a_second(play, name: str, command: str) -> None:  # noqa: F811
+def test_a_command_acts_within_a_second(play: Callable[..., Any], name: str, command: str) -> None:  # noqa: F811
     delays: list[float] = []
     moves: list[Any] = []
     speed, lines = FILES[name]
