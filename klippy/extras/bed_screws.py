@@ -98,7 +98,7 @@ class BedScrews:
         self._next()
 
     def cmd_ADJUSTED(self, gcmd: GCodeCommand) -> None:
-        """It was turned: all have to be looked at again, after the last of a fine round also those of the coarse one."""
+        """It was turned: all have to be looked at again, after a fine round also those of the coarse one."""
         self._accepted = 0
         self._next()
 

@@ -110,7 +110,7 @@ class ZLevel:
         return "done"
 
     def _adjust(self, heights: list[float], after: float | None) -> None:
-        """Turn the motors so that what was probed at `heights` above each is level, and probed at `after` (None: their mean)."""
+        """Turn the motors so that what was probed at `heights` is level, and probed at `after`; None: their mean."""
         lowest = min(heights)
         middle = sum(heights) / len(heights)
         if self._max_adjust is not None:
