@@ -17,7 +17,7 @@ hands to the heater. Not counted are look-ahead and reading of the file, which a
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import itertools

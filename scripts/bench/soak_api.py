@@ -9,7 +9,7 @@ measured by the tests of the API and of the macros.
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import csv
