@@ -31,8 +31,8 @@ __all__ = ["Coord", "LookAheadQueue", "Move", "ToolHead", "add_printer_objects"]
 
 # From standstill the first step is planned this far ahead: time to work out and send the first commands.
 START_LEAD_S = 0.250
-# move() waits while more than this is planned ahead. With what is queued a pause or a speed change acts within 1 s; and a
-# host that is late by 0.8 s still finds the motors moving.
+# move() waits while more than this is planned ahead. With what is queued a pause or a speed change acts within 1 s, and
+# a host that is late by 0.8 s still finds the motors moving.
 BUFFER_FULL_S = 0.88
 # Below this the look-ahead queue is planned to a stop rather than risk running dry.
 BUFFER_LOW_S = 0.25

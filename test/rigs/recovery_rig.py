@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import harness
+
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import harness
 from extras.recovery.journal import Journal
 from simulation.runner import RunOptions, Simulation
 
