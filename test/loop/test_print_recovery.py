@@ -2,18 +2,65 @@
 
 from __future__ import annotations
 
+import harness
+
 import random
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import recovery_rig
 from extras.recovery.journal import Journal
 from extras.recovery.path import Refusal
-from recovery_rig import FULL_STEP_MM
-from simulation.runner import PRINTED, SHUT_DOWN, RunOptions
+from simulation.runner import PRINTED, SHUT_DOWN, RunOptions, Simulation
+
+AXES = {"x": "stepper_x", "y": "stepper_y", "z": "stepper_z", "extruder": "extruder"}
+FULL_STEP_MM = {"x": 40.0 / 200, "y": 40.0 / 200, "z": 8.0 / 200, "extruder": 7.6 / 200}
+INTERVAL_S = 0.5
+
+
+@dataclass(slots=True)
+class Instant:
+    """What a crash at this moment would leave: the journal, the motors' steps; and where the axes are."""
+
+    record: dict[str, Any]
+    steps: dict[str, int]
+    place: dict[str, float]
+
+
+class Watched(Simulation):
+    """Looks at journal and machine at given times."""
+
+    def __init__(self, options: RunOptions, journal: Path, at_s: list[float]) -> None:
+        super().__init__(options)
+        self.journal, self.at_s = journal, sorted(at_s)
+        self.instants: list[Instant] = []
+        self.outcome: Any = None
+
+    def axis(self, name: str) -> dict[str, Any]:
+        assert self.machine is not None
+        return self.world.axis(self.machine.axes[name])
+
+    def _before_advance(self, now: float) -> None:
+        super()._before_advance(now)
+        while self.at_s and now - self.world.start_s >= self.at_s[0]:
+            self.at_s.pop(0)
+            axes = {name: self.axis(name) for name in AXES}
+            steps = {AXES[n]: int(a["steps_forward"] - a["steps_backward"]) for n, a in axes.items()}
+            place = {name: a["position_mm"] for name, a in axes.items()}
+            self.instants.append(Instant(Journal(str(self.journal)).read(), steps, place))
+
+
+def options(
+    part: Path, journal: Path, faults: tuple[str, ...] = (), more: tuple[tuple[str, str, str], ...] = ()
+) -> RunOptions:
+    """A print of `part` with [print_recovery]."""
+    values = {"filename": str(journal), "interval": str(INTERVAL_S), "z_stays": "True"}
+    overrides = tuple(("print_recovery", name, value) for name, value in values.items())
+    return RunOptions(harness.SAMPLE_CONFIG, part, overrides=overrides + more, faults=faults)
+
 
 FILAMENT_STEP_MM = FULL_STEP_MM["extruder"]
 
@@ -21,7 +68,7 @@ FILAMENT_STEP_MM = FULL_STEP_MM["extruder"]
 PART = Path(__file__).resolve().parents[2] / "config" / "studies" / "recovery.gcode"
 
 
-class Restarted(recovery_rig.Watched):
+class Restarted(Watched):
     """`script` runs instead of a print."""
 
     def __init__(self, options: RunOptions, journal: Path, at_s: list[float], script: str = "") -> None:
@@ -52,7 +99,7 @@ def run(
     part, journal = folder / "part.gcode", folder / "recovery"
     if not part.exists():
         part.write_text(PART.read_text())
-    simulation = Restarted(recovery_rig.options(part, journal, faults, more), journal, at_s, script)
+    simulation = Restarted(options(part, journal, faults, more), journal, at_s, script)
     simulation.outcome = simulation.run()
     return simulation
 
