@@ -46,7 +46,7 @@ def judge(printer: Any, place_mm: dict[str, float]) -> dict[str, Any]:
     if os.path.exists(recovery.journal.path):
         os.unlink(recovery.journal.path)
     if printer.get_state_message()[1] != "ready":
-        return {"state": "no host", "reason": printer.get_state_message()[0], "offered": 0, "off_steps": None}
+        return {"state": "no host", "reason": printer.get_state_message()[0], "offered": 0, "off_steps": 0.0}
     off_steps = 0.0
     if offer["state"] == "offered":
         steps_mm = recovery.full_steps_mm()

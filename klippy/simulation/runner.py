@@ -143,7 +143,7 @@ class Simulation:
         self.printer = restarted.start_again(self._new_printer, self._new_reactor)
         self.facts.recovery = {**restarted.judge(self.printer, place_mm), "bytes_per_minute": round(written)}
         stop = self.ending.reason
-        self.ending.status = PRINTED if self.facts.recovery["state"] != "no host" else SHUT_DOWN
+        self.ending.status = PRINTED
         self.ending.reason = f"{stop}; started again: the print is {self.facts.recovery['state']}"
 
     def _new_reactor(self) -> reactor_module.Reactor:
