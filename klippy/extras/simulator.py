@@ -67,12 +67,13 @@ ParameterTables = Mapping[str, Mapping[str, ParameterRow]]  # "nozzle" and "load
 @dataclass(frozen=True, slots=True)
 class SimulatorSettings:
     """[simulator]: trace rows a simulated second; for how long the host does nothing, at random; faults as simulate.py
-    --fault takes them.
+    --fault takes them; whether the host is started again after a stop.
     """
 
     trace_rate_hz: float = TRACE_RATE_HZ
     host_late_s: float = 0.0
     faults: tuple[str, ...] = ()
+    starts_again: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -550,6 +551,7 @@ def read_settings(config: ConfigWrapper) -> SimulatorSettings:
         config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0),
         config.getfloat("host_late", 0.0, minval=0.0, maxval=10.0),
         tuple(config.get("fault", "").split()),
+        config.getboolean("start_again", False),
     )
 
 
