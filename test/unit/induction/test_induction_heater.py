@@ -116,8 +116,10 @@ def test_two_extruders_cannot_share_one_nozzle() -> None:
         printer.lookup_object("induction_heater nozzle").serve(printer.config("extruder"))
 
 
-def test_the_units_own_tests_are_configured_when_asked_for() -> None:
-    printer, _ = nozzle("signal_test_interval: 0.010")
+def test_the_units_own_tests_are_configured_unless_turned_off() -> None:
+    printer, _ = nozzle()
+    off, _ = nozzle("signal_test_interval: 0")
+    assert off.mcu.config == printer.mcu.config[:-1]
     assert printer.mcu.config[-1] == (
         "config_induction_test oid=3 moved_low=451 moved_high=4060 off_low=246 off_high=266 interval=1200"
         " phase=2012 jump=240 rise=15 fall=1 tolerance=26 slack=16"
@@ -126,7 +128,7 @@ def test_the_units_own_tests_are_configured_when_asked_for() -> None:
 
 def test_the_unit_is_configured_before_it_may_heat() -> None:
     printer, _ = nozzle()
-    first, sense, block, *limits = printer.mcu.config
+    first, sense, block, *limits, _tests = printer.mcu.config
     assert first == (
         "config_induction oid=3 bridge=0 adc_pin=PA0 period_ticks=600 phase_max=45000 max_duration=7200000"
     )
