@@ -76,6 +76,8 @@ function show() {
     const heater = status[name];
     if (!heater || heater.temperature === undefined) continue;
     const row = at(`row-${name}`) || heaterRow(name);
+    const source = heater.temperature_source || "measured"; // an induction nozzle says where it comes from
+    row.cells[0].textContent = HEATERS[name] + (source === "measured" ? "" : `, ${source}`);
     row.querySelector(".temp").textContent = heater.temperature.toFixed(1);
     row.querySelector(".target").textContent = heater.target.toFixed(0);
     row.querySelector(".power").textContent = (100 * (heater.power || 0)).toFixed(0);
