@@ -23,7 +23,7 @@ function say(text, isError = false) {
   line.textContent = text;
   line.className = isError ? "error" : "";
   at("log").append(line);
-  line.scrollIntoView({ block: "nearest" });
+  at("log").scrollTop = at("log").scrollHeight; // not the page: the emergency stop stays in view
 }
 
 const run = (method, params) => call(method, params).catch((error) => say(error.message, true));
