@@ -39,7 +39,7 @@ OUTPUT_FOLDER = OUT / "simulation"  # of a run without a log: files of INDUCTION
 AFTERMATH_S = 2.0  # watched on after a shutdown, to see that the heat goes off
 PROGRESS_WALL_S = 0.1
 UNKNOWN_COMMAND = '// Unknown command:"'  # how the console says it; the print goes on
-WARNINGS = ("// Induction heater '", "// Nozzle monitor:")
+WARNINGS = ("// Induction heater '", "// Nozzle monitor:", "!! Warning: ")
 GC_ALLOCATIONS = 100_000  # between looks for cycles: blocks and moves come by the thousand and make none
 
 
@@ -298,15 +298,15 @@ class Simulation:
         return True
 
     def _on_output(self, text: str) -> None:
-        if text.startswith("!!"):
-            self.facts.faults.append(
-                f"{self.reactor.monotonic() - self.world.start_s:.1f} s: {text[2:].strip()}"
-            )
-        elif text.startswith(WARNINGS):
+        if text.startswith(WARNINGS):
             now = self.reactor.monotonic()
             self.facts.messages.append(f"{now - self.world.start_s:.1f} s: {text[3:]}")
             if self.injector is not None:
                 self.injector.warned(text[3:], now)
+        elif text.startswith("!!"):
+            self.facts.faults.append(
+                f"{self.reactor.monotonic() - self.world.start_s:.1f} s: {text[2:].strip()}"
+            )
         elif text.startswith(UNKNOWN_COMMAND):
             name = text[len(UNKNOWN_COMMAND) :].strip('"')
             self.facts.unknown_commands[name] = self.facts.unknown_commands.get(name, 0) + 1
