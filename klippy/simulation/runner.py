@@ -39,7 +39,7 @@ OUTPUT_FOLDER = OUT / "simulation"  # of a run without a log: files of INDUCTION
 AFTERMATH_S = 2.0  # watched on after a shutdown, to see that the heat goes off
 PROGRESS_WALL_S = 0.1
 UNKNOWN_COMMAND = '// Unknown command:"'  # how the console says it; the print goes on
-WARNINGS = ("!! Warning: ", "// Nozzle monitor:")
+WARNINGS = ("// Induction heater '", "// Nozzle monitor:", "!! Warning: ")
 GC_ALLOCATIONS = 100_000  # between looks for cycles: blocks and moves come by the thousand and make none
 
 

@@ -385,3 +385,29 @@ def test_without_a_limit_jumps_are_not_judged() -> None:
     t = fresh(jump=0)
     block(t, 450, 0)
     assert block(t, 900, 192) == NONE and t.bad_jumps == 0
+
+
+@pytest.mark.parametrize("mean", [249, 263])
+def test_a_bridge_that_conducts_while_nothing_drives_it_trips_at_the_fourth_block(mean: float) -> None:
+    t = fresh()
+    found = [block(t, mean, 192 * n, phase=0) for n in range(4)]
+    assert found == [NONE, NONE, NONE, CONDUCTS]
+
+
+@pytest.mark.parametrize("mean", [250, 262])
+def test_blocks_without_drive_may_show_no_current_for_ever(mean: float) -> None:
+    t = fresh()
+    assert {block(t, mean, 192 * n, phase=0) for n in range(20)} == {NONE}
+
+
+@pytest.mark.parametrize(("mean", "phase"), [(256, 0), (400, 2012)])
+def test_a_block_without_current_and_one_with_drive_end_the_count(mean: float, phase: int) -> None:
+    t = fresh()
+    for n in range(0, 40, 4):
+        assert {block(t, 400, 192 * (n + i), phase=0) for i in range(3)} == {NONE}
+        assert block(t, mean, 192 * (n + 3), phase) == NONE
+
+
+def test_without_limits_of_no_current_blocks_without_drive_are_not_judged() -> None:
+    t = fresh(off_low=0, off_high=0)
+    assert {block(t, 400, 192 * n, phase=0) for n in range(8)} == {NONE}

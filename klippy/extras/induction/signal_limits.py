@@ -17,7 +17,7 @@ from thermal.sensing.features import FeatureParameters
 GAIN_UNITS_DEG = 20.136  # Oskolkov 2021, Table 1
 GAIN_RANGE = 3.0  # what an amplifier may be built with, either way
 MEASURED_TOLERANCE = 0.15  # of a gain that was measured: parts age and warm
-LEARNED_TOLERANCE = 0.10  # of what this board has learned since it was started
+LEARNED_TOLERANCE = 0.08  # of what this board has learned since it was started
 SLACK_LSB = 1.0  # three sigma of 16 samples with 1 LSB of noise, and a beat of 5 LSB
 OFF_UNITS, OFF_LSB = 10.0, 6.0  # no current: this far from the zero, whichever is more
 JUMP_UNITS, JUMP_LSB = 15.0, 4.0  # from block to block, likewise

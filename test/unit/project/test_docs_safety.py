@@ -205,6 +205,8 @@ def signal_claims() -> Iterator[str]:
     yield f"{heating} bridge is off for {off} samples ({1e3 * off * PERIOD_S:.1g} ms)."
     yield f"The last {length} must be within {signal_limits.OFF_UNITS:g} units of `adc_zero`"
     assert (constant("SIGNAL_TEST_BAD"), constant("SIGNAL_JUMP_BLOCKS")) == (2, 3)
+    assert constant("SIGNAL_IDLE_BLOCKS") == 4
+    yield "of an idle nozzle too, must show the same: four bad ones in a row trip"
     yield f"at the same drive by more than {signal_limits.JUMP_UNITS:g} units, three blocks in a row"
     yield f"drive the limit is {signal_limits.JUMP_UNITS * (1.0 + PHASE_MAX_TICKS / 2**15):.0f} units"
     samples = 2.0 * interval_s / PERIOD_S
