@@ -110,7 +110,9 @@ void gauge_chip_convert(struct gauge_chip *c, double signal)
         return;
     }
     double code = fmin(fmax(round(signal * 8388608.0), -8388608.0), 8388607.0);
-    if (c->pulses == 0) /* HX71x: not while it is being read */
+    if (c->pulses > 24) /* HX71x: it has been read */
+        c->pulses = 0;
+    if (c->pulses == 0) /* not while it is being read */
         c->sample = (int32_t)code;
 }
 
@@ -129,8 +131,6 @@ void gauge_chip_clock(struct gauge_chip *c, uint8_t level)
             c->fresh = 0;
         }
         c->pulses++;
-    } else if (!level && c->pulses > 24 && c->fresh) {
-        c->pulses = 0;
     }
     c->level = level;
 }
