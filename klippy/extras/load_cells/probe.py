@@ -167,7 +167,12 @@ class ForceSwitch(ProbeSwitch):
         self.endstop.set_trigger("abs_ge", round(settings.trigger_g * UNITS_PER_GRAM), (raw[0], raw[1]))
 
     def home_start(
-        self, print_time: float, sample_time: float, sample_count: int, rest_time: float, triggered: bool = True
+        self,
+        print_time: float,
+        sample_time: float,
+        sample_count: int,
+        rest_time: float,
+        triggered: bool = True,
     ) -> Any:
         if self._interpolates:
             self._approach = self.cell.stream.gather()
