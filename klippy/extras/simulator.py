@@ -209,7 +209,8 @@ GAUGE_OPTIONS = {
     "free_frequency": ("free_hz", 3.0e6), "coupling": ("coupling", 0.2), "decay": ("decay_mm", 2.5),
     "coil_height": ("coil_mm", 2.0), "coil_temp": ("coil_c", 25.0), "coil_ramp": ("coil_c_per_s", 0.0),
     "coil_end_temp": ("coil_end_c", 25.0), "drift_per_k": ("drift_per_k", -4e-5),
-    "drift_per_k2": ("drift_per_k2", 8e-8), "drift_near_per_k": ("drift_near_per_k", 3e-5),
+    "drift_per_k2": ("drift_per_k2", 8e-8), "drift_per_k3": ("drift_per_k3", 2e-10),
+    "drift_near_per_k": ("drift_near_per_k", 3e-5),
 }  # fmt: skip
 
 

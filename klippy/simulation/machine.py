@@ -118,8 +118,8 @@ def assemble(
     machine.panels.update({panel.name: _add_panel(machine, panel, config) for panel in panels})
     for probe in _of(things, ProbeSettings):
         machine.probes[probe.name] = _add_probe(machine, probe, config)
-    for gauge in _of(things, GaugeSettings):
-        machine.gauges[gauge.name] = _add_gauge(machine, gauge, config)
+    gauges = _of(things, GaugeSettings)
+    machine.gauges.update({gauge.name: _add_gauge(machine, gauge, config) for gauge in gauges})
     for fan in _of(things, FanSettings):
         pin = _pin(machine, fan.pin, config, fan.section, "pin", f"simulator fan {fan.name}")
         machine.fans[fan.name] = world.add_fan(pin, fan.spin_up_s)

@@ -99,7 +99,7 @@ class EddyCalibration:
             curve = Curve([(height, coil.mean_hz(samples)) for height, samples in found])
         except ValueError as e:
             raise gcmd.error(
-                f"The calibration has failed: {e}. Is the coil above the bed, and its current right?"
+                f"The calibration has failed: {e}. Is the coil above the bed, with the right current?"
             ) from None
         self._report(gcmd, curve, found)
         coil.curve = curve

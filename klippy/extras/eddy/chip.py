@@ -69,8 +69,8 @@ class Ldc1612:
         params = self.printer.lookup_object("pins").lookup_pin(text)
         if params["chip"] is not self.mcu:
             raise config.error(
-                f"Option 'intb_pin' in section '{self.section}' ({config.where('intb_pin')}): it must be on the board of"
-                " the I2C bus."
+                f"Option 'intb_pin' in section '{self.section}' ({config.where('intb_pin')}): it must be on the board"
+                " of the I2C bus."
             )
         return str(params["pin"])
 
@@ -127,8 +127,8 @@ class Ldc1612:
             found = self._read(register)
             if found != expected:
                 raise self.printer.command_error(
-                    f"[{self.section}]: register 0x{register:02x} is 0x{found:04x} instead of 0x{expected:04x}: no LDC1612"
-                    " answers. Check its wires and i2c_address."
+                    f"[{self.section}]: register 0x{register:02x} is 0x{found:04x} instead of 0x{expected:04x}: no"
+                    " LDC1612 answers. Check its wires and i2c_address."
                 )
 
     def _prepare(self, config: int) -> None:

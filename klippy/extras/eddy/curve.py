@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import bisect
+import itertools
 from collections.abc import Sequence
 
 from configfile import ConfigWrapper
@@ -19,7 +20,7 @@ class Curve:
         ordered = sorted(points)
         if len(ordered) < MIN_POINTS:
             raise ValueError(f"it has {len(ordered)} points and needs {MIN_POINTS}")
-        if any(b[1] >= a[1] for a, b in zip(ordered, ordered[1:], strict=False)):
+        if any(b[1] >= a[1] for a, b in itertools.pairwise(ordered)):
             raise ValueError("the frequency does not fall with the height everywhere")
         self._heights = [height for height, _ in reversed(ordered)]
         self._frequencies = [hz for _, hz in reversed(ordered)]  # rising

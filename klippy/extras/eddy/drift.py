@@ -15,6 +15,7 @@ from ..probing.surface_fit import solve
 
 REFERENCE_C = 40.0  # of the polynomials: their numbers stay small
 MIN_TEMPERATURES = 3
+PIVOT_MIN = 1e-9
 Parabola = tuple[float, float, float]  # of (T - REFERENCE_C): Hz, Hz/K, Hz/K^2
 
 
@@ -31,7 +32,7 @@ def fit(samples: Sequence[tuple[float, float]]) -> Parabola:
     right = [
         sum(row[i] * (hz - base) for row, (_, hz) in zip(powers, samples, strict=True)) for i in range(3)
     ]
-    a, b, c = solve(squares, right)
+    a, b, c = solve(squares, right, PIVOT_MIN)
     return a + base, b, c
 
 
@@ -49,18 +50,20 @@ class Drift:
     def read(config: ConfigWrapper) -> Drift | None:
         rows = config.getlists("drift_calibration", None, seps=(",", "\n"), parser=float, count=3)
         calibration_c = config.getfloat("calibration_temp", None)
+        config.getfloat("drift_calibration_min_temp", None)  # noted for people
         if rows is None:
             return None
         if calibration_c is None:
             raise config.error(
-                f"Option 'drift_calibration' in section '{config.get_name()}' ({config.where('drift_calibration')}) needs"
-                " option 'calibration_temp': run PROBE_EDDY_CURRENT_CALIBRATE again, with its [temperature_probe]."
+                f"Option 'drift_calibration' in section '{config.get_name()}' ({config.where('drift_calibration')})"
+                " needs option 'calibration_temp': run PROBE_EDDY_CURRENT_CALIBRATE again, with a [temperature_probe]."
             )
         try:
             return Drift([(row[0], row[1], row[2]) for row in rows], calibration_c)
         except ValueError as e:
             raise config.error(
-                f"Option 'drift_calibration' in section '{config.get_name()}' ({config.where('drift_calibration')}): {e}"
+                f"Option 'drift_calibration' in section '{config.get_name()}'"
+                f" ({config.where('drift_calibration')}): {e}"
             ) from None
 
     def text(self) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 from configfile import ConfigWrapper
 from gcode import GCodeCommand
 
-from ..probe import PrinterProbe
+from ..probe import PrinterProbe, ProbeOffsets
 from ..probing.analog_endstop import AnalogEndstop
 from ..probing.filters import Scale
 from ..probing.sampling import check_homed
@@ -189,10 +189,7 @@ class EddyProbe(PrinterProbe):
             return self._measure_here()
         if method == "tap":
             check_homed(self.printer)
-            place = self.run_tap(gcmd, gcmd.get_float("TAP_THRESHOLD", self.tap_threshold, above=0.0))
-            self.commands.note_result(place)
-            self._results.append(place)
-            return place
+            return self._tap_once(gcmd)
         return super().run_probe(gcmd)
 
     # -- automatic --
@@ -257,6 +254,23 @@ class EddyProbe(PrinterProbe):
 
     # -- tap --
 
+    def get_offsets(self, gcmd: Any = None) -> ProbeOffsets:
+        """A tap is at the nozzle."""
+        if gcmd is not None and self._method(gcmd) == "tap":
+            return ProbeOffsets(0.0, 0.0, self.offsets.z)
+        return self.offsets
+
+    def _tap_once(self, gcmd: GCodeCommand) -> list[float]:
+        place = self.run_tap(gcmd, gcmd.get_float("TAP_THRESHOLD", self.tap_threshold, above=0.0))
+        coil_offsets, self.offsets = self.offsets, self.get_offsets(gcmd)
+        try:
+            place[2] = self._corrected(place)
+            self.commands.note_result(place)
+        finally:
+            self.offsets = coil_offsets
+        self._results.append(place)
+        return place
+
     def run_tap(self, gcmd: GCodeCommand, threshold: float | None) -> list[float]:
         """Touch the bed; the result is at descend_z as of the other methods."""
         if threshold is None:
@@ -271,7 +285,6 @@ class EddyProbe(PrinterProbe):
             self.mcu_probe.tap = None
         self.last_tap_slope = tap.slope_hz_mm
         place[2] += self.offsets.z - self.tap_z_offset
-        place[2] = self._corrected(place)
         gcmd.respond_info(
             f"probe at {place[0]:.3f},{place[1]:.3f} is z={place[2]:.6f} (tap, slope {tap.slope_hz_mm:.0f} Hz/mm)"
         )

@@ -69,8 +69,8 @@ class Tap:
         contact = find_contact(points)
         if contact is None or contact - here[2] > DEPTH_MAX_MM:
             raise self._printer.command_error(
-                "The tap did not show a contact with the bed: if the head stopped above the bed, tap_threshold is too low;"
-                " else lower it, and see that nozzle and bed are clean."
+                "The tap did not show a contact with the bed: if the head stopped above the bed, tap_threshold is too"
+                " low; else lower it, and see that nozzle and bed are clean."
             )
         above = [(z, hz) for (z, _), (_, hz) in zip(points, samples, strict=True) if z > contact]
         if len(above) > 2:

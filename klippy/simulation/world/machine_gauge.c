@@ -3,7 +3,7 @@
  *     axes ──► gap between nozzle and bed ──┬─► force = stiffness · depth + drift ──► conversion (its mean) + noise ──► chip
  *                                           └─► height of the coil ──► frequency ─┘
  *
- *   coil: L(h) = L0 (1 - k exp(-h / d)), f = 1 / (2 pi sqrt(L C)), times 1 + a (T - 25) + b (T - 25) exp(-h / d): the
+ *   coil: L(h) = L0 (1 - k exp(-h / d)), f = 1 / (2 pi sqrt(L C)), times 1 + a (T - 25) + ... + b (T - 25) exp(-h / d): the
  *   resistance of coil and bed, the coil's and the capacitor's own change.
  *
  * A nozzle on the bed goes no deeper than the load cell, or the frame, gives way.
@@ -61,7 +61,7 @@ static double frequency_hz(const struct gauge *g, double height_mm, double temp_
 {
     const struct world_gauge_options *o = &g->options;
     double near = exp(-height_mm / o->decay_mm), warm = temp_c - ROOM_C;
-    double drift = 1.0 + warm * (o->drift_per_k + o->drift_near_per_k * near) + warm * warm * o->drift_per_k2;
+    double drift = 1.0 + warm * (o->drift_per_k + o->drift_near_per_k * near) + warm * warm * (o->drift_per_k2 + warm * o->drift_per_k3);
     return o->free_hz / sqrt(1.0 - o->coupling * near) * drift;
 }
 

@@ -75,7 +75,7 @@ struct world_gauge_options {
     double counts_per_g, stiffness_g_mm, tare_g, drift_g_s;
     double free_hz, coupling, decay_mm, coil_mm; /* coil_mm: height of the coil above the nozzle's tip */
     double coil_c, coil_c_per_s, coil_end_c;
-    double drift_per_k, drift_per_k2, drift_near_per_k;
+    double drift_per_k, drift_per_k2, drift_per_k3, drift_near_per_k;
 };
 
 /* Ringing of the frame along X and Y: natural frequency (0: rigid) and damping of the masses, lag of the motors. */
