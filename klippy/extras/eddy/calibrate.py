@@ -27,8 +27,8 @@ VERIFY_RANGE_MM = 0.02
 
 def measure_heights(
     probe: EddyProbe, bed_mm: float, heights_mm: Sequence[float]
-) -> list[tuple[float, list[Sample]]]:
-    """(height, samples at rest there) above a bed that the nozzle meets at bed_mm; the coil is over it."""
+) -> list[tuple[float, list[Sample], float | None]]:
+    """(height, samples at rest there, coil's temperature) above a bed that the nozzle meets at bed_mm."""
     toolhead = probe.printer.lookup_object("toolhead")
     gathering = Gathering(probe.coil.chip.stream)
     found = []
@@ -41,7 +41,8 @@ def measure_heights(
             start = toolhead.get_last_move_time() + SETTLE_S
             toolhead.dwell(SETTLE_S + MEASURE_S)
             gathering.wait_until(start + MEASURE_S)
-            found.append((height, gathering.between(start, start + MEASURE_S)))
+            samples = gathering.between(start, start + MEASURE_S)
+            found.append((height, samples, probe.coil.temperature()))
         toolhead.manual_move([None, None, bed_mm + CLEARANCE_MM], LIFT_MM_S)
     finally:
         gathering.end()
@@ -96,7 +97,7 @@ class EddyCalibration:
         if coil.chip.mcu.is_fileoutput():
             return
         try:
-            curve = Curve([(height, coil.mean_hz(samples)) for height, samples in found])
+            curve = Curve([(height, coil.mean_hz(samples)) for height, samples, _ in found])
         except ValueError as e:
             raise gcmd.error(
                 f"The calibration has failed: {e}. Is the coil above the bed, with the right current?"
@@ -106,15 +107,15 @@ class EddyCalibration:
         configfile = self.printer.lookup_object("configfile")
         section = self.probe.name
         configfile.set(section, "calibrate", curve.text())
-        temp_c = coil.temperature()
-        if temp_c is not None:
-            coil.calibration_c = temp_c
+        temps = [temp_c for _, _, temp_c in found if temp_c is not None]
+        if temps:
+            coil.calibration_c = temp_c = statistics.fmean(temps)
             configfile.set(section, "calibration_temp", f"{temp_c:.3f}")
         manual_probe.report_save_config(gcmd, f"{section}: calibrate, {len(found)} heights")
 
-    def _report(self, gcmd: GCodeCommand, curve: Curve, found: list[tuple[float, list[Sample]]]) -> None:
+    def _report(self, gcmd: GCodeCommand, curve: Curve, found: list[tuple[float, list[Sample], float | None]]) -> None:
         lines, noises, total = [], [], 0
-        for height, samples in sorted(found):
+        for height, samples, _ in sorted(found):
             values = [hz for _, hz in samples]
             middle = statistics.median(values)
             mad_hz = statistics.median(abs(hz - middle) for hz in values)

@@ -145,11 +145,9 @@ class DriftCalibration:
         probe = self._probe(self._gcmd)
         move_coil_over_nozzle(probe, place)
         self._busy = True
+        for height, samples, at_c in measure_heights(probe, place[2], HEIGHTS_MM):
+            self._samples[height].append((at_c or 0.0, probe.coil.mean_hz(samples)))
         temp_c = self._sensor.temp_c
-        found = measure_heights(probe, place[2], HEIGHTS_MM)
-        temp_c = 0.5 * (temp_c + self._sensor.temp_c)
-        for height, samples in found:
-            self._samples[height].append((temp_c, probe.coil.mean_hz(samples)))
         self._busy = False
         count = len(self._samples[HEIGHTS_MM[0]])
         self._gcmd.respond_info(f"Drift calibration: sample {count} at {temp_c:.2f} C")

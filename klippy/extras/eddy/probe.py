@@ -26,10 +26,11 @@ from .drift import Drift
 from .tap import MAX_SECTIONS, Tap
 
 METHODS = ("automatic", "scan", "rapid_scan", "tap")
-SETTLE_S, MEASURE_S = 0.04, 0.12
+SETTLE_S, MEASURE_S = 0.03, 0.1
 PASS_S = 0.04  # of a point that is passed
 APPROACH_S, APPROACH_MM, APPROACH_MIN = 0.2, 0.6, 5  # of the way down, for the time of the trigger
 START_MARGIN_MM = 0.1  # the head must be above descend_z by this much
+SURE_MM = 0.4  # above the height of the last probing: far enough at other places of the bed, too
 
 
 class Coil:
@@ -80,9 +81,11 @@ class Coil:
             )
         return statistics.fmean(hz for _, hz in samples)
 
-    def measure(self, gathering: Gathering, print_time: float, duration_s: float = MEASURE_S) -> float:
-        """Height over a time from print_time on, the head at rest."""
-        start = print_time + SETTLE_S
+    def measure(self, gathering: Gathering, duration_s: float = MEASURE_S, waits: bool = True) -> float:
+        """Height, once the head has come to rest; `waits`: for the moves that are queued."""
+        if waits:
+            self.printer.lookup_object("toolhead").wait_moves()
+        start = self.chip.mcu.estimated_print_time(self.printer.get_reactor().monotonic()) + SETTLE_S
         gathering.wait_until(start + duration_s)
         if self.chip.mcu.is_fileoutput():
             return self.require_curve().range_mm[0]
@@ -105,6 +108,7 @@ class CoilSwitch(ProbeSwitch):
         self.mcu_endstop.period_s = 1.0 / RATE_HZ
         chip.mcu.register_config_callback(lambda: chip.attach_trigger(self.mcu_endstop.oid))
         self.tap: Tap | None = None  # under way
+        self.measures_at_rest = False  # after the move that is under way: its trigger need not be exact
         self._approach: Gathering | None = None
         self._in_series = self._is_out = False
         self.printer.register_event_handler("klippy:mcu_identify", self._attach_steppers)
@@ -113,8 +117,6 @@ class CoilSwitch(ProbeSwitch):
         """Before each move towards the bed: the stream runs, and the board knows what to wait for."""
         super().probe_prepare(hmove)
         self._approach = self.coil.chip.stream.gather()
-        toolhead = self.printer.lookup_object("toolhead")
-        toolhead.wait_moves()
         endstop = self.mcu_endstop
         if self.tap is not None:
             self.tap.arm(endstop)
@@ -163,8 +165,14 @@ class EddyProbe(PrinterProbe):
         self.tap_z_offset = config.getfloat("tap_z_offset", 0.0)
         self.tap_speed = config.getfloat("tap_speed", 3.0, above=0.0)
         self.last_tap_slope = 0.0
+        self._last_bed: float | None = None  # of the last probing, since z was homed
+        self.printer.register_event_handler("homing:home_rails_begin", self._forget_bed)
+        self.printer.register_event_handler("stepper_enable:motor_off", self._forget_bed)
         self._gathering: Gathering | None = None
         self._passed: list[tuple[list[float], list[float]]] = []  # place; print times from, to
+
+    def _forget_bed(self, *args: Any) -> None:
+        self._last_bed = None
 
     @staticmethod
     def _read_height(config: ConfigWrapper) -> float:
@@ -201,8 +209,12 @@ class EddyProbe(PrinterProbe):
         self._require_height(toolhead)
         target = toolhead.get_position()
         target[2] = status["axis_minimum"][2]
-        self.mcu_probe.probing_move(target, speed)
-        place = self._place_here()
+        self.mcu_probe.measures_at_rest = True
+        try:
+            self.mcu_probe.probing_move(target, speed)
+        finally:
+            self.mcu_probe.measures_at_rest = False
+        place = self._place_here(waits=False)  # the trigger has stopped it
         place[2] = self._corrected(place)
         self.printer.lookup_object("gcode").respond_info(
             f"probe at {place[0]:.3f},{place[1]:.3f} is z={place[2]:.6f}"
@@ -212,9 +224,11 @@ class EddyProbe(PrinterProbe):
     def _require_height(self, toolhead: Any) -> None:
         """A frequency that is passed already would stop the head at once. Lifts it where it has just probed."""
         place = toolhead.get_position()
+        if self._last_bed is not None and place[2] > self._last_bed + self.offsets.z + SURE_MM:
+            return
         gathering = self.coil.chip.stream.gather()
         try:
-            height = self.coil.measure(gathering, toolhead.get_last_move_time(), 0.5 * SETTLE_S)
+            height = self.coil.measure(gathering, 0.5 * SETTLE_S)
         finally:
             gathering.end()
         needed = self.offsets.z + START_MARGIN_MM
@@ -222,15 +236,16 @@ class EddyProbe(PrinterProbe):
             lifted = place[2] + needed - height + START_MARGIN_MM
             toolhead.manual_move([None, None, lifted], self.sampling.lift_speed)
 
-    def _place_here(self) -> list[float]:
-        """x, y, and the height at which the nozzle would be descend_z above the bed; the head rests."""
+    def _place_here(self, waits: bool = True) -> list[float]:
+        """x, y, and the height at which the nozzle would be descend_z above the bed."""
         toolhead = self.printer.lookup_object("toolhead")
         gathering = self.coil.chip.stream.gather()
         try:
             x, y, z = toolhead.get_position()[:3]
-            height = self.coil.measure(gathering, toolhead.get_last_move_time())
+            height = self.coil.measure(gathering, waits=waits)
         finally:
             gathering.end()
+        self._last_bed = z - height
         return [x, y, z - height + self.offsets.z]
 
     def _measure_here(self) -> list[float]:

@@ -121,8 +121,8 @@ class ForceSwitch(ProbeSwitch):
         self._deactivate = load(config, "deactivate_gcode", "")
         self.settings = self._defaults = ForceSettings.read(config, cell.chip.rate_hz)
         self._interpolates = config.getboolean("interpolate_enable", False)
-        self._lift_mm = config.getfloat("interpolate_lift_dist", 0.25, above=0.0)
-        self._lift_speed = config.getfloat("interpolate_lift_speed", 1.0, above=0.0)
+        self._lift_mm = config.getfloat("interpolate_lift_dist", 0.25, minval=0.0)
+        self._lift_speed = config.getfloat("interpolate_lift_speed", 2.0, above=0.0)
         self._approach: Gathering | None = None
         self.tare_counts = 0
         self.endstop = AnalogEndstop(cell.mcu, MAX_SECTIONS, "ads131m0x_error:")
@@ -197,7 +197,7 @@ class ForceSwitch(ProbeSwitch):
     def probing_move(self, pos: Sequence[float], speed: float) -> list[float]:
         """Move to pos until the trigger; returns where the head was then, or where it began to touch."""
         place = super().probing_move(pos, speed)
-        if not self._interpolates or self.cell.mcu.is_fileoutput():
+        if not self._interpolates or not self._lift_mm or self.cell.mcu.is_fileoutput():
             return place
         toolhead = self.printer.lookup_object("toolhead")
         gathering = self.cell.stream.gather()

@@ -8,7 +8,7 @@ from typing import Any
 
 from ..accelerometer.bulk import Batches, BulkReader
 
-FAST_S = 0.02  # between two looks, while somebody waits for samples
+FAST_S = 0.01  # between two looks, while somebody waits for samples
 WAIT_MAX_S = 1.0  # for samples beyond their time
 SAMPLES_PER_MESSAGE, SAMPLE_BYTES = 13, 4
 Sample = tuple[float, float]  # print time of the conversion's middle, value
