@@ -165,6 +165,7 @@ class EddyProbe(PrinterProbe):
         self.tap_z_offset = config.getfloat("tap_z_offset", 0.0)
         self.tap_speed = config.getfloat("tap_speed", 3.0, above=0.0)
         self.last_tap_slope = 0.0
+        self._is_tap = False  # the last probing
         self._last_bed: float | None = None  # of the last probing, since z was homed
         self.printer.register_event_handler("homing:home_rails_begin", self._forget_bed)
         self.printer.register_event_handler("stepper_enable:motor_off", self._forget_bed)
@@ -191,6 +192,7 @@ class EddyProbe(PrinterProbe):
     def run_probe(self, gcmd: GCodeCommand) -> list[float]:
         """Probe here, or note a point of a scan; x, y of the nozzle and its height at the trigger."""
         method = self._method(gcmd)
+        self._is_tap = method == "tap"
         if method in ("scan", "rapid_scan"):
             if self._gathering is not None:
                 return self._note_point(method)
@@ -270,10 +272,9 @@ class EddyProbe(PrinterProbe):
     # -- tap --
 
     def get_offsets(self, gcmd: Any = None) -> ProbeOffsets:
-        """A tap is at the nozzle."""
-        if gcmd is not None and self._method(gcmd) == "tap":
-            return ProbeOffsets(0.0, 0.0, self.offsets.z)
-        return self.offsets
+        """A tap is at the nozzle; without a command: those of the last probing."""
+        is_tap = self._is_tap if gcmd is None else self._method(gcmd) == "tap"
+        return ProbeOffsets(0.0, 0.0, self.offsets.z) if is_tap else self.offsets
 
     def _tap_once(self, gcmd: GCodeCommand) -> list[float]:
         place = self.run_tap(gcmd, gcmd.get_float("TAP_THRESHOLD", self.tap_threshold, above=0.0))

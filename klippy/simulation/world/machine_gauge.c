@@ -150,6 +150,7 @@ int gauges_spi(struct machine *m, int mcu, uint8_t *data, uint32_t len, double n
             continue;
         gauges_advance(m, now_s);
         gauge_chip_spi(&m->gauges[i].chip, data, len);
+        advance_one(m, &m->gauges[i], now_s); /* it may have been started */
         return 1;
     }
     return 0;
@@ -164,6 +165,7 @@ int gauges_i2c(struct machine *m, int mcu, uint8_t address, const uint8_t *write
             continue;
         gauges_advance(m, now_s);
         gauge_chip_i2c(&g->chip, write, write_len, read, read_len);
+        advance_one(m, g, now_s); /* it may have been started */
         return 1;
     }
     return 0;
