@@ -22,11 +22,7 @@ class Dispensable:
 
 
 DISPENSABLE = (
-    Dispensable(
-        frozenset({"load_cell_probe", "probe_eddy_current"}),
-        "there is no probe: homing by it fails, levelling works by hand with METHOD=manual",
-    ),
-    Dispensable(frozenset({"angle", "load_cell"}), "the sensor is not read"),
+    Dispensable(frozenset({"angle"}), "the sensor is not read"),
     Dispensable(frozenset({"palette2"}), "the Palette is not driven: print with one filament only"),
 )
 
@@ -34,10 +30,7 @@ DISPENSABLE = (
 READ_BY = {"display_data": "display", "display_glyph": "display", "menu": "display"}
 
 # Chips whose pins other sections may name: kind of section -> name of the chip; None: as the section, with "_"
-PIN_CHIPS: dict[str, str | None] = {
-    "load_cell_probe": "probe",
-    "probe_eddy_current": "probe",
-}
+PIN_CHIPS: dict[str, str | None] = {}
 
 
 _READ_LAST = re.compile(

@@ -1,4 +1,4 @@
-"""[temperature_probe NAME]: the temperature of a probe's coil, and its drift calibration with [probe_eddy_current NAME]."""
+"""[temperature_probe NAME]: the temperature of a probe's coil, and the drift calibration of [probe_eddy_current]."""
 
 from __future__ import annotations
 

@@ -46,10 +46,14 @@ def test_repeated_probings_agree(tmp_path: Path, known: list[Option]) -> None:
     assert seconds < 1.0
 
 
-@pytest.mark.parametrize(("method", "limit_mm"), [("automatic", 0.003), ("scan", 0.003), ("rapid_scan", 0.006)])
+@pytest.mark.parametrize(
+    ("method", "limit_mm"), [("automatic", 0.003), ("scan", 0.003), ("rapid_scan", 0.006)]
+)
 def test_a_mesh_is_the_bed(tmp_path: Path, known: list[Option], method: str, limit_mm: float) -> None:
     """Below the coil, not below the nozzle. In 40 ms of a scan the head goes 8 mm over the bump."""
-    shape = bed(bed_height=0.0, tilt_x=0.001, tilt_y=-0.0005, bump_height=0.1, bump_x=70, bump_y=130, bump_radius=60)
+    shape = bed(
+        bed_height=0.0, tilt_x=0.001, tilt_y=-0.0005, bump_height=0.1, bump_x=70, bump_y=130, bump_radius=60
+    )
     gcode = f"{START}G1 Z2 F600\nBED_MESH_CALIBRATE METHOD={method} PROBE_COUNT=4,4\n"
     options = [*shape, FORCE, ("simulator probe", "noise", "0"), *known]
     result = run_probe(tmp_path, gcode, *options, config=eddy_rig.CONFIG)
@@ -84,7 +88,9 @@ def test_the_drift_calibration_takes_the_temperature_out(tmp_path: Path, known: 
 
 
 def test_a_tap_finds_the_bed_below_the_nozzle(tmp_path: Path, known: list[Option]) -> None:
-    stages = "".join(f"PROBE_EDDY_CURRENT_TAP_CALIBRATE TAP={stage}\n" for stage in ("guess", "refine", "verify"))
+    stages = "".join(
+        f"PROBE_EDDY_CURRENT_TAP_CALIBRATE TAP={stage}\n" for stage in ("guess", "refine", "verify")
+    )
     gcode = f"{START}G1 Z4 F600\n{stages}PROBE METHOD=tap\nG1 Z4\n"
     result = eddy_rig.run(tmp_path, gcode, known)
     assert result.status == PRINTED, result.reason
@@ -120,7 +126,9 @@ def test_what_is_missing_is_said(tmp_path: Path, gcode: str, words: str) -> None
 
 
 def test_an_aborted_drift_calibration_keeps_nothing(tmp_path: Path, known: list[Option]) -> None:
-    gcode = f"{START}G1 Z5\nTEMPERATURE_PROBE_CALIBRATE PROBE=coil TARGET=79\nTESTZ Z=-5\nACCEPT\nABORT\nPROBE\n"
+    gcode = (
+        f"{START}G1 Z5\nTEMPERATURE_PROBE_CALIBRATE PROBE=coil TARGET=79\nTESTZ Z=-5\nACCEPT\nABORT\nPROBE\n"
+    )
     result = eddy_rig.run(tmp_path, gcode, known)
     assert result.status == PRINTED, result.reason
     assert result.object(SECTION).coil.drift is None

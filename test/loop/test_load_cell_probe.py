@@ -1,4 +1,4 @@
-"""A load cell as the probe, in closed loop: the real firmware's filter and trigger, a simulated HX717, nozzle and bed."""
+"""A load cell as the probe in closed loop: the real firmware's filter and trigger, a simulated HX717 and bed."""
 
 from __future__ import annotations
 
@@ -36,7 +36,9 @@ def test_homing_and_probing_find_where_the_nozzle_touches(tmp_path: Path) -> Non
 
 
 def test_a_lift_finds_the_contact_as_the_way_down_does(tmp_path: Path) -> None:
-    result = run(tmp_path, "G28\nPROBE_ACCURACY SAMPLES=8\n", *FLAT, (SECTION, "interpolate_lift_dist", "0.25"))
+    result = run(
+        tmp_path, "G28\nPROBE_ACCURACY SAMPLES=8\n", *FLAT, (SECTION, "interpolate_lift_dist", "0.25")
+    )
     assert result.status == PRINTED, result.reason
     heights = [z for _, _, z in result.found()]
     assert statistics.fmean(heights) == pytest.approx(0.0, abs=FOUND_MM)

@@ -113,7 +113,9 @@ class EddyCalibration:
             configfile.set(section, "calibration_temp", f"{temp_c:.3f}")
         manual_probe.report_save_config(gcmd, f"{section}: calibrate, {len(found)} heights")
 
-    def _report(self, gcmd: GCodeCommand, curve: Curve, found: list[tuple[float, list[Sample], float | None]]) -> None:
+    def _report(
+        self, gcmd: GCodeCommand, curve: Curve, found: list[tuple[float, list[Sample], float | None]]
+    ) -> None:
         lines, noises, total = [], [], 0
         for height, samples, _ in sorted(found):
             values = [hz for _, hz in samples]

@@ -18,14 +18,10 @@ from printer import _locate_extra
 PALETTE = """\
 [palette2]
 serial: /dev/ttyUSB0
-[load_cell_probe]
-sensor_type: hx717
 """
 SENSORS = """\
 [angle hotend]
 cs_pin: PA3
-[load_cell]
-sensor_type: hx711
 """
 DISPENSABLE = frozenset().union(*(group.kinds for group in configabsent.DISPENSABLE))
 # Sections that the toolhead reads, not a module of their name.
@@ -45,9 +41,8 @@ def test_a_printer_starts_without_palette_and_sensors_and_says_so_once(tmp_path:
     session.run(lambda s: s.sleep(5.0))
     assert session.state[1] == "ready"
     (notice,) = notices(session)
-    probe, other, palette = notice.splitlines()[1:]
-    assert probe.startswith("// [load_cell_probe] (printer.cfg, line 3): there is no probe")
-    assert other.startswith("// [angle] (printer.cfg, line 5), [load_cell] (printer.cfg, line 7): the sensor")
+    other, palette = notice.splitlines()[1:]
+    assert other.startswith("// [angle] (printer.cfg, line 3): the sensor")
     assert palette.startswith("// [palette2] (printer.cfg, line 1): the Palette is not driven")
     (warning,) = session.status("configfile")["warnings"]
     assert warning["type"] == "runtime_warning"
@@ -61,10 +56,10 @@ def test_without_such_sections_nothing_is_said(tmp_path: Path) -> None:
 
 
 def test_sections_of_an_included_file_are_named_with_that_file(tmp_path: Path) -> None:
-    (tmp_path / "cell.cfg").write_text("# my sensor\n[load_cell]\nsensor_type: hx711\n")
+    (tmp_path / "cell.cfg").write_text("# my sensor\n[angle hotend]\nsensor_type: a1333\n")
     session = Session(tmp_path, "[include cell.cfg]\n").run(lambda s: None)
     assert session.state[1] == "ready"
-    assert "[load_cell] (cell.cfg, line 2)" in notices(session)[0]
+    assert "[angle] (cell.cfg, line 2)" in notices(session)[0]
 
 
 def test_sections_that_only_a_display_reads_need_one(tmp_path: Path) -> None:
@@ -98,32 +93,6 @@ def test_save_config_keeps_what_is_left_out(tmp_path: Path) -> None:
     assert text.startswith(PALETTE + SENSORS)
     assert "#*# [angle]\n#*# rate = 1600\n" in text
     assert "#*# [pause_resume]\n#*# recover_velocity = 7\n" in text
-
-
-ABSENT_PROBE = """\
-[probe_eddy_current eddy]
-sensor_type: ldc1612
-"""
-
-
-def test_homing_by_a_probe_that_is_left_out_fails_with_its_section(tmp_path: Path) -> None:
-    def home(s: Session) -> None:
-        endstop = s.printer.lookup_object("pins").setup_pin("endstop", "probe:z_virtual_endstop")
-        assert endstop.query_endstop(0.0) == 0
-        with pytest.raises(
-            s.printer.command_error, match=r"Ferrite does not have \[probe_eddy_current eddy\]"
-        ):
-            endstop.home_start(0.0, 0.001, 4, 0.01)
-
-    Session(tmp_path, ABSENT_PROBE).run(home)
-
-
-def test_a_sensor_on_a_pin_that_is_left_out_stops_the_start(tmp_path: Path) -> None:
-    text = start_error(
-        tmp_path,
-        "[load_cell_probe]\n[temperature_sensor bed]\nsensor_type: Generic 3950\nsensor_pin: probe:force\n",
-    )
-    assert "Pin 'probe:force' can not be read: Ferrite does not have [load_cell_probe] yet" in text
 
 
 def test_sections_and_options_nobody_knows_are_refused_all_at_once(tmp_path: Path) -> None:
@@ -179,14 +148,14 @@ def test_a_module_that_breaks_over_another_ones_problem_does_not_hide_it(
 def test_a_plugin_may_bring_what_is_missing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(extras, "__path__", list(extras.__path__))
     (tmp_path / "plugins").mkdir()
-    for name in ("load_cell", "palette2"):
+    for name in ("angle", "palette2"):
         (tmp_path / "plugins" / f"{name}.py").write_text(
             "def load_config(config):\n    return config.get('x')\n"
         )
-    config = f"[load_cell]\nx: 1\n[palette2]\nx: 2\n[plugins]\npath: {tmp_path / 'plugins'}\n"
+    config = f"[angle]\nx: 1\n[palette2]\nx: 2\n[plugins]\npath: {tmp_path / 'plugins'}\n"
     session = Session(tmp_path, config).run(lambda s: None)
     assert session.state[1] == "ready", session.state[0]
-    assert session.printer.lookup_object("load_cell") == "1"
+    assert session.printer.lookup_object("angle") == "1"
     assert session.printer.lookup_object("palette2") == "2"
     assert not notices(session)
 
