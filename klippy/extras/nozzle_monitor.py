@@ -128,7 +128,7 @@ class NozzleMonitor:
         self._temp_c = news.temp_c
         reading = flow_monitor.HeatReading(
             news.time_s, news.temp_c, balance.second_c, balance.second_doubt_c, heat_j, planned_mm3,
-            self._heater.loop.fan.before, self._news,
+            self._heater.loop.fan.at(news.time_s), self._news,
         )  # fmt: skip
         self._news = 0.0
         if flow_monitor.observe(p, state, reading):
@@ -296,11 +296,15 @@ class NozzleMonitor:
             configfile.set("nozzle_monitor", option, value)
         lines = [f"The mount rings at {found.frequency_hz:.1f} Hz, quality {found.quality:.0f}."]
         lines.append(
-            f"Amplitude {found.amplitude_m_s2:.3f} m/s2 at 5 mm3/s and 210 C, flow exponent {found.flow_exponent:.2f};"
-            f" noise {found.noise_m_s2:.3f} m/s2."
+            f"Amplitude {found.amplitude_m_s2:.3f} m/s2 at 5 mm3/s and 210 C, flow exponent {found.flow_exponent:.2f}"
+            f" +- {found.flow_exponent_sigma:.2f}; noise {found.noise_m_s2:.3f} m/s2."
         )
         if found.weakest_m_s2 < 3.0 * found.noise_m_s2:
             lines.append("At the smallest flow the vibration is weak: slow extrusion will not be judged.")
+        if found.times_longer > 1.0:
+            lines.append(
+                f"The flow exponent is not known well: repeat this with a TIME {found.times_longer:.1f} times as long."
+            )
         gcmd.respond_info("\n".join([*lines, "SAVE_CONFIG keeps it."]))
 
 

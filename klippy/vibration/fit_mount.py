@@ -6,8 +6,10 @@ The power density with flow is that at rest and that of a resonance which noise 
 
     S(f) = rest(f) + s f^4/((f0^2 - f^2)^2 + (f f0/Q)^2)
 
-f0 and Q are those of the greatest Whittle likelihood, sum(-ln S - P/S) over the frequencies about the peak (Whittle
-1953). The amplitude at each flow is that behind the monitor's filters. It needs numpy.
+f0, Q and each flow's s are those of the greatest Whittle likelihood, sum(-ln S - P/S) over the frequencies about the
+peak (Whittle 1953). The variance of ln s is 1/(T int (s R/S)^2 df), with T the time and R the resonance: the slopes
+beside the peak count as long as they stand out of the noise. The power behind the monitor's filters is in proportion to
+s. It needs numpy.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import argparse
 import json
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -27,19 +30,31 @@ from .mount_witness import MountParameters
 
 WINDOW_S = 2.0
 FREQUENCY_MIN_HZ = 8.0
+FREQUENCY_SHARE_MAX = 0.9  # of half the rate
 PROMINENCE_MIN = 4.0  # of the peak over the density at rest
-QUALITIES = np.geomspace(4.0, 80.0, 41)
+QUALITIES = np.geomspace(4.0, 80.0, 15)
+NEAR_WIDTHS = 4.0  # of the resonance, to each side
 M_PER_MM = 1e-3
 
 
-def density(path: Path, axis: int) -> tuple[Array, Array, float]:
-    """Frequencies, power density along an axis ((m/s^2)^2/Hz), samples a second."""
+@dataclass(frozen=True)
+class Measured:
+    """Frequencies, power density along an axis ((m/s^2)^2/Hz), samples a second, and for how long."""
+
+    hz: Array
+    psd: Array
+    rate_hz: float
+    lasts_s: float
+
+
+def measured(path: Path, axis: int) -> Measured:
+    """Of a file of raw samples. Raises DataError."""
     rows = read(path)
     if not isinstance(rows, np.ndarray):
         raise DataError(f"{path} has no raw samples")
-    rate_hz = (len(rows) - 1) / (rows[-1, 0] - rows[0, 0])
-    hz, psd = welch(rows[:, 1 + axis] * M_PER_MM, rate_hz, WINDOW_S)
-    return hz, psd, float(rate_hz)
+    lasts_s = float(rows[-1, 0] - rows[0, 0])
+    rate_hz = (len(rows) - 1) / lasts_s
+    return Measured(*welch(rows[:, 1 + axis] * M_PER_MM, rate_hz, WINDOW_S), rate_hz, lasts_s)
 
 
 def smooth(values: Array, bins: int) -> Array:
@@ -52,34 +67,59 @@ def resonance(hz: Array, f0: float, quality: float) -> Array:
     return hz**4 / ((f0**2 - hz**2) ** 2 + (hz * f0 / quality) ** 2)
 
 
-def likelihood(hz: Array, psd: Array, rest: Array, f0: float, quality: float) -> float:
-    """The greatest over s."""
-    shape = resonance(hz, f0, quality)
+def strength(psd: Array, rest: Array, shape: Array) -> float:
+    """s of the greatest likelihood."""
     scale = max(1e-30, float((psd - rest).sum() / shape.sum()))
     for _ in range(20):
         model = rest + scale * shape
         scale *= float((psd * shape / model**2).sum() / (shape / model).sum())
-    model = rest + scale * shape
+    return scale
+
+
+def likelihood(hz: Array, psd: Array, rest: Array, f0: float, quality: float) -> float:
+    """The greatest over s."""
+    shape = resonance(hz, f0, quality)
+    model = rest + strength(psd, rest, shape) * shape
     return float(-(np.log(model) + psd / model).sum())
+
+
+def about(hz: Array, centre_hz: float) -> Array:
+    """The frequencies that a likelihood is summed over."""
+    return (hz > 0.6 * centre_hz) & (hz < 1.4 * centre_hz) & (hz <= FREQUENCY_SHARE_MAX * hz[-1])
 
 
 def find_resonance(hz: Array, psd: Array, rest: Array) -> tuple[float, float]:
     """f0 and Q. Raises DataError if flow adds no peak."""
     added = smooth(psd - rest, 9)
-    usable = (hz >= FREQUENCY_MIN_HZ) & (hz <= 0.9 * hz[-1])
+    usable = (hz >= FREQUENCY_MIN_HZ) & (hz <= FREQUENCY_SHARE_MAX * hz[-1])
     at = int(np.argmax(np.where(usable, added, -np.inf)))
     if added[at] < PROMINENCE_MIN * rest[at]:
         raise DataError(
             f"flow adds no vibration: the strongest, at {hz[at]:.0f} Hz, is hardly above that at rest"
         )
-    centre = hz[at]
-    near = (hz > 0.6 * centre) & (hz < 1.4 * centre) & usable
-    step = max(0.2, 0.002 * centre)
-    best = (-np.inf, centre, 10.0)
-    for f0 in np.arange(0.9 * centre, 1.1 * centre, step):
-        for quality in QUALITIES:
-            best = max(best, (likelihood(hz[near], psd[near], rest[near], f0, quality), f0, quality))
-    return float(best[1]), float(best[2])
+    f0 = float(hz[at])
+    return search(hz, psd, rest, about(hz, f0), np.linspace(0.9, 1.1, 41) * f0, QUALITIES)
+
+
+def search(
+    hz: Array, psd: Array, rest: Array, near: Array, frequencies: Array, qualities: Array
+) -> tuple[float, float]:
+    """f0 and Q of the greatest likelihood."""
+    found = [
+        (likelihood(hz[near], psd[near], rest[near], f0, quality), f0, quality)
+        for f0 in frequencies
+        for quality in qualities
+    ]
+    _, f0, quality = max(found)
+    return float(f0), float(quality)
+
+
+def refine(hz: Array, psd: Array, rest: Array, f0: float, quality: float) -> tuple[float, float]:
+    """From the peak alone: farther away the sensor's own filter bends the spectrum."""
+    near = about(hz, f0) & (np.abs(hz - f0) < NEAR_WIDTHS * f0 / quality)
+    return search(
+        hz, psd, rest, near, np.linspace(0.985, 1.015, 31) * f0, np.geomspace(0.7, 1.4, 25) * quality
+    )
 
 
 def gain_square(sections: Sequence[Section], hz: Array, rate_hz: float) -> Array:
@@ -93,21 +133,28 @@ def gain_square(sections: Sequence[Section], hz: Array, rate_hz: float) -> Array
 
 def fit(paths: Sequence[Path], axis: int) -> dict[str, Any]:
     """Of the measurement at rest and those with flow. Raises DataError."""
-    hz, rest, rate_hz = density(paths[0], axis)
-    flows = []
-    for path in paths[1:]:
-        at_hz, psd, _ = density(path, axis)
-        flows.append(np.interp(hz, at_hz, psd))
-    floor = smooth(rest, 33)
-    f0, quality = find_resonance(hz, np.mean(flows, axis=0), floor)
+    rest = measured(paths[0], axis)
+    hz, floor = rest.hz, smooth(rest.psd, 33)
+    flows = [measured(path, axis) for path in paths[1:]]
+    psds = [np.interp(hz, flow.hz, flow.psd) for flow in flows]
+    f0, quality = find_resonance(hz, np.mean(psds, axis=0), floor)
+    near, bin_hz = about(hz, f0), hz[1] - hz[0]
+    shape = resonance(hz[near], f0, quality)
+    strengths = np.array([strength(psd[near], floor[near], shape) for psd in psds])
+    alike = [psd / scale for psd, scale in zip(psds, strengths, strict=True)]
+    f0, quality = refine(hz, np.mean(alike, axis=0), floor * np.mean(1.0 / strengths), f0, quality)
+    shares = [scale * shape / (floor[near] + scale * shape) for scale in strengths]
+    weights = np.array([f.lasts_s * bin_hz * (x**2).sum() for f, x in zip(flows, shares, strict=True)])
     width_hz = MountParameters(frequency_hz=f0, quality=quality).width_hz
-    band = gain_square(design(f0, width_hz, [], rate_hz)[:PEAKS], hz, rate_hz)
-    powers = [float(((psd - floor) * band).sum() * (hz[1] - hz[0])) for psd in flows]
+    band = gain_square(design(f0, width_hz, [], rest.rate_hz)[:PEAKS], hz, rest.rate_hz)
+    powers = np.array([((psd - floor) * band).sum() * bin_hz for psd in psds])
+    power = float((weights * powers / strengths).sum() / weights.sum())  # of s = 1, behind the filters
     return {
         "frequency_hz": f0,
         "quality": quality,
-        "amplitudes_m_s2": [(2.0 * max(power, 0.0)) ** 0.5 for power in powers],
-        "noise_m_s2": float((2.0 * (floor * band).sum() * (hz[1] - hz[0])) ** 0.5),
+        "amplitudes_m_s2": [float((2.0 * max(power, 0.0) * scale) ** 0.5) for scale in strengths],
+        "sigmas": [float(0.5 * weight**-0.5) for weight in weights],  # of their logarithms
+        "noise_m_s2": float((2.0 * (floor * band).sum() * bin_hz) ** 0.5),
     }
 
 

@@ -27,6 +27,7 @@ from thermal.models.nozzle_flow import Melt, NozzleShape, pressure_zones_pa
 KELVIN = 273.15
 FLOW_MM3_S, TEMP_C = 5.0, 210.0  # v0, T0
 MEDIUM = Melt(650.0, 0.66, 5000.0, 200.0)  # PLA, Tlegenov 2018, Table 1; beta is not given there [assumed]
+UNKNOWN_FLOW_EXPONENT_SIGMA, FLOW_EXPONENT_SIGMA = 0.2, 0.05  # of m: by the pressure, of a calibration
 SHAPE = (1.75, 20.0, 110.0, 1.0)  # mm, mm, degrees, mm: barrel, its length, cone, length of the hole
 
 
@@ -163,7 +164,7 @@ def law_exponents(p: MountParameters) -> tuple[float, float]:
 def start(p: MountParameters) -> MountState:
     """Before the first window."""
     m, _ = law_exponents(p)
-    m_sigma = 0.2 if p.flow_exponent is None else 0.05
+    m_sigma = UNKNOWN_FLOW_EXPONENT_SIGMA if p.flow_exponent is None else FLOW_EXPONENT_SIGMA
     if p.amplitude_m_s2 is None:
         return MountState(0.0, m, [25.0, m_sigma**2])
     return MountState(

@@ -26,11 +26,16 @@ def test_the_mounts_frequency_and_flow_exponent_are_those_of_the_machine(tmp_pat
     assert float(saved["mount_quality"]) == pytest.approx(20.0, rel=0.3)
     assert float(saved["flow_exponent"]) == pytest.approx(1.25, abs=0.15)
     assert re.search(r"The mount rings at 18\d\.\d Hz", result.text)
+    sigma = re.search(r"flow exponent 1\.\d\d \+- (\d\.\d\d)", result.text)
+    assert sigma is not None and 0.0 < float(sigma[1]) <= 0.03
+    assert "TIME" not in result.text
     assert "Diameter: " in result.text
 
 
 def test_a_cold_nozzle_and_a_mount_without_vibration_are_refused(tmp_path: Path) -> None:
     cold = run(tmp_path, "G28\nNOZZLE_MONITOR_CALIBRATE\n", config=CLOG)
     assert "heat the nozzle first; it has 2" in cold.reason + cold.text
+    same = run(tmp_path, GCODE.replace("CALIBRATE", "CALIBRATE FLOW=5,six"), config=CLOG)
+    assert "FLOW must be flows in mm3/s, the greatest at least 1.5 times" in same.reason + same.text
     dead = run(tmp_path, GCODE, ("simulator mount nozzle", "amplitude", "0"), config=CLOG)
     assert "flow adds no vibration" in dead.reason + dead.text

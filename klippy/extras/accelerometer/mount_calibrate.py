@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,6 +26,7 @@ HOST_FOLDER = Path(__file__).resolve().parents[2]
 REST_S = 5.0
 LEAD_S = 1.0  # of a flow, before it is measured
 LOW_C = 150.0
+FLOWS_APART = 1.5  # the greatest over the smallest: nearer ones give no exponent
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,40 +37,57 @@ class Found:
     quality: float
     amplitude_m_s2: float
     flow_exponent: float
+    flow_exponent_sigma: float
     noise_m_s2: float
     weakest_m_s2: float
+
+    @property
+    def times_longer(self) -> float:
+        """For a flow exponent that is known well enough: 1 if it is."""
+        return max(1.0, (self.flow_exponent_sigma / mount_witness.FLOW_EXPONENT_SIGMA) ** 2)
 
 
 def fit_law(
     p: mount_witness.MountParameters, found: dict[str, Any], flows: Sequence[float], temp_c: float
 ) -> Found:
-    """A and m of the amplitudes at some flows: a straight line in logarithms."""
+    """A and m of the amplitudes at some flows: a straight line in logarithms, by least squares with their sigmas."""
     rows = [
-        (math.log(flow / mount_witness.FLOW_MM3_S), math.log(max(1e-9, amplitude)))
-        for flow, amplitude in zip(flows, found["amplitudes_m_s2"], strict=True)
+        (math.log(flow / mount_witness.FLOW_MM3_S), math.log(max(1e-9, amplitude)), sigma**-2)
+        for flow, amplitude, sigma in zip(flows, found["amplitudes_m_s2"], found["sigmas"], strict=True)
     ]
-    mean_x, mean_y = (sum(row[i] for row in rows) / len(rows) for i in (0, 1))
-    spread = sum((x - mean_x) ** 2 for x, _ in rows)
-    m, b = mount_witness.law_exponents(replace(p, flow_exponent=None))
-    if spread > 0.05:
-        m = sum((x - mean_x) * (y - mean_y) for x, y in rows) / spread
+    weight = sum(w for _, _, w in rows)
+    mean_x, mean_y = (sum(row[i] * row[2] for row in rows) / weight for i in (0, 1))
+    spread = sum(w * (x - mean_x) ** 2 for x, _, w in rows)
+    m = sum(w * (x - mean_x) * (y - mean_y) for x, y, w in rows) / spread
+    _, b = mount_witness.law_exponents(p)
     warm = b * (1.0 / (temp_c + mount_witness.KELVIN) - 1.0 / (mount_witness.TEMP_C + mount_witness.KELVIN))
     return Found(
         found["frequency_hz"], found["quality"], math.exp(mean_y - m * mean_x - warm), min(2.0, max(0.3, m)),
-        found["noise_m_s2"], min(found["amplitudes_m_s2"]),
+        spread**-0.5, found["noise_m_s2"], min(found["amplitudes_m_s2"]),
     )  # fmt: skip
+
+
+def _read_flows(gcmd: GCodeCommand) -> list[float]:
+    try:
+        flows = [float(word) for word in gcmd.get("FLOW", "3,5,8").split(",")]
+    except ValueError:
+        flows = []
+    if not flows or not 0.0 < FLOWS_APART * min(flows) <= max(flows):
+        raise gcmd.error(
+            "NOZZLE_MONITOR_CALIBRATE: FLOW must be flows in mm3/s, the greatest at least"
+            f" {FLOWS_APART} times the smallest, such as 3,5,8"
+        )
+    return flows
 
 
 def measure(
     printer: Printer, gcmd: GCodeCommand, vibration: MountVibration, extruder: Any, temp_c: float
 ) -> Found:
     """Extrude and evaluate; raises the command's error."""
-    flows = [float(word) for word in gcmd.get("FLOW", "3,5,8").split(",")]
-    seconds = gcmd.get_float("TIME", 10.0 if vibration.parameters.frequency_hz > 50.0 else 40.0, minval=3.0)
+    flows = _read_flows(gcmd)
+    seconds = gcmd.get_float("TIME", 20.0 if vibration.parameters.frequency_hz > 50.0 else 60.0, minval=3.0)
     if temp_c < LOW_C:
         raise gcmd.error(f"NOZZLE_MONITOR_CALIBRATE: heat the nozzle first; it has {temp_c:.0f} C")
-    if not flows or min(flows) <= 0.0:
-        raise gcmd.error("NOZZLE_MONITOR_CALIBRATE: FLOW must be flows in mm3/s, such as 3,5,8")
     gcode = printer.lookup_object("gcode")
     gcode.run_script_from_command("M400\nM83")
     with tempfile.TemporaryDirectory() as folder:

@@ -29,7 +29,6 @@ PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
 MOVE_QUEUE_SLOTS = 24
 # In steady state messages of blocks wake the host in batches: waking costs it more than the messages. Less than the
 # 25 ms between two steps that AHEAD_S of thermal/control/nozzle_model.py reckons with.
-BATCH_S = 0.020
 BATCH_SLACK_S = 0.005  # should a message be lost
 BLOCK_FORMAT = "induction_block oid=%c sequence=%hu clock=%u data=%*s"
 PLAN_STEP = struct.Struct("<HH")
@@ -89,9 +88,10 @@ class InductionUnit:
         self._queue_plan: Any = None
         self._set_ceiling: Any = None
         self._share = 0xFFFF  # of the rows, as the firmware begins ...
-        self._ceiling_c = math.inf  # ... and the target it is for
-        self._period_s, self._second_ticks = math.inf, 1
-        self._batched = False
+        # ... and the step of the target, and the target, it is for
+        self._ceiling_c = self._target_c = math.inf
+        self._period_s = math.inf
+        self._batch_s = 0.0
         self._stream: convert.Stream | None = None
         mcu.register_config_callback(self._build_config)
 
@@ -132,7 +132,6 @@ class InductionUnit:
         self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
         self._set_ceiling = mcu.try_lookup_command(CEILING_FORMAT) if self._ceiling else None
         self._period_s = period_ticks / clock_hz
-        self._second_ticks = round(clock_hz)
         mcu.register_batch(self._take_batch, BLOCK_FORMAT)
 
     def _configure_tests(self, clock_hz: float) -> None:
@@ -161,35 +160,32 @@ class InductionUnit:
     # Samples up
 
     def _take_batch(self, messages: Any, count: int) -> None:
-        stream, mcu = self._stream, self.mcu
+        stream = self._stream
         if stream is None:
             return
-        clock = mcu.print_time_to_clock(mcu.estimated_print_time(messages[count - 1].receive_time))
-        before = clock - self._second_ticks
-        time_s = mcu.clock_to_print_time(clock)
-        tick_s = (time_s - mcu.clock_to_print_time(before)) / self._second_ticks
-        blocks = stream.take(messages, count, clock, time_s, tick_s)
+        blocks = stream.take(messages, count, *self.mcu.dated(messages[count - 1].receive_time))
         if complaint := stream.complaint():
-            logging.warning("induction unit on mcu '%s': %s; message ignored", mcu.get_name(), complaint)
+            name = self.mcu.get_name()
+            logging.warning("induction unit on mcu '%s': %s; message ignored", name, complaint)
         if blocks.count:
             self._on_blocks(blocks)
 
-    def set_batched(self, batched: bool) -> None:
-        """Messages of blocks may wait for one another, or each is to come at once."""
-        if batched == self._batched:
+    def set_batched(self, span_s: float) -> None:
+        """Messages of blocks may wait for one another for so long; 0: each is to come at once."""
+        if span_s == self._batch_s:
             return
-        self._batched = batched
+        self._batch_s = span_s
         message_s = self.settings.records * self.settings.block_samples / self.settings.frequency_hz
-        count = max(1, int(BATCH_S / message_s)) if batched else 0
+        count = max(1, int(span_s / message_s)) if span_s else 0
         self.mcu.register_batch(self._take_batch, BLOCK_FORMAT, count * message_s + BATCH_SLACK_S, count)
 
     # Phases down
 
     def set_ceiling(self, target_c: float) -> None:
         """The board trips when the nozzle is driven hard and reads far above this target."""
-        if self._set_ceiling is None or self._ceiling is None:
+        if target_c == self._target_c or self._set_ceiling is None or self._ceiling is None:
             return
-        target_c = guard_limits.stepped(target_c)
+        self._target_c, target_c = target_c, guard_limits.stepped(target_c)
         if target_c == self._ceiling_c:
             return
         self._ceiling_c = target_c
@@ -202,11 +198,12 @@ class InductionUnit:
         """Send phases in order of time, in place of all that is pending from the first of them on."""
         if not commands:
             return
-        clock = self.mcu.print_time_to_clock(commands[0].time_s)
-        steps, periods = b"", 0
-        for command in commands[:PLAN_STEPS_MAX]:
-            at = max(periods, round((command.time_s - commands[0].time_s) / self._period_s))
-            steps += PLAN_STEP.pack(min(0xFFFF, at - periods), command.phase_ticks)
+        first_s, ticks, _ = commands[0]
+        clock, periods = self.mcu.print_time_to_clock(first_s), 0
+        steps = PLAN_STEP.pack(0, ticks)
+        for time_s, ticks, _ in commands[1:PLAN_STEPS_MAX]:
+            at = max(periods, round((time_s - first_s) / self._period_s))
+            steps += PLAN_STEP.pack(min(0xFFFF, at - periods), ticks)
             periods = at
         self._queue_plan.send([self._oid, clock, steps], minclock=0, reqclock=clock)
 

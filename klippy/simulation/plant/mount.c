@@ -41,7 +41,7 @@ static double draw(struct mount *m)
 
 void mount_step(struct mount *m, double base_mm, double base_rate, double step_s)
 {
-    double w = 2.0 * PI * m->frequency_hz;
+    double w = 2.0 / step_s * sin(PI * m->frequency_hz * step_s); /* so that the step's own error cancels */
     double noise = m->force > 0.0 ? m->force * MM_PER_M / sqrt(step_s) * draw(m) : 0.0;
     m->rate += step_s * (w * w * (base_mm - m->x) + w / m->quality * (base_rate - m->rate) + noise);
     m->x += step_s * m->rate;
