@@ -87,7 +87,7 @@ def samples(mcu: Mcu) -> list[int]:
 
 
 @pytest.mark.parametrize(("gain", "pulses"), [(1, 25), (2, 26), (3, 27)])
-def test_an_hx711_is_read_bit_by_bit_and_told_its_gain(gain: int, pulses: int) -> None:
+def test_an_hx711_is_read_bit_by_bit_and_asked_for_its_gain(gain: int, pulses: int) -> None:
     mcu = cell_board(gain)
     values = [0, 1, -1, 8388607, -8388608, 123456, -654321, 7, 8, 9, 10, 11, 12]
     chip = Hx711(mcu, values)

@@ -1,7 +1,7 @@
 """Where the nozzle touched: a line with one corner through the force over the height.
 
     force │*
-          │  *                      F(z) = F0 + s (z0 - z) below z0, F0 above; z0 by the least sum of squares
+          │  *                      F(z) = F0 + s (z0 - z) below z0, F0 above; z0 by the smallest sum of squares
           │    * * * * * * *
           └────┼─────────────── z
                z0
