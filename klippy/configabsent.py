@@ -22,7 +22,6 @@ class Dispensable:
 
 
 DISPENSABLE = (
-    Dispensable(frozenset({"angle"}), "the sensor is not read"),
     Dispensable(frozenset({"palette2"}), "the Palette is not driven: print with one filament only"),
 )
 

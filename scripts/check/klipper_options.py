@@ -154,6 +154,7 @@ load_cell_probe sensor_type counts_per_gram reference_tare_counts sensor_orienta
   deactivate_gcode
 probe_eddy_current sensor_type frequency intb_pin max_sensor_hz descend_z +I2C x_offset y_offset speed lift_speed
   samples sample_retract_dist samples_result samples_tolerance samples_tolerance_retries tap_threshold tap_z_offset
+angle sensor_type sample_period stepper cs_pin +SPI
 replicape revision enable_pin host_mcu standstill_power_down stepper_x_microstep_mode stepper_x_current
   stepper_x_chopper_off_time_high stepper_x_chopper_hysteresis_high stepper_x_chopper_blank_time_high
 samd_sercom sercom tx_pin rx_pin clk_pin
@@ -162,6 +163,7 @@ ads1x1x chip pga adc_voltage +I2C
 """
 
 _FIELDS = """
+angle temperature
 bed_mesh profile_name mesh_min mesh_max probed_matrix mesh_matrix profiles
 bed_screws is_active state current_screw accepted_screws
 canbus_stats rx_error tx_error tx_retries bus_state
