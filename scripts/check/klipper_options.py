@@ -155,6 +155,7 @@ load_cell_probe sensor_type counts_per_gram reference_tare_counts sensor_orienta
 probe_eddy_current sensor_type frequency intb_pin max_sensor_hz descend_z +I2C x_offset y_offset speed lift_speed
   samples sample_retract_dist samples_result samples_tolerance samples_tolerance_retries tap_threshold tap_z_offset
 angle sensor_type sample_period stepper cs_pin +SPI
+palette2 serial baud feedrate_splice feedrate_normal auto_load_speed auto_cancel_variation
 replicape revision enable_pin host_mcu standstill_power_down stepper_x_microstep_mode stepper_x_current
   stepper_x_chopper_off_time_high stepper_x_chopper_hysteresis_high stepper_x_chopper_blank_time_high
 samd_sercom sercom tx_pin rx_pin clk_pin
@@ -193,6 +194,7 @@ manual_stepper position enabled
 mcu mcu_version mcu_build_versions mcu_constants last_stats
 motion_report live_position live_velocity live_extruder_velocity
 output_pin value
+palette2 ping remaining_load_length is_splicing
 pause_resume is_paused
 print_stats filename total_duration print_duration filament_used state message total_layer current_layer
 probe name last_query last_z_result last_probe_position
