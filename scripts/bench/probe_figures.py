@@ -70,7 +70,7 @@ def eddy(folder: Path) -> tuple[Figures, list[float], list[float], list[float]]:
 
 
 def load_cell(folder: Path) -> tuple[Figures, list[float]]:
-    config = probe_rig.ROOT / "config" / "sim-load-cell.cfg"
+    config = probe_rig.ROOT / "config" / "probes" / "sim-load-cell.cfg"
     gcode = f"G28\nPROBE_ACCURACY SAMPLES={COUNT}\n"
     result = probe_rig.run(folder, gcode, *probe_rig.FLAT, config=config)
     assert result.status == 0, result.reason

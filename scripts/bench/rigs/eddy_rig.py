@@ -1,4 +1,4 @@
-"""A calibrated eddy probe on the simulated machine of config/sim-eddy.cfg with a flat bed: by G-code alone.
+"""A calibrated eddy probe on the simulated machine of config/probes/sim-eddy.cfg with a flat bed: by G-code alone.
 
 The head's height is declared to be the true one; so the paper test is a TESTZ of what is known.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 import probe_rig
 from probe_rig import FLAT, Option, Probed
 
-CONFIG = probe_rig.ROOT / "config" / "sim-eddy.cfg"
+CONFIG = probe_rig.ROOT / "config" / "probes" / "sim-eddy.cfg"
 SECTION = "probe_eddy_current coil"
 GAUGE = "simulator gauge probe_eddy_current coil"
 FORCE = ("force_move", "enable_force_move", "1")

@@ -11,7 +11,7 @@ from probe_rig import FLAT, ROOT, Probed, bed
 from probe_rig import run as run_probe
 from simulation.runner import BAD_INPUT, PRINTED
 
-CONFIG = ROOT / "config" / "sim-load-cell.cfg"
+CONFIG = ROOT / "config" / "probes" / "sim-load-cell.cfg"
 SECTION, GAUGE = "load_cell_probe", "simulator gauge load_cell_probe"
 # Of a contact by the fit: 0.6 um of standard deviation (scripts/bench/probe_figures.py), and steps of 0.6 um.
 FOUND_MM = 0.004
