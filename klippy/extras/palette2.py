@@ -103,7 +103,7 @@ class Palette2:
         self._fd_handle: Any = None
         self._received = b""
         self._last_line = ""
-        self._heard_at = 0.0
+        self._last_received_at = 0.0
         self._is_setting_up = False  # the Palette is too busy for heartbeats
         self._heartbeat_timer = self.reactor.register_timer(self._send_heartbeat)
         self._job = Job()
@@ -175,12 +175,12 @@ class Palette2:
         for raw in lines:
             parsed = parse_line(raw.decode("ascii", "replace").strip())
             if parsed is not None:
-                self._heard_at = eventtime
+                self._last_received_at = eventtime
                 self._handle(*parsed)
 
     def _send_heartbeat(self, eventtime: float) -> float:
         """Timer."""
-        if not self._is_setting_up and eventtime > self._heard_at + HEARTBEAT_TIMEOUT_S:
+        if not self._is_setting_up and eventtime > self._last_received_at + HEARTBEAT_TIMEOUT_S:
             self._fail("no heartbeat: the connection is lost")
             return float(self.reactor.NEVER)
         self._send(HEARTBEAT)
@@ -268,14 +268,14 @@ class Palette2:
             raise gcmd.error(
                 f"Palette 2: {self._path} cannot be opened (option 'serial' in [palette2]): {e}"
             ) from None
-        self._received, self._heard_at = b"", 0.0
+        self._received, self._last_received_at = b"", 0.0
         self._fd_handle = self.reactor.register_fd(self._port.fileno(), self._read)
         self._send("")
         self._send(HEARTBEAT)
         end = self.reactor.monotonic() + CONNECT_S
-        while not self._heard_at and self._port is not None and self.reactor.monotonic() < end:
+        while not self._last_received_at and self._port is not None and self.reactor.monotonic() < end:
             self.reactor.pause(self.reactor.monotonic() + 0.05)
-        if not self._heard_at:
+        if not self._last_received_at:
             self._close()
             raise gcmd.error(
                 f"No Palette 2 answers at {self._path}: is it on, and the baud rate {self._baud}?"
@@ -301,7 +301,7 @@ class Palette2:
         self._send(CUT)
 
     def cmd_PALETTE_SMART_LOAD(self, gcmd: GCodeCommand) -> None:
-        """Extrude what the Palette says, then tell it so."""
+        """Extrude as long as the Palette asks for, then confirm."""
         self._require(gcmd)
         if not self._left_mm:
             raise gcmd.error("Smart load: the Palette has not said how much filament is left to load")
