@@ -121,7 +121,7 @@ class Chip:
         self.constants: dict[str, Any] = dict(parser.get_constants())
         self.callbacks: list[Callable[[], None]] = []
         self.oids = 0
-        self.batch = False
+        self.batch = printer.get_start_args().get("debugoutput") is not None
         printer.register_event_handler("klippy:connect", self.configure)
 
     def configure(self) -> None:
@@ -166,6 +166,12 @@ class Chip:
     def register_response(self, callback: Any, name: str, oid: int | None = None) -> None:
         assert self.parser.lookup_response(name) is not None
         self.handlers[name, oid] = callback
+
+    def let_wait(self, response: str) -> None:
+        pass
+
+    def require_connected(self) -> None:
+        pass
 
     def request_move_queue_slot(self) -> None:
         pass

@@ -76,9 +76,9 @@ class BulkReader:
         self._clock = SampleClock(1.0)
         mcu.register_response(self._messages.append, "sensor_bulk_data", oid)
 
-    def build(self, chip: str, cmd_queue: Any) -> None:
-        """Called when the MCU's commands are known."""
-        self._status = messages.status(self._mcu, chip, self._oid, cmd_queue)
+    def build(self, status: Any) -> None:
+        """Called when the MCU's commands are known; `status` is the query of how far the reading is."""
+        self._status = status
         self._mcu.let_wait(messages.DATA)  # asking for the status fetches them
 
     def start(self, rate_hz: float) -> None:

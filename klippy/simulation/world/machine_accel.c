@@ -182,6 +182,8 @@ void accelerometer_select(struct accelerometer *a, uint8_t level)
 void machine_spi_exchange(struct machine *m, int mcu, uint8_t *data, uint32_t len, double now_s)
 {
     panels_spi(m, mcu, data, len);
+    if (gauges_spi(m, mcu, data, len, now_s))
+        return;
     struct accelerometer *selected = NULL;
     for (int i = 0; i < m->accelerometer_count; i++)
         if (is_selected(m, &m->accelerometers[i], mcu))
@@ -206,6 +208,8 @@ uint8_t machine_i2c_exchange(struct machine *m, int mcu, uint8_t address, const 
         accel_chip_i2c(&a->chip, write, write_len, read, read_len);
         return I2C_DONE;
     }
+    if (gauges_i2c(m, mcu, address, write, write_len, read, read_len, now_s))
+        return I2C_DONE;
     if (panels_i2c(m, mcu, address, write, write_len))
         return I2C_DONE;
     memset(read, 0xff, read_len);
