@@ -152,6 +152,7 @@ TAKEN_C, TAKEN_GAIN = (
     0.2,
 )  # 1 sigma of nodes, share of the gain's doubt after taking over from another law
 SLANT_WALK_C, SLANT_USUAL_S = 0.3, 0.2  # how the reading's slant walks in a second; memory of the usual drive
+SLANT_GAIN = 0.05  # the slant is learned once the gain is known so well
 COLOURED_GAP_S, SWING_S, SWING_SHARE, SWING_KEEP_S = 0.02, 0.006, 0.25, 1.0
 GAIN_SHARE, COLOURED_JUMP_C = 0.25, 12.0  # with coloured errors
 SECOND_MARGIN_C = 20.0  # the second mass lies between air and the hottest node, give or take this
@@ -541,6 +542,16 @@ def observe(
     return state
 
 
+def _learning(
+    p: ModelParameters, places: Layout, state: ModelState, rows: list[list[float]], run: _Run
+) -> int:
+    """So many places learn."""
+    if p.coloured_c2_s and run.output < GAIN_SHARE * p.output_high:
+        return places.gain
+    is_known = rows[places.gain][places.gain] <= (SLANT_GAIN * state.gain) ** 2
+    return places.slant if places.slant >= 0 and not is_known else places.size
+
+
 def _observe_piece(
     p: ModelParameters, state: ModelState, samples: Sequence[Sample], flow: Schedule, fan: Schedule
 ) -> ModelState:
@@ -559,12 +570,12 @@ def _observe_piece(
     spread = _spread_of(places, rows, run)
     column = _column(rows, _looking(places, run))
     gains = [value / spread for value in column]
-    kept = [row[places.gain :] for row in rows[places.gain :]]
+    learns = _learning(p, places, state, rows, run)
+    kept = [row[learns:] for row in rows[learns:]]
     rows = [[v - k * c for v, c in zip(row, column, strict=True)] for row, k in zip(rows, gains, strict=True)]
-    if p.coloured_c2_s and run.output < GAIN_SHARE * p.output_high:
-        for row, known in zip(rows[places.gain :], kept, strict=True):
-            row[places.gain :] = known
-        gains[places.gain :] = [0.0] * len(kept)
+    for row, known in zip(rows[learns:], kept, strict=True):
+        row[learns:] = known
+    gains[learns:] = [0.0] * len(kept)
     by_c = run.innovation_c
     gain = min(GAIN_MAX, max(GAIN_MIN, state.gain + gains[places.gain] * by_c))
     max_w = p.disturbance_max_w

@@ -364,21 +364,31 @@ move(const struct model_params *p, const struct model_places *at, struct model_n
     n->bore_c += step_c;
 }
 
+// So many places learn from this innovation; gain and slant are the last.
+static int
+learning(const struct model_params *p, const struct model_places *at, const struct model_state *s, const struct run *run)
+{
+    if (p->coloured_c2_s && run->output < GAIN_SHARE * p->output_high)
+        return at->gain;
+    int is_known = s->covariance[at->gain][at->gain] <= square(SLANT_GAIN * s->gain);
+    return at->slant >= 0 && !is_known ? at->slant : at->size;
+}
+
 static void
 update(const struct model_params *p, const struct model_places *at, struct model_state *s, const struct run *run)
 {
     double by_c = run->innovation_c, read_c = s->nodes.sensor_c + by_c, column[MODEL_PLACES] = {0}, gains[MODEL_PLACES] = {0};
     double variance = innovation_variance(s, at, run);
-    int learns = !p->coloured_c2_s || run->output >= GAIN_SHARE * p->output_high;
+    int learns = learning(p, at, s, run);
     for (int i = 0; i < at->size; i++) {
         column[i] = with_reading(s, at, run, i);
         gains[i] = column[i] / variance;
     }
     for (int i = 0; i < at->size; i++)
         for (int j = 0; j < at->size; j++)
-            if (learns || i < at->gain || j < at->gain)
+            if (i < learns || j < learns)
                 s->covariance[i][j] -= gains[i] * column[j];
-    for (int i = at->gain; i < at->size && !learns; i++)
+    for (int i = learns; i < at->size; i++)
         gains[i] = 0.0;
     s->gain = lesser(GAIN_MAX, greater(GAIN_MIN, s->gain + gains[at->gain] * by_c));
     s->disturbance_w = bounded(s->disturbance_w + gains[at->disturbance] * by_c, p->disturbance_max_w);

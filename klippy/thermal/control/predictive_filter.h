@@ -34,6 +34,7 @@
 // where the reading is taken for the truth, follows within this time.
 #define SLANT_WALK_C 0.3
 #define SLANT_USUAL_S 0.2
+#define SLANT_GAIN 0.05 // it is learned once the drive's gain is known so well: before, a wrong gain passes for a slant
 // Coloured errors of the reading (coloured_c2_s): a sample counts for the time since the one before, up to a limit.
 #define COLOURED_GAP_S 0.02
 // Innovations that swing to and fro by `swing_c` are vibration or interference: they add a density of swing_c^2 times
