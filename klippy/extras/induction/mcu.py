@@ -199,11 +199,12 @@ class InductionUnit:
         """Send phases in order of time, in place of all that is pending from the first of them on."""
         if not commands:
             return
-        clock = self.mcu.print_time_to_clock(commands[0].time_s)
-        steps, periods = b"", 0
-        for command in commands[:PLAN_STEPS_MAX]:
-            at = max(periods, round((command.time_s - commands[0].time_s) / self._period_s))
-            steps += PLAN_STEP.pack(min(0xFFFF, at - periods), command.phase_ticks)
+        first_s, ticks, _ = commands[0]
+        clock, periods = self.mcu.print_time_to_clock(first_s), 0
+        steps = PLAN_STEP.pack(0, ticks)
+        for time_s, ticks, _ in commands[1:PLAN_STEPS_MAX]:
+            at = max(periods, round((time_s - first_s) / self._period_s))
+            steps += PLAN_STEP.pack(min(0xFFFF, at - periods), ticks)
             periods = at
         self._queue_plan.send([self._oid, clock, steps], minclock=0, reqclock=clock)
 
