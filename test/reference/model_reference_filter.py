@@ -183,7 +183,9 @@ class ModelState(NamedTuple):
     half_c: float = 0.0  # peak of the present half wave
     before_c: float = 0.0  # size of the one before
     swinging_s: float = 0.0  # for so long the reading has swung
-    read_c: float = 0.0  # newest reading
+    read_to_s: float = 0.0  # end of the newest piece with a measurement
+    read_s: float = 0.0  # of the newest samples: time since those before
+    read_cs: float = 0.0  # ... reading times time
     ridden_c: float = 0.0  # added to the wanted temperature while the reading swings
     slant_c: float = 0.0  # what full drive by itself adds to the reading
     usual: float = 0.0  # share of full drive at which the reading is taken for the truth
@@ -257,7 +259,7 @@ def begin(p: ModelParameters, temp_c: float, time_s: float, before: ModelState |
     sent = before.sent if before is not None else ()
     usual = output / p.output_high
     return ModelState(
-        time_s, nodes, 0.0, gain, tuple(rows), 0.0, time_s, output, usual=usual, sent=sent, read_c=temp_c
+        time_s, nodes, 0.0, gain, tuple(rows), 0.0, time_s, output, usual=usual, sent=sent, read_to_s=time_s
     )
 
 
@@ -529,6 +531,7 @@ def observe(
     fan: Schedule = IDLE,
 ) -> ModelState:
     """The state after these samples, in order of time."""
+    state = state._replace(read_s=0.0, read_cs=0.0)
     if not samples:
         return state
     if not state.known or samples[-1].end_s - state.measured_s > p.gap_s:
@@ -581,7 +584,7 @@ def _observe_piece(
     max_w = p.disturbance_max_w
     disturbance_w = min(max_w, max(-max_w, state.disturbance_w + gains[places.disturbance] * by_c))
     nodes = _moved(p, places, run.nodes, gains, by_c)
-    slant_c, usual = 0.0, state.usual
+    slant_c, usual, since_s = 0.0, state.usual, run.time_s - state.read_to_s
     if places.slant >= 0:
         slant_c = state.slant_c + gains[places.slant] * by_c
         dt_s = run.time_s - state.time_s
@@ -603,7 +606,9 @@ def _observe_piece(
         lean,
         *swing,
         state.swinging_s,
-        run.nodes.sensor_c + by_c,
+        run.time_s,
+        state.read_s + since_s,
+        state.read_cs + since_s * (run.nodes.sensor_c + by_c),
         state.ridden_c,
         slant_c,
         usual,

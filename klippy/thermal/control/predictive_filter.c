@@ -98,8 +98,7 @@ model_begin(const struct model_params *p, struct model_state *s, double temp_c, 
     s->size = at.size;
     s->nodes_known = at.nodes;
     s->nodes = model_at_rest(p, temp_c);
-    s->read_c = temp_c;
-    s->time_s = s->measured_s = time_s;
+    s->time_s = s->measured_s = s->read_to_s = time_s;
     s->gain = gain;
     s->disturbance_w = s->innovation_c = s->driven = s->offset_c = s->offset_output = s->lean = s->slant_c = 0.0;
     s->swing_c = s->swinging_s = s->half_c = s->before_c = s->ridden_c = 0.0;
@@ -395,7 +394,10 @@ update(const struct model_params *p, const struct model_places *at, struct model
     s->slant_c += at->slant >= 0 ? gains[at->slant] * by_c : 0.0;
     move(p, at, &s->nodes, gains, by_c);
     s->innovation_c = by_c;
-    s->read_c = read_c;
+    double since_s = run->time_s - s->read_to_s;
+    s->read_to_s = run->time_s;
+    s->read_s += since_s;
+    s->read_cs += read_c * since_s;
     s->measured_s = run->measured_s;
     s->driven = run->driven;
     s->offset_c = run->offset_c;
@@ -463,6 +465,7 @@ void
 model_observe(const struct model_params *p, struct model_state *s, const struct model_sample *samples, int count,
               const struct model_line *flow, const struct model_line *fan)
 {
+    s->read_s = s->read_cs = 0.0;
     if (!count)
         return;
     struct model_places at = model_layout(p);

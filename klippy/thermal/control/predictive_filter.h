@@ -70,7 +70,8 @@ struct model_state {
     struct model_nodes nodes;
     double disturbance_w, gain;
     double innovation_c;        // newest: measured minus expected
-    double read_c;              // newest: what was measured
+    double read_to_s;           // end of the newest piece with a measurement
+    double read_s, read_cs;     // of the newest samples: time since those before, reading times time
     double measured_s;             // newest measurement
     double output;              // newest output decided
     double driven;              // output in force at the newest measurement
