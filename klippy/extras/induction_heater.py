@@ -433,7 +433,9 @@ class InductionHeater:
         """Still on the way to the target?"""
         if self.planner is not None and self.planner.is_on_path():
             return not self.batch
-        return not self.batch and not self.loop.is_settled()
+        # A reading that swings is at the target by its mean.
+        is_near = abs(self._smoothed_c - self.loop.state.target_c) <= self.loop.SETTLED_C
+        return not self.batch and not is_near and not self.loop.is_settled()
 
     @property
     def can_extrude(self) -> bool:
