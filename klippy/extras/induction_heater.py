@@ -481,6 +481,9 @@ class InductionHeater:
             "can_extrude": self.can_extrude,
             "estimate": round(news.temp_c, 3) if news.valid else None,
             "sigma": round(news.sigma_c, 3) if news.valid else None,
+            "tip": _rounded(
+                self.parameters.melt.tip_c(news.temp_c, self.loop.flow.at(now_s)) if news.valid else None
+            ),
             "estimate_age": round(age_s, 4) if news.valid else None,
             "valid": self._running and news.valid and age_s <= self.parameters.supervise.invalid_s,
             "power_w": round(power_w, 3),
