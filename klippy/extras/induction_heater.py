@@ -414,7 +414,7 @@ class InductionHeater:
         if self.planner is not None and self.planner.is_on_path():
             return not self.batch
         # A reading that swings is at the target by its mean.
-        is_near = abs(self._smoothed_c - self.loop.state.target_c) <= self.loop.SETTLED_C
+        is_near = abs(self.shown.temp_c - self.loop.state.target_c) <= self.loop.SETTLED_C
         return not self.batch and not is_near and not self.loop.is_settled()
 
     @property
