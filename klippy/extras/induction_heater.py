@@ -413,7 +413,9 @@ class InductionHeater:
         """Still on the way to the target?"""
         if self.planner is not None and self.planner.is_on_path():
             return not self.batch
-        return not self.batch and not self.loop.is_settled()
+        # A reading that swings is at the target by its mean.
+        is_near = abs(self.shown.temp_c - self.loop.state.target_c) <= self.loop.SETTLED_C
+        return not self.batch and not is_near and not self.loop.is_settled()
 
     @property
     def can_extrude(self) -> bool:
@@ -461,6 +463,9 @@ class InductionHeater:
             "can_extrude": self.can_extrude,
             "estimate": round(news.temp_c, 3) if news.valid else None,
             "sigma": round(news.sigma_c, 3) if news.valid else None,
+            "tip": _rounded(
+                self.parameters.melt.tip_c(news.temp_c, self.loop.flow.at(now_s)) if news.valid else None
+            ),
             "estimate_age": round(age_s, 4) if news.valid else None,
             "valid": self._running and news.valid and age_s <= self.parameters.supervise.invalid_s,
             "power_w": round(power_w, 3),

@@ -254,6 +254,7 @@ def _melt(config: ConfigWrapper) -> melt_exchange.MeltExchange:
         ua_w_k=config.getfloat("melt_exchange", default.ua_w_k, above=0.0, maxval=1.0),
         heat_mj_m3k=config.getfloat("melt_heat", default.heat_mj_m3k, above=0.1, maxval=20.0),
         inlet_c=config.getfloat("melt_inlet_temp", default.inlet_c, minval=-50.0, maxval=150.0),
+        tip_k_w=config.getfloat("melt_tip", default.tip_k_w, minval=0.0, maxval=50.0),
     )
 
 
