@@ -27,6 +27,7 @@ import chelper
 BLOCK_MIN, BLOCK_MAX = 5, 64
 BLOCK_HEAD, BLOCK_TAIL = 2, 3
 CONTENT_MAX = BLOCK_MAX - BLOCK_HEAD - BLOCK_TAIL
+NUMBER_MAX = 5  # bytes of a number
 BLOCK_SYNC = 0x7E
 BLOCK_DEST, BLOCK_SEQ_MASK = 0x10, 0x0F
 
@@ -177,6 +178,7 @@ class ParamType:
     """How one %-code behaves. Values of 32-bit types wrap as the MCU's registers do; narrower ones must fit."""
 
     code: str
+    letter: str  # that chelper/link/message.h encodes it by
     is_buffer: bool = False
     signed: bool = False
     low: int = 0
@@ -186,14 +188,14 @@ class ParamType:
 PARAM_TYPES = {
     t.code: t
     for t in (
-        ParamType("%c", low=-128, high=255),
-        ParamType("%hu", low=0, high=65535),
-        ParamType("%hi", signed=True, low=-32768, high=32767),
-        ParamType("%u"),
-        ParamType("%i", signed=True),
-        ParamType("%s", is_buffer=True),
-        ParamType("%*s", is_buffer=True),
-        ParamType("%.*s", is_buffer=True),
+        ParamType("%c", "c", low=-128, high=255),
+        ParamType("%hu", "H", low=0, high=65535),
+        ParamType("%hi", "h", signed=True, low=-32768, high=32767),
+        ParamType("%u", "u"),
+        ParamType("%i", "i", signed=True),
+        ParamType("%s", "s", is_buffer=True),
+        ParamType("%*s", "s", is_buffer=True),
+        ParamType("%.*s", "s", is_buffer=True),
     )
 }
 
@@ -232,7 +234,7 @@ class Param:
 
     @property
     def kind(self) -> str:
-        """The letter that chelper/link/message.h knows it by."""
+        """The letter that chelper/link/message.h decodes it by."""
         return "s" if self.type.is_buffer else "i" if self.type.signed else "u"
 
     def from_text(self, text: str) -> Any:
@@ -264,6 +266,14 @@ def _decoder() -> tuple[Any, Any]:
     return lib.message_decode, ffi.new("int64_t[]", CONTENT_MAX)
 
 
+@cache
+def _encoder() -> tuple[Any, Any, Any, Any]:
+    """The C helper's encoder, room for the numbers of one message and for their bytes, as memory and as a buffer."""
+    ffi, lib = chelper.get_ffi()
+    out = ffi.new("uint8_t[]", CONTENT_MAX * NUMBER_MAX)
+    return lib.message_encode, ffi.new("int64_t[]", CONTENT_MAX), out, ffi.buffer(out)
+
+
 @dataclass(frozen=True, slots=True)
 class MessageFormat:
     """One message of the dictionary: encodes from values, decodes to a dict."""
@@ -275,6 +285,7 @@ class MessageFormat:
     id_bytes: bytes
     names: tuple[str, ...]  # of the parameters ...
     kinds: bytes  # ... and their letters
+    leading: bytes  # letters of the numbers before the first buffer, to encode them by
     buffers: tuple[tuple[int, str], ...]  # place and name of those that are no numbers
     enumerated: tuple[tuple[int, str, Mapping[int, str]], ...]  # and of those that stand for a name
 
@@ -292,10 +303,9 @@ class MessageFormat:
             encode_vlq(msgid),
             tuple(p.name for p in params),
             "".join(p.kind for p in params).encode(),
+            "".join(p.type.letter for p in params).partition("s")[0].encode(),
             tuple((n, p.name) for n, p in enumerate(params) if p.type.is_buffer),
-            tuple(
-                (n, p.name, p.by_value) for n, p in enumerate(params) if p.by_value and not p.type.is_buffer
-            ),
+            tuple((n, p.name, p.by_value) for n, p in enumerate(params) if p.by_value and p.kind != "s"),
         )
 
     @classmethod
@@ -322,14 +332,28 @@ class MessageFormat:
         """The message with its parameters in order. Enumerated ones may be given by name."""
         if len(values) != len(self.params):
             raise error(f"'{self.msgformat}' takes {len(self.params)} parameters, not {len(values)}")
+        encode, numbers, out, written = _encoder()
+        count, message = len(self.leading), self.id_bytes
         try:
-            body = b"".join([p.encode(v) for p, v in zip(self.params, values, strict=True)])
-        except (error, TypeError, ValueError) as e:
-            raise error(f"command '{self.name}': {e}") from None
-        message = self.id_bytes + body
+            numbers[0:count] = values[:count]
+            size = encode(self.leading, numbers, out)
+        except (TypeError, OverflowError):  # a name, or a number of another kind
+            size = -1
+        if size >= 0:
+            message += written[:size]
+        else:
+            count = 0
+        if count < len(values):
+            message += self._encode_each(values, count)
         if len(message) > CONTENT_MAX:
             raise error(f"command '{self.name}' has {len(message)} bytes; a block takes {CONTENT_MAX}")
         return message
+
+    def _encode_each(self, values: Sequence[Any], start: int) -> bytes:
+        try:
+            return b"".join([p.encode(v) for p, v in zip(self.params[start:], values[start:], strict=True)])
+        except (error, TypeError, ValueError) as e:
+            raise error(f"command '{self.name}': {e}") from None
 
     def encode_named(self, values: Mapping[str, Any]) -> bytes:
         """Like `encode`, by parameter name."""

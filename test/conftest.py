@@ -6,10 +6,14 @@ import signal
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 from simulation.sample_gcode import SampleMissing, sample_path
 
 ROOT = Path(__file__).resolve().parent.parent
+# The same examples on every machine, however busy it is: a run that fails elsewhere fails here.
+settings.register_profile("suite", deadline=None, derandomize=True)
+settings.load_profile("suite")
 # Tests that press Ctrl-C: a shell ignores it for what it runs in the background, and programs inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -29,13 +29,22 @@ class Node:
         self.number: int | None = None
         self.mcu = ReferenceMcu(answer)
         self.mcu.emit = self._emit
+        self._whole = threading.Lock()  # a reset does not come between a packet and its answer
 
     def _emit(self, data: bytes) -> None:
         assert self.number is not None
         for start in range(0, len(data), 8):
             self._send(257 + 2 * self.number, data[start : start + 8])
 
+    def reset(self) -> None:
+        with self._whole:
+            self.number, self.mcu.expected = None, 0
+
     def receive(self, packet_id: int, data: bytes) -> None:
+        with self._whole:
+            self._receive(packet_id, data)
+
+    def _receive(self, packet_id: int, data: bytes) -> None:
         if packet_id == canport.ADMIN_ID and data[0] == canport.QUERY_UNASSIGNED and self.number is None:
             self._send(canport.ADMIN_ID + 1, bytes([canport.NEED_NODEID]) + self.uuid)
         elif packet_id == canport.ADMIN_ID and data[0] == canport.SET_NODEID and data[1:7] == self.uuid:
@@ -135,8 +144,7 @@ def test_a_board_that_was_reset_gets_its_number_again(bus: Bus) -> None:
             link.connect("can0", 0)
             assert link.send_with_response("ping data=01", "pong")["data"] == b"\x01"
             link.disconnect()
-            bus.nodes[0].number = None
-            bus.nodes[0].mcu.expected = 0
+            bus.nodes[0].reset()
 
     in_reactor(body)
 

@@ -84,3 +84,37 @@ message_decode(const uint8_t *data, int len, int pos, const char *kinds, int64_t
     }
     return pos;
 }
+
+// As it goes over the wire: registers of 32 bits wrap, narrower ones must fit. Returns -1 where it does not.
+static int
+wire_value(char kind, int64_t *value)
+{
+    switch (kind) {
+    case MESSAGE_UNSIGNED:
+        *value = (int64_t)(uint32_t)*value;
+        return 0;
+    case MESSAGE_SIGNED:
+        *value = (int64_t)(int32_t)(uint32_t)*value;
+        return 0;
+    case MESSAGE_BYTE:
+        return *value < -128 || *value > 255 ? -1 : 0;
+    case MESSAGE_U16:
+        return *value < 0 || *value > 65535 ? -1 : 0;
+    case MESSAGE_I16:
+        return *value < -32768 || *value > 32767 ? -1 : 0;
+    }
+    return -1;
+}
+
+int
+message_encode(const char *kinds, const int64_t *values, uint8_t *out)
+{
+    uint8_t *p = out;
+    for (int i = 0; kinds[i]; i++) {
+        int64_t value = values[i];
+        if (wire_value(kinds[i], &value))
+            return -1;
+        p = vlq_encode(p, value);
+    }
+    return (int)(p - out);
+}

@@ -37,11 +37,19 @@ enum message_kind {
     MESSAGE_UNSIGNED = 'u', // modulo 2^32
     MESSAGE_SIGNED = 'i',   // the same, read as signed
     MESSAGE_BUFFER = 's',   // a length of one byte, then the bytes; value: position of the first << 8 | length
+    // encoding knows these, too: a value beyond them is an error
+    MESSAGE_BYTE = 'c',  // -128 .. 255
+    MESSAGE_U16 = 'H',   // 0 .. 65535
+    MESSAGE_I16 = 'h',   // -32768 .. 32767
 };
 enum { MESSAGE_CUT_NUMBER = -1, MESSAGE_CUT_BUFFER = -2 };
 
 // The parameters of a message from `pos` on, one for each letter (enum message_kind) of `kinds`. Returns the position
 // after them; MESSAGE_CUT_NUMBER, or MESSAGE_CUT_BUFFER less the parameter's number, where the message ends too soon.
 int message_decode(const uint8_t *data, int len, int pos, const char *kinds, int64_t *values);
+
+// The numbers of a message, one for each letter of `kinds`, to `out` (5 bytes a number at most). Returns the bytes
+// written; -1 where a value is beyond its kind.
+int message_encode(const char *kinds, const int64_t *values, uint8_t *out);
 
 #endif

@@ -77,6 +77,40 @@ def test_numbers_survive_the_wire_in_python_and_c_alike(value: int) -> None:
     assert bytes(ffi.buffer(buffer, end - buffer)) == encoded
 
 
+KINDS = {
+    "%c": (-128, 255),
+    "%hu": (0, 0xFFFF),
+    "%hi": (-0x8000, 0x7FFF),
+    "%u": (0, 2**32 - 1),
+    "%i": (-(2**31), 2**31),
+}
+
+
+@given(
+    st.lists(st.tuples(st.sampled_from(list(KINDS)), st.integers(-(2**33), 2**33)), max_size=8),
+    st.binary(max_size=9),
+)
+def test_a_message_is_its_numbers_one_after_the_other_or_is_refused(
+    words: list[tuple[str, int]], data: bytes
+) -> None:
+    text = " ".join(["m", *(f"p{n}={code}" for n, (code, _) in enumerate(words)), "data=%*s", "last=%c"])
+    message = msgproto.MessageFormat.build(5, text, {})
+    values = [*(value for _, value in words), data, 7]
+    narrow = [
+        not KINDS[code][0] <= value <= KINDS[code][1] for code, value in words if code not in ("%u", "%i")
+    ]
+    if any(narrow):
+        with pytest.raises(msgproto.error, match=r"command 'm': parameter 'p\d' is -?\d+; it must be from"):
+            message.encode(values)
+        return
+    wrapped = [
+        (value + 2**31) % 2**32 - 2**31 if code == "%i" else value % 2**32 if code == "%u" else value
+        for code, value in words
+    ]
+    numbers = b"".join(msgproto.encode_vlq(value) for value in wrapped)
+    assert message.encode(values) == b"\x05" + numbers + bytes((len(data),)) + data + b"\x07"
+
+
 def test_checksum_has_the_published_check_value() -> None:
     assert msgproto.crc16(b"123456789") == 0x6F91
     assert chelper.get_ffi()[1].msgblock_crc(b"123456789", 9) == 0x6F91
