@@ -71,6 +71,8 @@ class _Tables:
     handlers: dict[tuple[str, int | None], ResponseHandler] = field(default_factory=dict)
     waiters: dict[tuple[str, int | None], list[_Waiter]] = field(default_factory=dict)
     notices: dict[int, Callable[[Params], None]] = field(default_factory=dict)
+    undecoded: dict[bytes, Callable[[bytes], None]] = field(default_factory=dict)  # by id and oid
+    undecoded_len: int = 0
 
 
 class SerialReader:
@@ -108,6 +110,7 @@ class SerialReader:
         self._lib.serialqueue_reset(self._sq, file_mode)
         self._tables.waiters.clear()
         self._tables.notices.clear()
+        self._tables.undecoded.clear()
         self._on_batch = None
         self._clock = _Clock()
 
@@ -208,10 +211,16 @@ class SerialReader:
         self._on_batch = callback
         self._lib.serialqueue_set_batch(self._sq, message_id, len(message_id), seconds, batch_max)
 
-    def let_wait(self, msgformat: str) -> None:
-        """Messages of this format wake nobody: they come with the next of another. One format only."""
+    def let_wait(self, msgformat: str, oid: int, callback: Callable[[bytes], None]) -> None:
+        """Messages of this format and oid wake nobody: they come with the next of another, undecoded. One format only.
+
+        `callback` gets what follows the oid.
+        """
         message_id = self.msgparser.lookup_command(msgformat).id_bytes
         self._lib.serialqueue_set_patient(self._sq, message_id, len(message_id))
+        start = message_id + msgproto.encode_vlq(oid)
+        self._tables.undecoded[start] = callback
+        self._tables.undecoded_len = len(start)
 
     def _drain(self) -> None:
         """Take what the queue has received. Called by the port in the reactor thread."""
@@ -245,6 +254,10 @@ class SerialReader:
         params: Params = {}
         if message.len:
             content = self._ffi.buffer(message.data, message.len)[:]
+            undecoded = self._tables.undecoded.get(content[: self._tables.undecoded_len])
+            if undecoded is not None:
+                undecoded(content[self._tables.undecoded_len :])
+                return 0, {}
             try:
                 params = self.msgparser.parse(content)
             except msgproto.error as e:
