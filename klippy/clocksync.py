@@ -142,7 +142,13 @@ class ClockSync:
 
     def get_clock(self, eventtime: float) -> int:
         """Estimated clock at a system time; 0 in batch mode."""
-        return 0 if self._is_file else int(self._estimator.line.clock_at(eventtime))
+        line = self._estimator.line
+        return 0 if self._is_file else int(line.clock + (eventtime - line.time_s) * line.freq)
+
+    def dated(self, eventtime: float) -> tuple[int, float, float]:
+        """Estimated clock at a system time, its print time, and the seconds of a tick there."""
+        clock = self.get_clock(eventtime)
+        return clock, clock / self.mcu_freq, 1.0 / self.mcu_freq
 
     def estimate_clock_systime(self, reqclock: int) -> float:
         """System time at which the MCU's clock reaches `reqclock`."""
@@ -209,6 +215,10 @@ class SecondarySync(ClockSync):
 
     def clock_to_print_time(self, clock: float) -> float:
         return clock / self._adjusted_freq + self._offset_s
+
+    def dated(self, eventtime: float) -> tuple[int, float, float]:
+        clock = self.get_clock(eventtime)
+        return clock, self.clock_to_print_time(clock), 1.0 / self._adjusted_freq
 
     def _true_clock(self, print_time: float) -> float:
         system_s = self._main_sync.estimate_clock_systime(self._main_sync.print_time_to_clock(print_time))

@@ -23,16 +23,11 @@ class Dispensable:
 
 DISPENSABLE = (
     Dispensable(
-        frozenset({"load_cell_probe", "probe_eddy_current", "smart_effector"}),
+        frozenset({"load_cell_probe", "probe_eddy_current"}),
         "there is no probe: homing by it fails, levelling works by hand with METHOD=manual",
-    ),
-    Dispensable(
-        frozenset({"hall_filament_width_sensor", "tsl1401cl_filament_width_sensor"}),
-        "the filament's width is not measured, the flow is not corrected by it",
     ),
     Dispensable(frozenset({"angle", "load_cell"}), "the sensor is not read"),
     Dispensable(frozenset({"palette2"}), "the Palette is not driven: print with one filament only"),
-    Dispensable(frozenset({"replicape", "sx1509"}), "outputs on its pins do nothing"),
 )
 
 # Sections that another one reads, wherever they stand: kind of section -> the section without which they mean nothing
@@ -42,9 +37,6 @@ READ_BY = {"display_data": "display", "display_glyph": "display", "menu": "displ
 PIN_CHIPS: dict[str, str | None] = {
     "load_cell_probe": "probe",
     "probe_eddy_current": "probe",
-    "smart_effector": "probe",
-    "replicape": "replicape",
-    "sx1509": None,
 }
 
 

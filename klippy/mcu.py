@@ -530,6 +530,10 @@ class MCU:
         """Print time at a system time (s)."""
         return self._clocksync.estimated_print_time(eventtime)
 
+    def dated(self, eventtime: float) -> tuple[int, float, float]:
+        """Clock at a system time, its print time, and the seconds of a tick there."""
+        return self._clocksync.dated(eventtime)
+
     def clock32_to_clock64(self, clock32: int) -> int:
         return self._clocksync.clock32_to_clock64(clock32)
 

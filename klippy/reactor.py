@@ -277,7 +277,8 @@ class Reactor:
         if waketime >= _NEVER:
             timer_handler.ticket = 0
             return
-        waketime = max(waketime, self._pass_time)
+        if waketime < self._pass_time:
+            waketime = self._pass_time
         self._tickets = ticket = self._tickets + 1
         timer_handler.ticket = ticket
         self._live += 1

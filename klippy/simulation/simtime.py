@@ -60,7 +60,10 @@ class SimTime:
         pointer = self._world.pointer
         entered = time.perf_counter()
         if now < self._pause_s:
-            waiting = self._advance(pointer, min(until, now + MAX_STRETCH_S, max(self.alarm_s, now)))
+            end = min(until, now + MAX_STRETCH_S)
+            if self.alarm_s < end:
+                end = max(self.alarm_s, now)
+            waiting = self._advance(pointer, end)
         else:
             waiting = self._sleep(now)
         self.world_wall_s += time.perf_counter() - entered

@@ -52,6 +52,8 @@ ALSO_SPOKEN = {
 COMMANDS_ELSEWHERE = (
     "get_canbus_status",
     "set_sercom_pin bus=%u sercom_pin_type=%u pin=%u",
+    "config_pca9685 oid=%c bus=%c addr=%c channel=%c cycle_ticks=%u value=%hu default_value=%hu max_duration=%u",
+    "queue_pca9685_out oid=%c clock=%u value=%hu",
     "config_ds18b20 oid=%c serial=%*s max_error_count=%c",
     "query_ds18b20 oid=%c clock=%u rest_ticks=%u min_value=%i max_value=%i",
 )

@@ -138,6 +138,15 @@ mcp4018 +I2C wiper scale
 display_template param_NAME text
 filament_switch_sensor +RUNOUT switch_pin debounce_delay
 filament_motion_sensor detection_length extruder switch_pin +RUNOUT
+hall_filament_width_sensor adc1 adc2 cal_dia1 cal_dia2 raw_dia1 raw_dia2 default_nominal_filament_diameter
+  max_difference measurement_delay enable enable_flow_compensation measurement_interval logging min_diameter
+  max_diameter use_current_dia_while_delay +RUNOUT
+tsl1401cl_filament_width_sensor pin default_nominal_filament_diameter max_difference measurement_delay
+smart_effector pin control_pin probe_accel recovery_time +PROBING activate_gcode deactivate_gcode
+  deactivate_on_each_sample
+sx1509 +I2C
+replicape revision enable_pin host_mcu standstill_power_down stepper_x_microstep_mode stepper_x_current
+  stepper_x_chopper_off_time_high stepper_x_chopper_hysteresis_high stepper_x_chopper_blank_time_high
 samd_sercom sercom tx_pin rx_pin clk_pin
 adc_scaled vref_pin vssa_pin smooth_time
 ads1x1x chip pga adc_voltage +I2C
@@ -155,6 +164,7 @@ extruder_stepper pressure_advance smooth_time motion_queue
 fan speed rpm
 filament_switch_sensor enabled filament_detected
 filament_motion_sensor enabled filament_detected
+hall_filament_width_sensor enabled filament_detected is_active Diameter Raw
 firmware_retraction retract_length retract_speed unretract_extra_length unretract_speed
 gcode commands
 gcode_button state

@@ -55,7 +55,11 @@ class Restarted(bench_recovery.Watched):
                 return
 
     def _wait(self, eventtime: float) -> None:
-        while self.printer.get_state_message()[1] == "startup":
+        # a board that shuts itself down while the host starts is reset: the host ends by itself then
+        while (
+            self.printer.get_state_message()[1] not in ("ready", "error")
+            and self.world.now < eventtime + 20.0
+        ):
             self.reactor.pause(self.reactor.monotonic() + 0.1)
         self.printer.request_exit("exit")
 

@@ -237,3 +237,60 @@ class Pca9632(Registers):
         assert mode2 & 0x14 == 0x14, "inverted, totem pole"
         states = [self.registers[8] >> 2 * led & 3 for led in range(4)]
         return [(0.0, 1.0, self.registers[2 + led] / 256.0, 0.0)[state] for led, state in enumerate(states)]
+
+
+class Sx1509:
+    """Mean levels of its outputs; data sheet SX1509B, registers and LED driver in static mode."""
+
+    INTENSITY = (42, 45, 48, 51, 54, 59, 64, 69, 74, 77, 80, 83, 86, 91, 96, 101)
+
+    def __init__(self) -> None:
+        self.keys: list[int] = []
+        self._reset()
+
+    def _reset(self) -> None:
+        self.registers = {0x0E: 0xFF, 0x0F: 0xFF, 0x10: 0xFF, 0x11: 0xFF}
+
+    def frame(self, data: bytes) -> None:
+        if data[0] == 0x7D:
+            self.keys = [*self.keys, data[1]][-2:]
+            if self.keys == [0x12, 0x34]:
+                self._reset()
+        for offset, value in enumerate(data[1:]):
+            self.registers[data[0] + offset] = value
+
+    def _bit(self, bank_b: int, pin: int) -> int:
+        return self.registers.get(bank_b + (pin < 8), 0) >> pin % 8 & 1
+
+    def levels(self) -> dict[int, float]:
+        """Of the pins that drive."""
+        return {pin: self._level(pin) for pin in range(16) if not self._bit(0x0E, pin)}
+
+    def _level(self, pin: int) -> float:
+        if not self._bit(0x20, pin):
+            return float(self._bit(0x10, pin))
+        assert self.registers[0x1E] >> 5 & 3 == 2, "the oscillator of the LED drivers"
+        assert self.registers[0x1F] >> 4 & 7, "the clock of the LED drivers"
+        return 1.0 if self._bit(0x10, pin) else 1.0 - self.registers.get(self.INTENSITY[pin], 0xFF) / 255.0
+
+
+class SmartEffectorLine:
+    """Bytes on the programming line: 1000 bits a second; (time, level) of each change."""
+
+    BIT_S = 0.001
+
+    def __init__(self, changes: list[tuple[float, float]]) -> None:
+        self.changes = changes
+
+    def level(self, time_s: float) -> int:
+        return int(([0.0] + [value for at, value in self.changes if at <= time_s])[-1])
+
+    def received(self, count: int) -> list[int]:
+        start = self.changes[0][0] - 2 * self.BIT_S  # the first change is the one of 0 0 1 0
+        found = []
+        for byte in range(count):
+            bits = [self.level(start + (14 * byte + n + 0.5) * self.BIT_S) for n in range(14)]
+            assert bits[:4] == [0, 0, 1, 0] and bits[8] == 1 - bits[7] and bits[13] == 1 - bits[12], bits
+            found.append(int("".join(map(str, bits[4:8] + bits[9:13])), 2))
+        assert self.level(start + (14 * count + 0.5) * self.BIT_S) == 0
+        return found

@@ -41,6 +41,8 @@ def all_boards_dictionary() -> bytes:
         for text in texts:
             number += 1
             content[kind][text] = number
+    content["enumerations"]["spi_bus"]["spidev1.1"] = 11
+    content["config"]["PCA9685_MAX"] = 4096
     content["enumerations"]["bus"] = {"sercom0": [0, 8]}
     content["enumerations"]["sercom_pin_type"] = {"tx": 0, "rx": 1, "clk": 2}
     return json.dumps(content).encode()
@@ -218,12 +220,37 @@ class RigToolhead:
     def __init__(self) -> None:
         self.print_time = 200.0
         self.moving = False
+        self.extruder: Any = None
+        self.dwells: list[float] = []
+        self.limits = (300.0, 3000.0)
 
     def register_lookahead_callback(self, callback: Callable[[float], None]) -> None:
         callback(self.print_time)
 
     def get_last_move_time(self) -> float:
         return self.print_time
+
+    def dwell(self, delay_s: float) -> None:
+        self.dwells.append(delay_s)
+        self.print_time += max(0.0, delay_s)
+
+    def get_kinematics(self) -> Any:
+        return self
+
+    def get_steppers(self) -> list[Any]:
+        return []
+
+    def get_extruder(self) -> Any:
+        return self.extruder
+
+    def get_position(self) -> list[float]:
+        return [0.0, 0.0, 0.0, self.extruder.find_past_position(self.extruder.now())]
+
+    def get_max_velocity(self) -> tuple[float, float]:
+        return self.limits
+
+    def set_max_velocities(self, velocity: Any, accel: Any, corner: Any, ratio: Any) -> None:
+        self.limits = (velocity or self.limits[0], accel or self.limits[1])
 
     def get_status(self, eventtime: float) -> dict[str, float]:
         ahead_s = 1.0 if self.moving else 0.0
@@ -233,8 +260,9 @@ class RigToolhead:
 class RigExtruder:
     """Filament that goes 2 mm a second from `start_s` on."""
 
-    def __init__(self) -> None:
+    def __init__(self, now: Callable[[], float]) -> None:
         self.start_s = float("inf")
+        self.now = now
 
     def find_past_position(self, print_time: float) -> float:
         return max(0.0, print_time - self.start_s) * 2.0
@@ -252,8 +280,10 @@ def add_printer_objects(config: Any) -> None:
     chip = Chip(printer, parser)
     printer.lookup_object("pins").register_chip("mcu", chip)
     printer.add_object("mcu", chip)
-    printer.add_object("toolhead", RigToolhead())
-    printer.add_object("extruder", RigExtruder())
+    toolhead = RigToolhead()
+    toolhead.extruder = RigExtruder(printer.get_reactor().monotonic)
+    printer.add_object("toolhead", toolhead)
+    printer.add_object("extruder", toolhead.extruder)
 
 
 class BusSession(Session):

@@ -99,6 +99,9 @@ class FakeMcu:
     def clock_to_print_time(self, clock: int) -> float:
         return clock / 72e6
 
+    def dated(self, eventtime: float) -> tuple[int, float, float]:
+        return int(eventtime * 72e6), eventtime, 1.0 / 72e6
+
     def clock32_to_clock64(self, clock: int) -> int:
         return clock
 

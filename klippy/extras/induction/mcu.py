@@ -89,8 +89,8 @@ class InductionUnit:
         self._queue_plan: Any = None
         self._set_ceiling: Any = None
         self._share = 0xFFFF  # of the rows, as the firmware begins ...
-        self._ceiling_c = math.inf  # ... and the target it is for
-        self._period_s, self._second_ticks = math.inf, 1
+        self._ceiling_c = self._target_c = math.inf  # ... and the step of the target, and the target, it is for
+        self._period_s = math.inf
         self._batched = False
         self._stream: convert.Stream | None = None
         mcu.register_config_callback(self._build_config)
@@ -132,7 +132,6 @@ class InductionUnit:
         self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
         self._set_ceiling = mcu.try_lookup_command(CEILING_FORMAT) if self._ceiling else None
         self._period_s = period_ticks / clock_hz
-        self._second_ticks = round(clock_hz)
         mcu.register_batch(self._take_batch, BLOCK_FORMAT)
 
     def _configure_tests(self, clock_hz: float) -> None:
@@ -161,16 +160,13 @@ class InductionUnit:
     # Samples up
 
     def _take_batch(self, messages: Any, count: int) -> None:
-        stream, mcu = self._stream, self.mcu
+        stream = self._stream
         if stream is None:
             return
-        clock = mcu.print_time_to_clock(mcu.estimated_print_time(messages[count - 1].receive_time))
-        before = clock - self._second_ticks
-        time_s = mcu.clock_to_print_time(clock)
-        tick_s = (time_s - mcu.clock_to_print_time(before)) / self._second_ticks
-        blocks = stream.take(messages, count, clock, time_s, tick_s)
+        blocks = stream.take(messages, count, *self.mcu.dated(messages[count - 1].receive_time))
         if complaint := stream.complaint():
-            logging.warning("induction unit on mcu '%s': %s; message ignored", mcu.get_name(), complaint)
+            name = self.mcu.get_name()
+            logging.warning("induction unit on mcu '%s': %s; message ignored", name, complaint)
         if blocks.count:
             self._on_blocks(blocks)
 
@@ -187,9 +183,9 @@ class InductionUnit:
 
     def set_ceiling(self, target_c: float) -> None:
         """The board trips when the nozzle is driven hard and reads far above this target."""
-        if self._set_ceiling is None or self._ceiling is None:
+        if target_c == self._target_c or self._set_ceiling is None or self._ceiling is None:
             return
-        target_c = guard_limits.stepped(target_c)
+        self._target_c, target_c = target_c, guard_limits.stepped(target_c)
         if target_c == self._ceiling_c:
             return
         self._ceiling_c = target_c

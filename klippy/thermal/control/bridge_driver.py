@@ -181,6 +181,8 @@ class PredictiveDriver(BridgeDriver):
         self._found = predictive.StepOutput()
         self._ahead: Ahead | None = None  # what the inputs point to
         self._follows_drive = parameters.approach.rebase_fraction == math.inf
+        chosen = parameters.control
+        self._model = chosen.parameters.packed() if chosen.law is predictive.MODEL else None
 
     def is_held(self) -> bool:
         state, request = self.state, self.state.request
@@ -188,15 +190,15 @@ class PredictiveDriver(BridgeDriver):
         sure_w = SURELY_DRIVING * self.parameters.actuator.power_low_w
         return not state.horizon and state.bridge.driving and holding_w >= sure_w
 
-    def _approach_w(self, below_c: float) -> float:
+    def limit_w(self, below_c: float) -> float:
         # With a sensing law that follows the drive the control law knows when to stop.
-        return math.inf if self._follows_drive else super()._approach_w(below_c)
+        return self.state.supervise.limit_w if self._follows_drive else super().limit_w(below_c)
 
     def step(
         self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf
     ) -> list[PhaseCommand]:
         """Blocks without a temperature carry the heat that went in."""
-        if self.parameters.control.law is not predictive.MODEL:
+        if self._model is None:
             return super().step(before, ahead, now_s, apart_s)
         state, inputs, found, samples = self.state, self._inputs, self._found, self.chain.samples()
         _INPUTS.pack_into(
@@ -217,7 +219,7 @@ class PredictiveDriver(BridgeDriver):
         count = self._lib.bridge_step(
             self._packed,
             state.bridge.raw,
-            self.parameters.control.parameters.packed(),
+            self._model,
             state.law.raw,
             inputs,
             after,

@@ -77,6 +77,15 @@ def test_mcp4728_voltages_are_of_its_own_reference(tmp_path: Path) -> None:
     run(tmp_path, "[mcp4728 d]\nchannel_a: 0.5\nchannel_d: 1\n", body)
 
 
+def test_mcp4018_is_set_again_by_a_command(tmp_path: Path) -> None:
+    def body(s: BusSession) -> None:
+        s.chip.answers["i2c_transfer"] = lambda values: {"i2c_bus_status": "SUCCESS", "response": b""}
+        s.gcode.run_script("SET_DIGIPOT DIGIPOT=x WIPER=1.5")
+        assert take(s.chip, Mcp4018()).share == pytest.approx(0.75, abs=0.5 / 127.0)
+
+    run(tmp_path, "[mcp4018 x]\nwiper: 0.5\nscale: 2\n", body)
+
+
 def test_channels_without_a_value_are_left_alone(tmp_path: Path) -> None:
     run(tmp_path, "[mcp4728 d]\n", lambda s: frames(s.chip, 0) == [] or pytest.fail("a channel was set"))
 

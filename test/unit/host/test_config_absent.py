@@ -22,12 +22,8 @@ serial: /dev/ttyUSB0
 sensor_type: hx717
 """
 SENSORS = """\
-[hall_filament_width_sensor]
-adc1: PA2
 [angle hotend]
 cs_pin: PA3
-[tsl1401cl_filament_width_sensor]
-pin: PA4
 [load_cell]
 sensor_type: hx711
 """
@@ -49,13 +45,9 @@ def test_a_printer_starts_without_palette_and_sensors_and_says_so_once(tmp_path:
     session.run(lambda s: s.sleep(5.0))
     assert session.state[1] == "ready"
     (notice,) = notices(session)
-    probe, width, other, palette = notice.splitlines()[1:]
+    probe, other, palette = notice.splitlines()[1:]
     assert probe.startswith("// [load_cell_probe] (printer.cfg, line 3): there is no probe")
-    assert width.startswith("// [hall_filament_width_sensor] (printer.cfg, line 5), [tsl1401cl_")
-    assert "(printer.cfg, line 9): the filament's width is not measured" in width
-    assert other.startswith(
-        "// [angle] (printer.cfg, line 7), [load_cell] (printer.cfg, line 11): the sensor"
-    )
+    assert other.startswith("// [angle] (printer.cfg, line 5), [load_cell] (printer.cfg, line 7): the sensor")
     assert palette.startswith("// [palette2] (printer.cfg, line 1): the Palette is not driven")
     (warning,) = session.status("configfile")["warnings"]
     assert warning["type"] == "runtime_warning"
@@ -111,8 +103,6 @@ def test_save_config_keeps_what_is_left_out(tmp_path: Path) -> None:
 ABSENT_PROBE = """\
 [probe_eddy_current eddy]
 sensor_type: ldc1612
-[sx1509 duex]
-i2c_address: 62
 """
 
 
@@ -131,9 +121,9 @@ def test_homing_by_a_probe_that_is_left_out_fails_with_its_section(tmp_path: Pat
 def test_a_sensor_on_a_pin_that_is_left_out_stops_the_start(tmp_path: Path) -> None:
     text = start_error(
         tmp_path,
-        "[replicape]\n[temperature_sensor bed]\nsensor_type: Generic 3950\nsensor_pin: replicape:host_adc4\n",
+        "[load_cell_probe]\n[temperature_sensor bed]\nsensor_type: Generic 3950\nsensor_pin: probe:force\n",
     )
-    assert "Pin 'replicape:host_adc4' can not be read: Ferrite does not have [replicape] yet" in text
+    assert "Pin 'probe:force' can not be read: Ferrite does not have [load_cell_probe] yet" in text
 
 
 def test_sections_and_options_nobody_knows_are_refused_all_at_once(tmp_path: Path) -> None:

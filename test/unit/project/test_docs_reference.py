@@ -110,7 +110,7 @@ def documented_fields() -> dict[str, set[str]]:
             name = line[4:].strip()
             found[name] = set()
         elif line.startswith("* ") and name:
-            found[name] |= set(re.findall(r"`([a-z_0-9]+)`", line))
+            found[name] |= set(re.findall(r"`([A-Za-z_0-9]+)`", line))
     return found
 
 
