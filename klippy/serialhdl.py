@@ -27,6 +27,7 @@ BatchHandler = Callable[[Any, int], None]
 
 PULL_MAX = 64
 BATCH_MAX = 32
+UNDECODED_BYTES = 4096  # taken at once
 IDENTIFY_CHUNK = 40  # bytes of dictionary asked for at once: the answer fits a block
 IDENTIFY_CHUNK_MIN = 8  # on a line that damages bytes a short answer arrives more often than a long one
 IDENTIFY_PROGRESS_S = 5.0  # a device that has answered lately is waited for
@@ -94,6 +95,7 @@ class SerialReader:
         self._port: serialport.Port | None = None
         self._pulled = self._ffi.new("struct pull_message[]", PULL_MAX)
         self._batch = self._ffi.new("struct pull_message[]", BATCH_MAX)
+        self._undecoded = self._ffi.new("uint8_t[]", UNDECODED_BYTES)
         self._on_batch: BatchHandler | None = None
         self._stats = self._ffi.new("struct serialqueue_stats *")
         self._tables = _Tables()
@@ -111,6 +113,7 @@ class SerialReader:
         self._tables.waiters.clear()
         self._tables.notices.clear()
         self._tables.undecoded.clear()
+        self._tables.undecoded_len = 0
         self._on_batch = None
         self._clock = _Clock()
 
@@ -228,6 +231,8 @@ class SerialReader:
         while count := self._lib.serialqueue_pull(self._sq, pulled, PULL_MAX):
             # decode all before calling anybody: a handler may come back here
             received = [self._unpack(pulled[i]) for i in range(count)]
+            if self._tables.undecoded_len:
+                self._drain_undecoded()  # before the answers that came after them
             for notify_id, params in received:
                 if notify_id:
                     notice = self._tables.notices.pop(notify_id, None)
@@ -250,24 +255,38 @@ class SerialReader:
             if count < BATCH_MAX:
                 break
 
+    def _drain_undecoded(self) -> None:
+        start = self._tables.undecoded_len
+        while used := self._lib.serialqueue_pull_patient(self._sq, self._undecoded, UNDECODED_BYTES):
+            data, at = self._ffi.buffer(self._undecoded, used)[:], 0
+            while at < used:
+                begin, at = at + 1, at + 1 + data[at]
+                handler = self._tables.undecoded.get(data[begin : begin + start])
+                if handler is not None:
+                    handler(data[begin + start : at])
+                elif params := self._decode(data[begin:at]):
+                    now = self.reactor.monotonic()
+                    self._dispatch(params | {"#sent_time": now, "#receive_time": now})
+
     def _unpack(self, message: Any) -> tuple[int, Params]:
         params: Params = {}
         if message.len:
-            content = self._ffi.buffer(message.data, message.len)[:]
-            undecoded = self._tables.undecoded.get(content[: self._tables.undecoded_len])
-            if undecoded is not None:
-                undecoded(content[self._tables.undecoded_len :])
-                return 0, {}
-            try:
-                params = self.msgparser.parse(content)
-            except msgproto.error as e:
-                # before the dictionary is there an MCU that has just booted may greet: nothing to worry about
-                level = logging.WARNING if self.msgparser.version else logging.DEBUG
-                logging.log(level, "%sundecodable message %s: %s", self.warn_prefix, content.hex(), e)
+            params = self._decode(self._ffi.buffer(message.data, message.len)[:])
+            if not params:
                 return 0, {}
         params["#sent_time"] = message.sent_time
         params["#receive_time"] = message.receive_time
         return message.notify_id, params
+
+    def _decode(self, content: bytes) -> Params:
+        """{} where it is no message."""
+        try:
+            return self.msgparser.parse(content)
+        except msgproto.error as e:
+            # before the dictionary is there an MCU that has just booted may greet: nothing to worry about
+            level = logging.WARNING if self.msgparser.version else logging.DEBUG
+            logging.log(level, "%sundecodable message %s: %s", self.warn_prefix, content.hex(), e)
+            return {}
 
     def _dispatch(self, params: Params) -> None:
         key = (params["#name"], params.get("oid"))

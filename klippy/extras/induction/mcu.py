@@ -89,7 +89,9 @@ class InductionUnit:
         self._queue_plan: Any = None
         self._set_ceiling: Any = None
         self._share = 0xFFFF  # of the rows, as the firmware begins ...
-        self._ceiling_c = self._target_c = math.inf  # ... and the step of the target, and the target, it is for
+        self._ceiling_c = self._target_c = (
+            math.inf
+        )  # ... and the step of the target, and the target, it is for
         self._period_s = math.inf
         self._batched = False
         self._stream: convert.Stream | None = None
