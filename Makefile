@@ -11,7 +11,7 @@ ifndef V
 endif
 
 .DEFAULT_GOAL := help
-.PHONY: help setup setup-test sim chelper demo printer deb test test-browser test-flash check format bench bench-plan bench-control bench-machines bench-clog bench-studies soak soak-motion soak-api soak-kill fuzz mutants clean distclean
+.PHONY: help setup setup-test sim chelper demo printer deb test test-browser test-flash check format bench bench-plan bench-control bench-disturbance bench-machines bench-clog bench-studies soak soak-motion soak-api soak-kill fuzz mutants clean distclean
 
 help:
 	@echo "make demo    print a part on the simulated induction printer; report in $(OUT)/demo"
@@ -24,6 +24,7 @@ help:
 	@echo "make bench   print the 5 MB benchy in closed loop and report speed and memory (QUICK=1: the short file)"
 	@echo "make bench-thermometer  accuracy and latency of the estimate, beside the published chain"
 	@echo "make bench-control      every control law on the same plants, and on random machines (studies; QUICK=1)"
+	@echo "make bench-disturbance  a sine on the reading: how much of it reaches the true temperature (a study; QUICK=1)"
 	@echo "make bench-motion       moves a second, batch mode and print (PEER=\"CMD\": a peer beside it; QUICK=1)"
 	@echo "make bench-steady       printing in real time beside a busy computer; memory of ten hours (QUICK=1)"
 	@echo "make bench-api          50 clients of the API during ten minutes of printing (QUICK=1: one)"
@@ -94,6 +95,7 @@ bench-motion: ARGS = $(if $(PEER),--peer "$(PEER)")
 
 # Benches that are studies, and what each measures besides.
 STUDIES_bench-control := control control_machines
+STUDIES_bench-disturbance := disturbance
 STUDIES_bench-plan    := plan_prints plan_steps
 STUDIES_bench-machines := bench_machines
 STUDIES_bench-clog    := clog lost_flow clean_prints

@@ -23,6 +23,7 @@ from link.mcu_homing import MULTI_TIMEOUT_S
 from link.mcu_io import MCU_adc, MCU_digital_out, MCU_endstop, MCU_pwm, MCU_trsync, TriggerDispatch
 from link.mcu_session import ConfigScript, TaskLoad, missing_command, read_dictionary, shutdown_help
 from link.optional_board import CONNECT_S, OptionalBoard
+from link.step_writer import StepWriter
 from serialhdl import CommandQueryWrapper, CommandWrapper
 
 __all__ = [
@@ -50,29 +51,6 @@ PIN_TYPES: dict[str, Callable[..., Any]] = {
     "pwm": MCU_pwm,
     "adc": MCU_adc,
 }
-
-
-class StepWriter:
-    """Where the finished step commands of one MCU go (see serialqueue_send_batch)."""
-
-    def __init__(self, serial: serialhdl.SerialReader, move_count: Callable[[], int]) -> None:
-        self.move_count = move_count  # places in the move queue for steps, once the MCU is configured
-        self._serial = serial
-        self._lib = serial._lib
-        self.sq = serial.get_serialqueue()
-        self.cq = serial.alloc_command_queue()
-
-    def send(self, messages: Any) -> None:
-        """Queue a list of struct queue_message; takes ownership."""
-        if self._lib.serialqueue_send_batch(self.sq, self.cq, messages) < 0:
-            raise serialhdl.error("a step command has an impossible length")
-        self.notify()
-
-    def notify(self) -> None:
-        """C code has queued something by itself."""
-        port = self._serial.port
-        if port is not None:
-            port.notify()
 
 
 class MCU:

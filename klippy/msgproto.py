@@ -335,7 +335,7 @@ class MessageFormat:
         encode, numbers, out, written = _encoder()
         count, message = len(self.leading), self.id_bytes
         try:
-            numbers[0:count] = values[:count]
+            numbers[0:count] = values if count == len(values) else values[:count]
             size = encode(self.leading, numbers, out)
         except (TypeError, OverflowError):  # a name, or a number of another kind
             size = -1

@@ -124,14 +124,18 @@ class SystemTime:
 
 
 class ReactorTimer:
-    """Handle of a registered timer. `ticket` is the live heap entry's number, 0 when not scheduled."""
+    """Handle of a registered timer.
 
-    __slots__ = ("callback", "ticket", "waketime")
+    `ticket` is its place in the order of timers, 0 when not scheduled; `entry` the number of its heap entry. The two
+    differ after the timer was moved to a later time: the entry is moved when it comes to the top.
+    """
+
+    __slots__ = ("callback", "due", "entry", "ticket", "waketime")
 
     def __init__(self, callback: EventCallback) -> None:
         self.callback = callback
-        self.waketime = _NEVER
-        self.ticket = 0
+        self.waketime = self.due = _NEVER
+        self.ticket = self.entry = 0
 
 
 class ReactorFileHandler:
@@ -271,20 +275,26 @@ class Reactor:
 
     def update_timer(self, timer_handler: ReactorTimer, waketime: float) -> None:
         """Move a timer. From inside its own callback the callback's return value wins."""
-        if timer_handler.ticket:
-            self._live -= 1
+        was_due = timer_handler.due if timer_handler.ticket else _NEVER
         timer_handler.waketime = waketime
         if waketime >= _NEVER:
-            timer_handler.ticket = 0
+            if timer_handler.ticket:
+                timer_handler.ticket = timer_handler.entry = 0
+                self._live -= 1
             return
         if waketime < self._pass_time:
             waketime = self._pass_time
         self._tickets = ticket = self._tickets + 1
-        timer_handler.ticket = ticket
-        self._live += 1
+        timer_handler.due = waketime
+        if timer_handler.ticket and waketime >= was_due:
+            timer_handler.ticket = ticket
+            return
+        if not timer_handler.ticket:
+            self._live += 1
+        timer_handler.ticket = timer_handler.entry = ticket
         heapq.heappush(self._heap, (waketime, ticket, timer_handler))
         if len(self._heap) > 2 * self._live + _COMPACT_MARGIN:
-            self._heap[:] = [entry for entry in self._heap if entry[2].ticket == entry[1]]
+            self._heap[:] = [entry for entry in self._heap if entry[2].entry == entry[1]]
             heapq.heapify(self._heap)
 
     def unregister_timer(self, timer_handler: ReactorTimer) -> None:
@@ -437,7 +447,7 @@ class Reactor:
         wait, poll, monotonic = self.time_source.wait, self._fds, self.monotonic
         while self._running:
             while heap and heap[0][2].ticket != heap[0][1]:
-                heapq.heappop(heap)  # moved or stopped since: nothing to wake up for
+                self._settle_top()  # moved or stopped since: nothing to wake up for
             due = heap[0][0] if heap else _NEVER
             wait(due, poll)
             self._pass_time = now = monotonic()
@@ -450,14 +460,25 @@ class Reactor:
             last_ticket = self._tickets
             while heap and self._running:
                 waketime, ticket, timer = heap[0]
+                if timer.ticket != ticket:
+                    self._settle_top()
+                    continue
                 if waketime > now or ticket > last_ticket:
                     break
                 heapq.heappop(heap)
-                if timer.ticket == ticket:
-                    self._fire(timer, now)
+                self._fire(timer, now)
+
+    def _settle_top(self) -> None:
+        """The top of the heap is no longer its timer's place in order: move it there, or drop it."""
+        _, ticket, timer = self._heap[0]
+        if timer.entry == ticket:
+            timer.entry = timer.ticket
+            heapq.heapreplace(self._heap, (timer.due, timer.ticket, timer))
+        else:
+            heapq.heappop(self._heap)
 
     def _fire(self, timer: ReactorTimer, now: float) -> None:
-        timer.ticket = 0
+        timer.ticket = timer.entry = 0
         timer.waketime = _NEVER
         self._live -= 1
         waketime = timer.callback(now)

@@ -23,11 +23,11 @@ enum {
     PAUSE_INTERVALS = 16,  /* after so many without leaving the interrupt, tasks get PORT_TIMER_PAUSE_TICKS */
     LATE_MAX_US = 100000,  /* a timer that runs later than this: the machine is overloaded */
 };
-/* A timer nearer than this is waited for inside the interrupt, where leaving and coming again costs more. */
-#ifdef PORT_TIMER_WAIT_TICKS
-enum { WAIT_TICKS = PORT_TIMER_WAIT_TICKS };
+/* So long in one interrupt, then others get their turn. */
+#ifdef PORT_TIMER_INTERVAL_TICKS
+enum { INTERVAL_TICKS = PORT_TIMER_INTERVAL_TICKS };
 #else
-enum { WAIT_TICKS = 0 };
+enum { INTERVAL_TICKS = PORT_CLOCK_HZ / 1000000u * 96 };
 #endif
 
 /* Time for the tasks when timers leave them none (after PAUSE_INTERVALS); steps are late by that much then. */
@@ -37,7 +37,7 @@ enum { PAUSE_TICKS = PORT_TIMER_PAUSE_TICKS };
 enum { PAUSE_TICKS = 0 };
 #endif
 
-#define UNLIKELY(condition) __builtin_expect(condition, 0)
+
 
 /* What __builtin_setjmp keeps: frame, place, stack.  Registers are saved and loaded by the function that lands. */
 struct recovery {
@@ -45,7 +45,6 @@ struct recovery {
 };
 
 static struct {
-    struct timer *timers;             /* ascending waketime */
     struct recovery *recovery;        /* the innermost sched_guarded() */
     uint32_t shutdown_clock;
     uint32_t pass_ticks;              /* how long the last pass of the tasks took */
@@ -60,13 +59,14 @@ static struct {
     uint8_t intervals_busy;           /* since tasks have last had a turn */
     volatile uint8_t tasks_waiting;
 } sched;
+struct sched_turn sched_turn;
 
 static struct task_wake announce_wake;
 
 static void
 power_on_state(void)
 {
-    sched.timers = NULL;
+    sched_turn.timers = NULL;
     sched.recovery = NULL;
     sched.shutdown_clock = 0;
     sched.pass_ticks = 0;
@@ -88,27 +88,14 @@ power_on_state(void)
  * Timers
  ****************************************************************/
 
-/* Into the list from `link` on; behind those of the same clock. */
-static inline void
-insert_from(struct timer **link, struct timer *t)
-{
-    struct timer *next = *link;
-    while (next && !timer_is_before(t->waketime, next->waketime)) {
-        link = &next->next;
-        next = next->next;
-    }
-    t->next = next;
-    *link = t;
-}
-
 void
 sched_add_timer_always(struct timer *t)
 {
     irqstatus_t flag = irq_save();
     if (timer_is_before(t->waketime, timer_read_time()))
         shutdown(SHUTDOWN_TIMER_TOO_CLOSE);
-    insert_from(sched.dispatching ? &sched.timers->next : &sched.timers, t);
-    if (sched.timers == t)
+    sched_insert(sched.dispatching ? &sched_turn.timers->next : &sched_turn.timers, t);
+    if (sched_turn.timers == t)
         timer_kick();
     irq_restore(flag);
 }
@@ -124,7 +111,7 @@ void
 sched_del_timer(struct timer *t)
 {
     irqstatus_t flag = irq_save();
-    for (struct timer **link = sched.dispatching ? &sched.timers->next : &sched.timers; *link; link = &(*link)->next) {
+    for (struct timer **link = sched.dispatching ? &sched_turn.timers->next : &sched_turn.timers; *link; link = &(*link)->next) {
         if (*link != t)
             continue;
         *link = t->next;
@@ -137,17 +124,7 @@ uint32_t
 sched_next_waketime(void)
 {
     /* Empty only between a shutdown and the next house-keeping timer; look again soon. */
-    return sched.timers ? sched.timers->waketime : timer_read_time() + timer_from_us(1000);
-}
-
-/* The head of the list has run and wants to again, but another is due before it.  Returns the new head. */
-static struct timer *
-put_back(struct timer *t)
-{
-    struct timer *next = t->next;
-    sched.timers = next;
-    insert_from(&next->next, t);
-    return next;
+    return sched_turn.timers ? sched_turn.timers->waketime : timer_read_time() + timer_from_us(1000);
 }
 
 static inline uint8_t
@@ -164,7 +141,7 @@ comes_soon(uint32_t late)
     if (!(late >> 31))
         shutdown(SHUTDOWN_RESCHEDULED_IN_PAST);
     sched.intervals_late = 0;
-    if (-late <= WAIT_TICKS)
+    if (-late <= PORT_TIMER_WAIT_TICKS)
         return 1;
     sched.intervals_busy = 0;
     return 0;
@@ -176,7 +153,10 @@ run_due_timers(void *unused)
 {
     (void)unused;
     uint_fast8_t left = INTERVAL_EVENTS;
-    struct timer *t = sched.timers;
+    struct timer *t = sched_turn.timers;
+#ifndef PORT_TIMER_RETURNS
+    sched_turn.end = timer_read_time() + INTERVAL_TICKS;
+#endif
     while (t) {
         uint32_t late = timer_read_time() - t->waketime;
         if (UNLIKELY(late > timer_from_us(LATE_MAX_US))) {
@@ -184,11 +164,24 @@ run_due_timers(void *unused)
                 continue;
             return;
         }
-        if (UNLIKELY(t->func(t) == SF_DONE))
-            t = sched.timers = t->next;
-        else if (UNLIKELY(!still_first(t)))
-            t = put_back(t);
-        if (UNLIKELY(!--left))
+        uint8_t result = t->func(t);
+        if (result == SF_DONE) {
+            t = sched_turn.timers = sched_turn.timers->next;
+        } else if (LIKELY(result < SF_SORTED)) {
+            if (!still_first(t))
+                t = sched_put_back(t);
+        } else {
+            if (result == SF_INTERVAL_OVER)
+                break;
+            t = sched_turn.timers;
+            if (result != SF_SORTED)
+                sched.intervals_late = 0;
+            if (result == SF_NOTHING_DUE) {
+                sched.intervals_busy = 0;
+                return;
+            }
+        }
+        if (!--left)
             break;
     }
     sched.intervals_busy++;
@@ -209,7 +202,7 @@ uint32_t
 sched_timer_dispatch(void)
 {
     sched_report(SCHED_TIMERS);
-    sched.dispatching = sched.timers != NULL;
+    sched.dispatching = sched_turn.timers != NULL;
     sched_guarded(run_due_timers, NULL);
     sched.dispatching = 0;
     return sched.intervals_busy < PAUSE_INTERVALS ? sched_next_waketime() : after_pause();
@@ -347,7 +340,7 @@ sched_shutdown_reason(void)
 static void
 make_safe(void)
 {
-    sched.timers = NULL;
+    sched_turn.timers = NULL;
     sched.dispatching = 0;
     compile_time_shutdown();
 }

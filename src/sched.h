@@ -22,17 +22,81 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "board/timer.h"
 #include "shutdown_reasons.h"
 
-enum { SF_DONE, SF_RESCHEDULE };
+/* What a timer function returns.  After SF_DUE it runs the timer sched_next_due() gave, and the last four come from there;
+ * SF_DONE then speaks of the timer it gave last. */
+enum { SF_DONE, SF_RESCHEDULE, SF_DUE, SF_SORTED, SF_SOON, SF_NOTHING_DUE, SF_INTERVAL_OVER };
+
+/* A timer nearer than this is waited for inside the interrupt, where leaving and coming again costs more. */
+#ifndef PORT_TIMER_WAIT_TICKS
+#define PORT_TIMER_WAIT_TICKS 0
+#endif
 
 struct timer {
     struct timer *next;
-    uint8_t (*func)(struct timer *);  /* returns SF_DONE, or SF_RESCHEDULE with a new waketime stored */
+    uint8_t (*func)(struct timer *);  /* returns SF_DONE, or SF_RESCHEDULE with a new waketime stored, or what sched_next_due() says */
     uint32_t waketime;
 };
 
+#define LIKELY(condition) __builtin_expect(condition, 1)
+#define UNLIKELY(condition) __builtin_expect(condition, 0)
 #define container_of(ptr, type, member) ((type *)((char *)(ptr) - offsetof(type, member)))
+
+/* The timers, and the end of the interval in which they are run.  For sched.c and the inline functions here. */
+extern struct sched_turn {
+    struct timer *timers;  /* ascending waketime; while one runs it is the head */
+    uint32_t end;
+} sched_turn;
+
+/* Into the list from `link` on; behind those of the same clock. */
+static inline void
+sched_insert(struct timer **link, struct timer *t)
+{
+    const uint32_t waketime = t->waketime;
+    struct timer *next;
+    while ((next = *link) && !timer_is_before(waketime, next->waketime))
+        link = &next->next;
+    t->next = next;
+    *link = t;
+}
+
+/* The head of the list has run and wants to again, but another is due before it.  Returns the new head. */
+static inline struct timer *
+sched_put_back(struct timer *t)
+{
+    struct timer *head = sched_turn.timers = t->next;
+    sched_insert(&head->next, t);
+    return head;
+}
+
+/* For a function that runs often and has stored the next waketime of its timer t: the timer it is to run next without
+ * leaving, which has this function too, and SF_DUE; or else what to return.  `end` is sched_turn.end.  There is always a timer
+ * behind: that of the house-keeping. */
+static inline uint8_t
+sched_next_due(struct timer **t, uint8_t (*func)(struct timer *), uint32_t end)
+{
+#ifdef PORT_TIMER_RETURNS
+    (void)t, (void)func, (void)end;
+    return SF_RESCHEDULE;
+#else
+    struct timer *head = *t;
+    uint32_t waketime = head->waketime, next_waketime = head->next->waketime;
+    if (LIKELY(!timer_is_before(waketime, next_waketime))) {
+        *t = head = sched_put_back(head);
+        if (UNLIKELY(head->func != func))
+            return SF_SORTED;
+        waketime = next_waketime;
+    }
+    uint32_t now = timer_read_time();
+    if (UNLIKELY(timer_is_before(now, waketime)))
+        return waketime - now > PORT_TIMER_WAIT_TICKS ? SF_NOTHING_DUE : SF_SOON;
+    if (UNLIKELY(timer_is_before(end, now)))
+        return SF_INTERVAL_OVER;
+    return SF_DUE;
+#endif
+}
 
 /* Any context.  A waketime that has already passed shuts down with "Timer too close".  The timer must not be in the list
  * already (sched_del_timer first); one whose function is running is: it says by its return value what becomes of it, and

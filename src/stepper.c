@@ -49,6 +49,7 @@ struct stepper {
     struct trsync_signal stop_signal;
     uint32_t step_clock;          /* nominal clock of the next step, or of the last one when idle; see timer */
     uint32_t pulse_ticks;
+    timer_low_t pulse_end;        /* of the last short pulse */
     int32_t position;             /* where the segment under way ends */
     uint8_t active : 1;           /* the timer is running */
     uint8_t pulse_high : 1;       /* in a pulse; the event to come ends it */
@@ -97,11 +98,10 @@ idle(struct stepper *s)
     return SF_DONE;
 }
 
-/* The last step of a segment, and on to the next. */
+/* The last step of a segment has been made: SF_RESCHEDULE if there is another segment. */
 static __attribute__((noinline)) uint8_t
-both_edges_last(struct stepper *s)
+segment_ended(struct stepper *s)
 {
-    gpio_out_toggle(s->step_pin);
     s->left = 0;
     s->step_clock = s->timer.waketime;
     if (!begin_segment(s))
@@ -114,16 +114,23 @@ both_edges_last(struct stepper *s)
 static uint8_t
 both_edges_event(struct timer *t)
 {
-    struct stepper *s = container_of(t, struct stepper, timer);
-    uint_fast16_t left = s->left - 1;
-    if (!left)
-        return both_edges_last(s);
-    s->left = left;
-    gpio_out_toggle(s->step_pin);
-    __asm__ volatile("" ::: "memory"); /* what follows is not to be begun before: registers would have to be saved */
-    t->waketime += s->interval;
-    s->interval += (uint32_t)(int32_t)s->add;
-    return SF_RESCHEDULE;
+    const uint32_t end = sched_turn.end;
+    uint8_t result;
+    do {
+        struct stepper *s = container_of(t, struct stepper, timer);
+        gpio_out_toggle(s->step_pin);
+        uint_fast16_t left = s->left - 1;
+        if (UNLIKELY(!left)) {
+            if (segment_ended(s) == SF_DONE)
+                return SF_DONE;
+        } else {
+            s->left = left;
+            t->waketime += s->interval;
+            s->interval += (uint32_t)(int32_t)s->add;
+        }
+        result = sched_next_due(&t, both_edges_event, end);
+    } while (result == SF_DUE);
+    return result;
 }
 
 /* Timer, twice a step. */
@@ -150,19 +157,30 @@ pulse_event(struct timer *t)
 static uint8_t
 short_pulse_event(struct timer *t)
 {
-    struct stepper *s = container_of(t, struct stepper, timer);
-    gpio_out_toggle(s->step_pin);
-    uint32_t begun = timer_read_time(), now;
-    uint8_t more = s->left > 1 && next_step(s);
-    do
-        now = timer_read_time();
-    while (now - begun < s->pulse_ticks);
-    gpio_out_toggle(s->step_pin);
-    if (!more && !next_step(s))
-        return idle(s);
-    uint32_t earliest = now + s->pulse_ticks;
-    t->waketime = timer_is_before(s->step_clock, earliest) ? earliest : s->step_clock;
-    return SF_RESCHEDULE;
+    const uint32_t end = sched_turn.end;
+    uint8_t result;
+    do {
+        struct stepper *s = container_of(t, struct stepper, timer);
+        const timer_low_t ticks = (timer_low_t)s->pulse_ticks;
+        while ((timer_low_t)(timer_read_low() - s->pulse_end) < ticks)
+            ; /* or by chance a round of the low bits later: a wait for nothing, no longer than a pulse */
+        gpio_out_toggle(s->step_pin);
+        const timer_low_t begun = timer_read_low();
+        const uint_fast16_t left = s->left - 1;
+        if (LIKELY(left)) {
+            s->left = left;
+            t->waketime += s->interval;
+            s->interval += (uint32_t)(int32_t)s->add;
+        }
+        while ((timer_low_t)(timer_read_low() - begun) < ticks)
+            ;
+        gpio_out_toggle(s->step_pin);
+        s->pulse_end = timer_read_low();
+        if (UNLIKELY(!left) && segment_ended(s) == SF_DONE)
+            return SF_DONE;
+        result = sched_next_due(&t, short_pulse_event, end);
+    } while (result == SF_DUE);
+    return result;
 }
 #else
 enum { PORT_SHORT_PULSE_TICKS = 0 };

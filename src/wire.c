@@ -52,21 +52,18 @@ wire_put_vlq(uint8_t *out, int32_t value)
 const uint8_t *
 wire_get_vlq(const uint8_t *at, const uint8_t *end, int32_t *value)
 {
-    uint32_t sum = 0;
-    for (uint8_t group = 0; group < VLQ_SIZE_MAX; group++) {
-        if (at >= end)
+    if (at >= end)
+        return NULL;
+    uint8_t byte = *at++;
+    uint32_t sum = (byte & 0x60) == 0x60 ? ~(uint32_t)0x7f | byte : byte & 0x7f;
+    for (uint8_t more = VLQ_SIZE_MAX - 1; byte & 0x80; more--) {
+        if (!more || at >= end)
             return NULL;
-        uint8_t byte = *at++;
-        if (group)
-            sum = (sum << 7) | (byte & 0x7f);
-        else
-            sum = (byte & 0x60) == 0x60 ? ~(uint32_t)0x7f | byte : byte & 0x7f;
-        if (!(byte & 0x80)) {
-            *value = (int32_t)sum;
-            return at;
-        }
+        byte = *at++;
+        sum = sum << 7 | (byte & 0x7f);
     }
-    return NULL;
+    *value = (int32_t)sum;
+    return at;
 }
 
 uint8_t

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +14,7 @@ from . import pulse_counter
 from .outputs.scheduled_pin import ScheduledPin
 
 _PIN_MIN_TIME_S = 0.1  # how far ahead of the MCU's clock a change outside the move queue is placed
+_CHANGES_MAX = 64  # more than M106 in the moves of some seconds
 _KICK_RISE = 0.5  # a rise of speed beyond this is kicked even if the fan turns already
 
 
@@ -47,6 +49,7 @@ class Fan:
         self.printer = config.get_printer()
         self.settings = read_settings(config, default_shutdown_speed)
         self.last_fan_value = 0.0
+        self.changes: deque[tuple[float, float]] = deque(maxlen=_CHANGES_MAX)  # newest (print time, speed)
         pins = self.printer.lookup_object("pins")
         self.mcu_fan = pins.setup_pin("pwm", config.get("pin"))
         self.mcu_fan.setup_max_duration(0.0)
@@ -80,6 +83,7 @@ class Fan:
         if power == before:
             return
         self.last_fan_value = power
+        self.changes.append((print_time, power))
         starts = before == 0.0 or power - before > _KICK_RISE * self.settings.max_power
         kick_s = self.settings.kick_start_time_s
         if power and kick_s and power < self.settings.max_power and starts:

@@ -130,7 +130,7 @@ class NozzleMonitor:
         self._temp_c = news.temp_c
         reading = flow_monitor.HeatReading(
             news.time_s, news.temp_c, balance.second_c, balance.second_doubt_c, heat_j, planned_mm3,
-            self._heater.loop.fan.before, self._news,
+            self._heater.loop.fan.at(news.time_s), self._news,
         )  # fmt: skip
         self._news = 0.0
         if flow_monitor.observe(p, state, reading):

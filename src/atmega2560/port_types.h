@@ -15,6 +15,17 @@
 /* 50 us for the tasks, if timers leave them none. */
 #define PORT_TIMER_PAUSE_TICKS 800
 
+#define PORT_TIMER_RETURNS
+
+/* While timers run no other interrupt reads or writes the timer's wide registers. */
+#define PORT_TIMER_LOW
+typedef uint16_t timer_low_t;
+static inline timer_low_t
+timer_read_low(void)
+{
+    return TCNT5;
+}
+
 /* A driver's shortest pulse is 1 to 2 us: 4 are waited for with interrupts allowed. */
 #define PORT_SHORT_PULSE_TICKS 64
 

@@ -5,6 +5,8 @@
  * 16-bit timer extends it in its port.
  *
  *   timer_read_time   now; any context; must never step back
+ *   timer_read_low    its low bits, as timer_low_t; timer functions only.  A port that reads them faster than the whole
+ *                     clock defines PORT_TIMER_LOW, the type and the function
  *   timer_kick        any context, interrupts disabled: the first timer of the list has changed.  The port makes its
  *                     timer interrupt fire at sched_next_waketime(), at once if that has passed.
  *
@@ -16,6 +18,11 @@
  *                            takes longer)
  *   PORT_TIMER_PAUSE_TICKS   what tasks get now and then when timers would leave them nothing
  *   PORT_SHORT_PULSE_TICKS   step pulses up to this long are ended within the same event
+ *   PORT_TIMER_INTERVAL_TICKS  timers are run for so long, then other interrupts and tasks get their turn; 96 us
+ *   PORT_TIMER_RETURNS       defined where a timer function that stays for the next timer costs more than one that returns:
+ *                            on few registers
+ *
+ * and, where the compiler makes more than a comparison and a branch of it, PORT_TIMER_IS_BEFORE and that function.
  */
 #ifndef BOARD_TIMER_H
 #define BOARD_TIMER_H
@@ -25,6 +32,14 @@
 #include "port_types.h"
 
 uint32_t timer_read_time(void);
+#ifndef PORT_TIMER_LOW
+typedef uint32_t timer_low_t;
+static inline timer_low_t
+timer_read_low(void)
+{
+    return timer_read_time();
+}
+#endif
 void timer_kick(void);
 
 static inline uint32_t
@@ -34,10 +49,12 @@ timer_from_us(uint32_t us)
 }
 
 /* Is clock a earlier than clock b?  True order for clocks less than 2^31 ticks apart. */
+#ifndef PORT_TIMER_IS_BEFORE
 static inline uint8_t
 timer_is_before(uint32_t a, uint32_t b)
 {
     return (int32_t)(a - b) < 0;
 }
+#endif
 
 #endif

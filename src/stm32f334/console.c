@@ -106,7 +106,8 @@ console_read(uint8_t *byte)
         return 0;
     *byte = console.rx[console.rx_read];
     console.rx_read = (console.rx_read + 1) % RX_SIZE;
-    look_for_request(*byte);
+    if (console.matched || *byte == (uint8_t)request[0])
+        look_for_request(*byte);
     return 1;
 }
 

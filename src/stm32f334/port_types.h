@@ -20,6 +20,16 @@
  * Fewer make it shorter (steps wait for it) but cost more in total; the figures are in docs/reference/STM32F334.md. */
 #define PORT_SYNC_HALF_LEN 384
 
+/* One comparison: the sign of the difference.  The compiler subtracts and then compares with zero. */
+#define PORT_TIMER_IS_BEFORE
+static inline uint8_t
+timer_is_before(uint32_t a, uint32_t b)
+{
+    int before;
+    __asm__("cmp %1, %2" : "=@ccmi"(before) : "r"(a), "r"(b));
+    return (uint8_t)before;
+}
+
 #define PORT_WIRE_CRC16 /* wire_crc16() is the chip's: seal.c */
 
 struct gpio_out {

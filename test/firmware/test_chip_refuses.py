@@ -244,7 +244,7 @@ def test_a_processor_that_spins_in_an_interrupt_is_reset() -> None:
     """The list of timers bitten into its own tail: no timer runs any more, no task, no guard. The watchdog is left."""
     chip = heating()
     since = chip.now
-    head = chip.chip.peek("=sched")
+    head = chip.chip.peek("=sched_turn")
     chip.post("debug_write", order=2, addr=head, val=head)  # its `next` is itself
     chip.run(0.6)
     assert chip.chip.counters()["resets"] == 1

@@ -19,7 +19,7 @@ from reference.model_reference_filter import (
     schedule_at,
     taken_over,
 )
-from thermal.control.control_api import ControlInput, ControlOutput
+from thermal.control.control_api import ControlInput, ControlOutput, Reference
 from thermal.models.heater_model import ModelParameters, Nodes
 from thermal.records import Planned, Sample
 
@@ -29,6 +29,11 @@ SINGLE_STEPS = 6  # of the plan; the later ones are twice as long
 PIECE_S = 0.02  # flow and fan are looked at so often
 TEMP = Nodes._fields.index("temp_c")
 SETTLED_MM3_S = 0.2  # the flow at the nozzle still follows that of the motor when farther from it than this
+
+
+# The mean of a reading that swings.
+RIDDEN_C, RIDDEN_AFTER_S, RIDDEN_SWINGS, RIDDEN_NEAR_C = 0.5, 2.0, 6.0, 10.0
+RIDDEN_S, RIDDEN_MAX_C = 1.0, 4.0
 
 
 def _wanted(inputs: ControlInput, time_s: float) -> float:
@@ -44,6 +49,27 @@ def _target(
     else:
         now_c, then_c = reference_at(inputs.reference, time_s), reference_at(inputs.reference, time_s + dt_s)
     return then_c - min(p.band_c, max(-p.band_c, now_c - temp_c)) * remaining
+
+
+def _ridden(p: ModelParameters, state: ModelState, inputs: ControlInput, dt_s: float) -> ModelState:
+    """With what is added to the wanted temperature while the reading swings."""
+    share = min(1.0, max(0.0, dt_s / RIDDEN_S))
+    now_c = _wanted(inputs, state.time_s)
+    swings = p.coloured_c2_s > 0.0 and state.swing_c >= RIDDEN_C
+    is_near = abs(now_c - state.nodes.temp_c) <= min(RIDDEN_NEAR_C, RIDDEN_SWINGS * state.swing_c)
+    swinging_s, ridden_c = state.swinging_s + dt_s if swings and is_near else 0.0, state.ridden_c
+    if not swings:
+        ridden_c -= share * ridden_c
+    elif swinging_s >= RIDDEN_AFTER_S:
+        ridden_c = min(RIDDEN_MAX_C, max(-RIDDEN_MAX_C, ridden_c + share * (now_c - state.read_c)))
+    return state._replace(swinging_s=swinging_s, ridden_c=ridden_c)
+
+
+def _shifted(inputs: ControlInput, by_c: float) -> ControlInput:
+    line = inputs.reference
+    if line is None:
+        return inputs._replace(reference_c=inputs.reference_c + by_c)
+    return inputs._replace(reference=Reference(line.times_s, tuple(c + by_c for c in line.temps_c)))
 
 
 class _Future:
@@ -187,6 +213,7 @@ def model_step(
 ) -> tuple[ControlOutput, ModelState]:
     """One step with the measurements up to `time_s`; the output is meant from apply_s on."""
     samples = _samples(p, state, inputs, time_s)
+    before_s = state.time_s
     state = observe(p, state, samples, inputs.flow_mm3_s, inputs.fan)
     apply_s = inputs.apply_s if inputs.apply_s == inputs.apply_s else time_s + p.delay_s
     own = inputs.pending is None
@@ -194,6 +221,8 @@ def model_step(
         off = Planned(apply_s, 0.0)
         sent = _remembered(state, time_s, off) if own else ()
         return ControlOutput(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), state._replace(output=0.0, sent=sent)
+    state = _ridden(p, state, inputs, state.time_s - before_s)
+    inputs = _shifted(inputs, state.ridden_c)
     future = _Future(p, state, inputs, state.time_s)
     future.follow(state.sent if inputs.pending is None else inputs.pending, samples[-1].output, apply_s)
     at = future.nodes

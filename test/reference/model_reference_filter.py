@@ -181,6 +181,9 @@ class ModelState(NamedTuple):
     swing_c: float = 0.0  # amplitude of innovations that swing to and fro
     half_c: float = 0.0  # peak of the present half wave
     before_c: float = 0.0  # size of the one before
+    swinging_s: float = 0.0  # for so long the reading has swung
+    read_c: float = 0.0  # newest reading
+    ridden_c: float = 0.0  # added to the wanted temperature while the reading swings
     slant_c: float = 0.0  # what full drive by itself adds to the reading
     usual: float = 0.0  # share of full drive at which the reading is taken for the truth
     sent: tuple[Planned, ...] = ()  # own outputs, where the caller gives none that are pending
@@ -252,7 +255,9 @@ def begin(p: ModelParameters, temp_c: float, time_s: float, before: ModelState |
     output = before.output if before is not None else 0.0
     sent = before.sent if before is not None else ()
     usual = output / p.output_high
-    return ModelState(time_s, nodes, 0.0, gain, tuple(rows), 0.0, time_s, output, usual=usual, sent=sent)
+    return ModelState(
+        time_s, nodes, 0.0, gain, tuple(rows), 0.0, time_s, output, usual=usual, sent=sent, read_c=temp_c
+    )
 
 
 def taken_over(p: ModelParameters, state: ModelState, disturbance_w: float) -> ModelState:
@@ -586,6 +591,9 @@ def _observe_piece(
         run.offset_output,
         lean,
         *swing,
+        state.swinging_s,
+        run.nodes.sensor_c + by_c,
+        state.ridden_c,
         slant_c,
         usual,
         state.sent,

@@ -23,6 +23,7 @@ class FlowAhead:
         self.extruder_name = extruder_name
         self.flow = self.fan = IDLE
         self._looked_s = -1e9
+        self._changes: tuple[tuple[float, float], ...] = ()  # of the fan: print time, speed
         self._ffi, self._lib = chelper.get_ffi()
         self._filament = self._ffi.new("struct filament_flow *")
         self._lib.filament_flow_reset(self._filament)
@@ -35,10 +36,12 @@ class FlowAhead:
             return False
         self._looked_s = now_s
         self.flow = self._flow(now_s)
-        fan = self.printer.lookup_object("fan", None)
-        speed = fan.get_status(now_s)["speed"] if fan is not None else 0.0
-        if speed != self.fan.before:
-            self.fan = Schedule.constant(speed)
+        part_fan = self.printer.lookup_object("fan", None)
+        fan = getattr(part_fan, "fan", None)
+        if fan is not None and tuple(fan.changes) != self._changes:
+            self._changes = tuple(fan.changes)
+            changes = sorted(self._changes)
+            self.fan = Schedule(tuple(at for at, _ in changes), tuple(speed for _, speed in changes))
         return True
 
     def _flow(self, now_s: float) -> Schedule:

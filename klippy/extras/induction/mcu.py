@@ -89,9 +89,8 @@ class InductionUnit:
         self._queue_plan: Any = None
         self._set_ceiling: Any = None
         self._share = 0xFFFF  # of the rows, as the firmware begins ...
-        self._ceiling_c = self._target_c = (
-            math.inf
-        )  # ... and the step of the target, and the target, it is for
+        # ... and the step of the target, and the target, it is for
+        self._ceiling_c = self._target_c = math.inf
         self._period_s = math.inf
         self._batched = False
         self._stream: convert.Stream | None = None
@@ -200,11 +199,12 @@ class InductionUnit:
         """Send phases in order of time, in place of all that is pending from the first of them on."""
         if not commands:
             return
-        clock = self.mcu.print_time_to_clock(commands[0].time_s)
-        steps, periods = b"", 0
-        for command in commands[:PLAN_STEPS_MAX]:
-            at = max(periods, round((command.time_s - commands[0].time_s) / self._period_s))
-            steps += PLAN_STEP.pack(min(0xFFFF, at - periods), command.phase_ticks)
+        first_s, ticks, _ = commands[0]
+        clock, periods = self.mcu.print_time_to_clock(first_s), 0
+        steps = PLAN_STEP.pack(0, ticks)
+        for time_s, ticks, _ in commands[1:PLAN_STEPS_MAX]:
+            at = max(periods, round((time_s - first_s) / self._period_s))
+            steps += PLAN_STEP.pack(min(0xFFFF, at - periods), ticks)
             periods = at
         self._queue_plan.send([self._oid, clock, steps], minclock=0, reqclock=clock)
 

@@ -24,7 +24,9 @@ def collect(
         value = _of_summary(summary, figure["summary"]) if "summary" in figure else _of_trace(columns, figure)
         less = found.get(figure["less"]) if figure.get("less") else 0.0
         if value is not None:
-            value = None if less is None else float(f"{value - less + (figure.get('add') or 0.0):.9g}")
+            value = None if less is None else value - less + (figure.get("add") or 0.0)
+        if value is not None:
+            value = float(f"{value / (figure.get('per') or 1.0):.9g}")
         found[name] = value
     return found
 
@@ -37,7 +39,7 @@ def columns_of(figures: Mapping[str, Mapping[str, Any]]) -> list[str]:
             terms = [figure["trace"], figure["minus"], figure.get("weight") or ""]
             terms += [term for term, _, _ in figure["where"]]
             used = [name for term in terms for name in _NAME.findall(term) if name != "abs"]
-            if figure["take"] == "seconds" or figure.get("average_s"):
+            if figure["take"] in ("seconds", "sine") or figure.get("average_s"):
                 used.append("t_s")
             names.update(dict.fromkeys(used))
     return list(names)
@@ -84,6 +86,8 @@ def _of_trace(columns: Mapping[str, Any], figure: Mapping[str, Any]) -> float | 
         return None
     weights = columns[figure["weight"]][keep] if figure.get("weight") else np.ones(np.sum(keep))
     values = values[keep]
+    if figure["take"] == "sine":
+        return float(f"{_amplitude(values, columns['t_s'][keep], figure['hz']):.9g}")
     if figure.get("average_s"):
         values, weights = _averages(values, weights, columns["t_s"][keep], figure["average_s"])
     return float(f"{_reduce(values, weights, figure['take']):.9g}")
@@ -102,6 +106,13 @@ def _averages(values: Any, weights: Any, times: Any, span_s: float) -> tuple[Any
     total = np.bincount(slot, weights)
     held = total > 0.0
     return np.bincount(slot, weights * values)[held] / total[held], total[held]
+
+
+def _amplitude(values: Any, times: Any, hz: float) -> float:
+    """Of the sine of this frequency in the values, by least squares beside their mean."""
+    turns = 2.0 * np.pi * hz * (times - times[0])
+    shapes = np.column_stack([np.ones_like(turns), np.sin(turns), np.cos(turns)])
+    return float(np.hypot(*np.linalg.lstsq(shapes, values, rcond=None)[0][1:]))
 
 
 def _percentile(values: Any, weights: Any, percent: int) -> float:

@@ -16,7 +16,7 @@ from .figures import columns_of
 from .formula import FormulaError, evaluate
 from .job import Job, WrongWorker, input_hashes, portable, run_child, version
 from .sampling import Parameter, draws_of, points
-from .studyfile import VARIANT, Study, near
+from .studyfile import FORMULAS, VARIANT, Study, near
 
 PLANTS = {"simulator nozzle": "nozzle", "simulator load": "load"}
 SAMPLE = "sample:"
@@ -82,10 +82,11 @@ def prepare(study: Study, sample: Callable[[str], Path]) -> Prepared:
 
 
 def _with_draws(figures: Mapping[str, dict[str, Any]], point: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Figures with what a formula of this point adds to them."""
+    """Figures with the values that their formulas have at this point."""
     draws = draws_of(point)
     return {
-        name: {**figure, "add": evaluate(figure["add"], draws)} if figure.get("add") else figure
+        name: figure
+        | {key: evaluate(f"{{{str(figure[key]).strip('{}')}}}", draws) for key in FORMULAS if figure.get(key)}
         for name, figure in figures.items()
     }
 

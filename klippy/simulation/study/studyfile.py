@@ -13,7 +13,8 @@ from typing import Any
 from .sampling import DISTRIBUTIONS, KINDS, Parameter, Plan
 
 FIGURE_NAME = re.compile(r"[a-z][a-z0-9_]*")
-TAKES = ("min", "max", "range", "mean", "rms", "max_abs", "last", "seconds")
+TAKES = ("min", "max", "range", "mean", "rms", "max_abs", "last", "seconds", "sine")
+FORMULAS = ("add", "per", "hz")  # of a figure: a number, or arithmetic with the draws in braces
 PERCENTILE = re.compile(r"p\d{1,2}(_abs)?")
 CONDITION = re.compile(
     r"\s*(\w+(?:\s*-\s*\w+)?|abs\(\w+(?:\s*-\s*\w+)?\))\s*(<=|>=|<|>)\s*(-?[\d.]+(?:e-?\d+)?)\s*"
@@ -417,7 +418,9 @@ def _read_figures(table: _Table) -> dict[str, dict[str, Any]]:
         less = one.take("less", "")
         if less and less not in figures:
             raise one.error("less", f"no figure before this one is {less!r}.{near(str(less), figures)}")
-        figures[name] |= {"less": less, "add": one.take("add", "")}
+        figures[name] |= {"less": less, **{key: one.take(key, "") for key in FORMULAS}}
+        if (take == "sine") != bool(figures[name]["hz"]):
+            raise one.error("hz", "take = 'sine' needs hz, the frequency; nothing else has one.")
         where = one.take("where", "")
         for condition in str(where).split(" and ") if where else ():
             match = CONDITION.fullmatch(condition)

@@ -16,7 +16,7 @@ struct future {
 static double
 wanted_c(const struct model_inputs *in, double time_s)
 {
-    return in->reference ? model_line_corner(in->reference, time_s) : in->reference_c;
+    return in->ridden_c + (in->reference ? model_line_corner(in->reference, time_s) : in->reference_c);
 }
 
 // Temperature wanted of the controlled node at `time_s + dt_s`; `remaining`: share of a small deviation left by then.
@@ -203,6 +203,9 @@ static void
 decide(const struct model_params *p, const struct model_state *s, const struct model_inputs *in, double before,
        double apply_s, struct model_output *out)
 {
+    struct model_inputs ridden = *in;
+    ridden.ridden_c = s->ridden_c;
+    in = &ridden;
     struct future f = {.p = p, .in = in, .gain = s->gain, .disturbance_w = s->disturbance_w, .nodes = s->nodes,
                        .time_s = s->time_s};
     if (in->is_alone)
@@ -222,6 +225,21 @@ decide(const struct model_params *p, const struct model_state *s, const struct m
     plan(&f, out->value, out);
 }
 
+// While the reading swings, an output that is cut at zero moves the mean of the estimate and of the nozzle: it heats faster
+// than it cools. The mean of the reading moves with that of the nozzle. What it is off by is added to what is wanted.
+static void
+ride(const struct model_params *p, struct model_state *s, const struct model_inputs *in, double dt_s)
+{
+    double share = lesser(1.0, greater(0.0, dt_s / RIDDEN_S)), now_c = wanted_c(in, s->time_s);
+    int swings = p->coloured_c2_s && s->swing_c >= RIDDEN_C;
+    int is_near = fabs(now_c - s->nodes.temp_c) <= lesser(RIDDEN_NEAR_C, RIDDEN_SWINGS * s->swing_c);
+    s->swinging_s = swings && is_near ? s->swinging_s + dt_s : 0.0;
+    if (!swings)
+        s->ridden_c -= share * s->ridden_c;
+    else if (s->swinging_s >= RIDDEN_AFTER_S)
+        s->ridden_c = bounded(s->ridden_c + share * (now_c - s->read_c), RIDDEN_MAX_C);
+}
+
 void
 model_step(const struct model_params *p, const struct model_state *before, const struct model_inputs *in,
            struct model_state *after, struct model_output *out)
@@ -235,11 +253,14 @@ model_step(const struct model_params *p, const struct model_state *before, const
     }
     if (after != before)
         *after = *before;
+    double before_s = after->time_s;
     model_observe(p, after, samples, count, in->flow, in->fan);
     double apply_s = in->apply_s == in->apply_s ? in->apply_s : in->time_s + p->delay_s;
     *out = (struct model_output){.predicted_c = NAN};
-    if (after->time_s == after->time_s && in->reference_c > 0.0)
+    if (after->time_s == after->time_s && in->reference_c > 0.0) {
+        ride(p, after, in, after->time_s - before_s);
         decide(p, after, in, samples[count - 1].output, apply_s, out);
+    }
     remember(after, in, apply_s, out->value);
     after->output = out->value;
 }

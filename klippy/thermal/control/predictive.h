@@ -9,6 +9,14 @@
 #define SAME_SHARE 0.004
 // Nearer than this to the reference, and not about to change: no horizon is worth sending.
 #define SETTLED_C 0.25
+// A reading that has swung by at least this for so long, with the estimate within so many swings and not farther than
+// this: its mean is brought to the wanted temperature within RIDDEN_S, up to a limit. A single disturbance ends sooner.
+#define RIDDEN_C 0.5
+#define RIDDEN_AFTER_S 2.0
+#define RIDDEN_SWINGS 6.0
+#define RIDDEN_NEAR_C 10.0
+#define RIDDEN_S 1.0
+#define RIDDEN_MAX_C 4.0
 #define SETTLED_MM3_S 0.2 // the flow at the nozzle still follows that of the motor when farther from it than this
 #define SINGLE_STEPS 6    // of the plan; the later ones are twice as long
 #define PIECE_S 0.02      // flow and fan are looked at so often
@@ -25,6 +33,7 @@ struct model_inputs {
     const struct model_sample *samples;
     const struct model_planned *pending;
     const struct model_line *reference, *flow, *fan;
+    double ridden_c; // model_state's, added to what is wanted
 };
 
 // control_api.ControlOutput

@@ -98,10 +98,11 @@ model_begin(const struct model_params *p, struct model_state *s, double temp_c, 
     s->size = at.size;
     s->nodes_known = at.nodes;
     s->nodes = model_at_rest(p, temp_c);
+    s->read_c = temp_c;
     s->time_s = s->measured_s = time_s;
     s->gain = gain;
     s->disturbance_w = s->innovation_c = s->driven = s->offset_c = s->offset_output = s->lean = s->slant_c = 0.0;
-    s->swing_c = s->half_c = s->before_c = 0.0;
+    s->swing_c = s->swinging_s = s->half_c = s->before_c = s->ridden_c = 0.0;
     s->usual = s->output / p->output_high;
 }
 
@@ -111,12 +112,6 @@ trust(struct model_state *s, int place, double sigma)
 {
     if (place >= 0)
         s->covariance[place][place] = lesser(s->covariance[place][place], sigma * sigma);
-}
-
-static double
-bounded(double value, double limit)
-{
-    return lesser(limit, greater(-limit, value));
 }
 
 void
@@ -372,7 +367,7 @@ move(const struct model_params *p, const struct model_places *at, struct model_n
 static void
 update(const struct model_params *p, const struct model_places *at, struct model_state *s, const struct run *run)
 {
-    double by_c = run->innovation_c, column[MODEL_PLACES] = {0}, gains[MODEL_PLACES] = {0};
+    double by_c = run->innovation_c, read_c = s->nodes.sensor_c + by_c, column[MODEL_PLACES] = {0}, gains[MODEL_PLACES] = {0};
     double variance = innovation_variance(s, at, run);
     int learns = !p->coloured_c2_s || run->output >= GAIN_SHARE * p->output_high;
     for (int i = 0; i < at->size; i++) {
@@ -390,6 +385,7 @@ update(const struct model_params *p, const struct model_places *at, struct model
     s->slant_c += at->slant >= 0 ? gains[at->slant] * by_c : 0.0;
     move(p, at, &s->nodes, gains, by_c);
     s->innovation_c = by_c;
+    s->read_c = read_c;
     s->measured_s = run->measured_s;
     s->driven = run->driven;
     s->offset_c = run->offset_c;

@@ -69,6 +69,7 @@ struct model_state {
     struct model_nodes nodes;
     double disturbance_w, gain;
     double innovation_c;        // newest: measured minus expected
+    double read_c;              // newest: what was measured
     double measured_s;             // newest measurement
     double output;              // newest output decided
     double driven;              // output in force at the newest measurement
@@ -76,6 +77,8 @@ struct model_state {
     double offset_output;       // ... since the output stepped to this
     double lean;                // decaying sum of innovations, each over its sigma
     double swing_c;             // amplitude of innovations that swing to and fro, the smaller of two half waves
+    double swinging_s;          // for so long the reading has swung, see predictive.c
+    double ridden_c;            // added to the wanted temperature while the reading swings, see predictive.c
     double half_c, before_c;    // peak of the present half wave, with sign, and size of the one before
     double slant_c;             // what full drive by itself adds to the reading
     double usual;               // share of full drive at which the reading is taken for the truth

@@ -41,6 +41,12 @@ greater(double a, double b)
     return b > a ? b : a;
 }
 
+static inline double
+bounded(double value, double limit)
+{
+    return lesser(limit, greater(-limit, value));
+}
+
 struct model_nodes model_at_rest(const struct model_params *p, double temp_c);
 double model_melt_w_k(const struct model_params *p, double flow_mm3_s);
 double model_hold_w(const struct model_params *p, double temp_c, double flow_mm3_s, double fan);

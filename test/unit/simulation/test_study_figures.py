@@ -65,6 +65,14 @@ def test_means_and_percentiles_may_be_weighted(
     assert found == pytest.approx(value, rel=1e-8)
 
 
+def test_the_amplitude_of_a_sine_is_found_beside_mean_and_others(tmp_path: Path) -> None:
+    trace = tmp_path / "trace.csv"
+    rows = [(i / 50, 7.0 + 1.5 * math.sin(i / 5 + 1.0) + math.cos(i / 2)) for i in range(500)]
+    trace.write_text("t_s,true_c\n" + "".join(f"{t},{c}\n" for t, c in rows))
+    figure = {"trace": "true_c", "minus": "", "take": "sine", "where": [], "hz": 10.0 / (2.0 * math.pi)}
+    assert collect({"f": {**figure, "per": 3.0}}, {}, trace)["f"] == pytest.approx(0.5, abs=0.01)
+
+
 def test_a_figure_of_the_summary_is_a_number_a_count_or_nothing() -> None:
     summary = {"heater": {"targets": [{"reach_s": 1.5}], "rms": None}, "faults": ["a", "b"]}
     paths = {
