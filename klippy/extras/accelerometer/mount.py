@@ -29,6 +29,7 @@ UP_S = 3.0  # mean of the acceleration
 START_S = 1.0  # after ready: clients are connected and see what is wrong
 RATE_MIN = 2.5  # samples a second over the end of the band
 HARMONICS = (1, 2, 3)  # of a motor's steps
+SPEED_CHANGE_MAX_MM_S = 30.0  # of a motor, from a window to the next: more shakes the whole machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +79,7 @@ class MountVibration:
         self._meter: Any = None
         self._rate_hz = 0.0
         self._motors: list[Any] = []
+        self._speeds: list[float] = []  # of the window before, mm/s
         self._waiting: list[SeenWindow] = []
         self._bands: list[tuple[float, float]] = []  # steps a second that shake the mount in its band
         self._before: Motion | None = None
@@ -129,7 +131,11 @@ class MountVibration:
     def _design(self, rate_hz: float) -> None:
         p = self.parameters
         self._rate_hz = rate_hz
-        notches = [(hz, 0.2 * hz) for hz in self._notches if abs(hz - p.frequency_hz) > 0.5 * p.width_hz]
+        shaper = self.printer.lookup_object("input_shaper", None)
+        frame = [axis.frequency_hz for axis in shaper.axes if axis.frequency_hz] if shaper is not None else []
+        notches = [
+            (hz, 0.2 * hz) for hz in [*self._notches, *frame] if abs(hz - p.frequency_hz) > 0.5 * p.width_hz
+        ]
         self._meter.set_sections(design(p.frequency_hz, p.width_hz, notches[:6], rate_hz))
         wide_hz = 0.75 * p.width_hz
         self._bands = [
@@ -212,14 +218,9 @@ class MountVibration:
             return
         lasts_s = end_s - before.time_s
         speeds = [abs(b - a) / lasts_s for a, b in zip(before.steps, motion.steps, strict=True)]
+        is_disturbed = self._accelerates(before, motion) or self._is_in_band(speeds)
         window = mount_witness.MountWindow(
-            end_s,
-            lasts_s,
-            power,
-            motion.fed_mm3 / lasts_s,
-            self.temp_c(),
-            self._is_in_band(speeds),
-            any(speeds),
+            end_s, lasts_s, power, motion.fed_mm3 / lasts_s, self.temp_c(), is_disturbed, any(speeds)
         )
         if self.recording is not None:
             self.recording.append(window)
@@ -229,6 +230,15 @@ class MountVibration:
     def _is_in_band(self, speeds: Sequence[float]) -> bool:
         """Do a motor's steps fall in the mount's band?"""
         return any(low < speed < high for low, high in self._bands for speed in speeds if speed > 0.0)
+
+    def _accelerates(self, before: Motion, motion: Motion) -> bool:
+        """Does a motor's speed change much from the window before?"""
+        last, lasts_s = self._speeds, motion.time_s - before.time_s
+        self._speeds = [
+            (b - a) * motor.get_step_dist() / lasts_s
+            for a, b, motor in zip(before.steps, motion.steps, self._motors, strict=True)
+        ]
+        return any(abs(b - a) > SPEED_CHANGE_MAX_MM_S for a, b in zip(last, self._speeds, strict=False))
 
     def _look_up(self, mean: Sequence[float], windows: int) -> None:
         """Where is gravity? Motion is no acceleration in the mean of some seconds."""
