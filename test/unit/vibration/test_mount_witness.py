@@ -105,7 +105,7 @@ class Mount:
         while self.time_s < begin_s + seconds:
             self.time_s += 0.25
             planned = flow * (1.0 + 0.3 * math.sin(self.time_s / 3.0))
-            amplitude = 0.5 * (0.4 / hole_mm) ** 3.7 * (share * planned / 5.0) ** self.flow_exponent
+            amplitude = 0.5 * (0.4 / hole_mm) ** (0.95 * self.p.exponent) * (share * planned / 5.0) ** self.flow_exponent
             power = 0.5 * amplitude**2 * self.random.gammavariate(weight, 1.0 / weight) + 1e-6
             before = self.state.is_narrowed, self.state.is_lost
             mount_witness.observe(self.p, self.state, MountWindow(self.time_s, 0.25, power, planned, 230.0))
