@@ -246,7 +246,7 @@ class InductionHeater:
                 self._view.note(commands)
         # a calibration or a dump gets each message at once
         watched = self._view is not None or bool(self.loop.listeners)
-        self.unit.set_batched(not watched and self.loop.is_steady())
+        self.unit.set_batched(0.0 if watched else self.loop.patience_s())
         if self.loop.fault and self._running:
             self._running = False
             text = f"Induction heater '{self.section_name}': {self.loop.fault}"

@@ -278,6 +278,15 @@ def test_a_held_nozzle_wakes_the_host_once_for_four_messages_until_its_target_mo
     assert in_batches(sizes_of_messages(rig, 0.1))
 
 
+def test_while_the_target_moves_as_planned_a_measurement_comes_each_10_ms() -> None:
+    rig = steady_rig()
+    rig.loop.set_reference([(rig.now_s + 0.1, TARGET_C), (rig.now_s + 4.1, TARGET_C + 20.0)], rig.now_s)
+    rig.run(0.4)
+    sizes = sizes_of_messages(rig, 3.0)
+    assert max(sizes) <= 2 * RECORDS
+    assert sizes.count(2 * RECORDS) > 0.5 * len(sizes)  # shorter where the phase steps
+
+
 @pytest.mark.parametrize(("flow", "fan", "highest_c"), [(25.0, 0.0, 0.75), (0.0, 1.0, 0.30)])
 def test_what_nobody_announced_is_answered_as_fast_as_if_each_message_came_at_once(
     flow: float, fan: float, highest_c: float
@@ -343,9 +352,9 @@ def test_below_the_lowest_drive_that_measures_each_message_comes_at_once() -> No
     assert max(sizes_of_messages(rig, 0.2)) <= RECORDS
 
 
-def test_planned_extrusion_is_met_by_steps_for_each_message() -> None:
+def test_planned_extrusion_is_met_by_steps_for_each_pair_of_messages() -> None:
     rig = Rig(Plant(3), default_parameters(law=true_law()), seed=5)
     heat(rig, 3.0)
     rig.loop.flow = Schedule((rig.now_s + 0.2,), (10.0,), 0.0)
     rig.run(0.14)  # the plan reaches 90 ms ahead
-    assert set(sizes_of_messages(rig, 0.1)) == {RECORDS}
+    assert set(sizes_of_messages(rig, 0.1)) == {2 * RECORDS}

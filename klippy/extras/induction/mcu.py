@@ -29,7 +29,6 @@ PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
 MOVE_QUEUE_SLOTS = 24
 # In steady state messages of blocks wake the host in batches: waking costs it more than the messages. Less than the
 # 25 ms between two steps that AHEAD_S of thermal/control/nozzle_model.py reckons with.
-BATCH_S = 0.020
 BATCH_SLACK_S = 0.005  # should a message be lost
 BLOCK_FORMAT = "induction_block oid=%c sequence=%hu clock=%u data=%*s"
 PLAN_STEP = struct.Struct("<HH")
@@ -92,7 +91,7 @@ class InductionUnit:
         # ... and the step of the target, and the target, it is for
         self._ceiling_c = self._target_c = math.inf
         self._period_s = math.inf
-        self._batched = False
+        self._batch_s = 0.0
         self._stream: convert.Stream | None = None
         mcu.register_config_callback(self._build_config)
 
@@ -171,13 +170,13 @@ class InductionUnit:
         if blocks.count:
             self._on_blocks(blocks)
 
-    def set_batched(self, batched: bool) -> None:
-        """Messages of blocks may wait for one another, or each is to come at once."""
-        if batched == self._batched:
+    def set_batched(self, span_s: float) -> None:
+        """Messages of blocks may wait for one another for so long; 0: each is to come at once."""
+        if span_s == self._batch_s:
             return
-        self._batched = batched
+        self._batch_s = span_s
         message_s = self.settings.records * self.settings.block_samples / self.settings.frequency_hz
-        count = max(1, int(BATCH_S / message_s)) if batched else 0
+        count = max(1, int(span_s / message_s)) if span_s else 0
         self.mcu.register_batch(self._take_batch, BLOCK_FORMAT, count * message_s + BATCH_SLACK_S, count)
 
     # Phases down

@@ -3,10 +3,10 @@
     on_blocks(blocks, now) ─ sense ─ watch ─ law ─ actuator ─> [PhaseCommand]
     on_timer(now)          ─ the same without new blocks: feeds the bridge's watchdog, or goes back to sensing
 
-Each message of blocks (5 ms; while holding, a batch of four) makes one control step. A new phase starts on an edge
-between two blocks, so that no block is cut. It is the first edge at least `lead_s` ahead: time for a busy host and for
-the link. A misjudged edge costs one short block. The returned commands replace all that was sent before for times from
-the first of them on. bridge_driver.py runs the control law (`LoopParameters.control`).
+Each message of blocks (5 ms; while holding, a batch of two or four) makes one control step. A new phase starts on an
+edge between two blocks, so that no block is cut. It is the first edge at least `lead_s` ahead: time for a busy host and
+for the link. A misjudged edge costs one short block. The returned commands replace all that was sent before for times
+from the first of them on. bridge_driver.py runs the control law (`LoopParameters.control`).
 
 The bridge turns itself off after `max_duration` without a command; `refresh_s` is a third of that. Without a
 temperature for `stale_s` the loop does not heat: it goes back to the smallest phase that still measures. Without blocks
@@ -51,6 +51,8 @@ __all__ = [
 ]
 
 FAN_W_K = 0.02  # max of what a part fan takes
+HELD_BATCH_S = 0.020
+PLANNED_BATCH_S = 0.010  # a measurement comes this often while material flows
 BALANCE_S = 0.1  # ten times a second is enough for a balance over half a minute
 
 # (block, its filtered estimate or None, print time of its arrival)
@@ -232,9 +234,13 @@ class InductionLoop:
         state = self.state
         return state.estimate.time_s - state.settled_s >= self.SETTLED_S
 
-    def is_steady(self) -> bool:
-        """Off, or held with no change planned: messages of blocks may come in batches."""
-        return self.state.target_c <= 0.0 or (self._driver.is_held() and self.is_settled())
+    def patience_s(self) -> float:
+        """Messages of blocks may come in batches of that long: off or held, and a shorter one with a change planned."""
+        if self.state.target_c <= 0.0:
+            return HELD_BATCH_S
+        if not self._driver.PLANS or not self.state.bridge.driving or not self.is_settled():
+            return 0.0
+        return HELD_BATCH_S if self._driver.is_held() else PLANNED_BATCH_S
 
     def _note_settled(self, news: TempEstimate) -> None:
         state = self.state

@@ -136,7 +136,9 @@ def _saturation(v: dict[str, float], k: float) -> tuple[float, float]:
 
 
 BLOCK_LEN, OVERSAMPLE, RECORDS = 192, 4, 3  # as [induction_heater] has them by default
-BATCH_MESSAGES, BATCH_WAIT_S = 4, 4 * 0.0048 + 0.005  # likewise: in steady state so many wake the host once
+MESSAGE_S, BATCH_SLACK_S = 0.0048, 0.005  # likewise: messages may wait for one another
+BATCH_MESSAGES = int(loop.HELD_BATCH_S / MESSAGE_S)
+BATCH_WAIT_S = BATCH_MESSAGES * MESSAGE_S + BATCH_SLACK_S
 
 
 def default_parameters(**changes: Any) -> loop.LoopParameters:
@@ -273,7 +275,7 @@ class Rig:
         self._min = 65535
         self._records: list[tuple[int, Row]] = []  # (first period, record)
         self.sent_s: list[float] = []  # when the host sent commands
-        self._batched = False
+        self._batch_s = 0.0
         self._sequence = 0
         self._mail: list[tuple[float, int, int, bytes]] = []  # (arrival, sequence, clock, data)
         self._last_arrival = 0.0
@@ -359,7 +361,7 @@ class Rig:
                 self.late += 1
             assert not self._queue or period >= self._queue[-1][0], "commands out of order"
             self._queue.append((max(period, self.period), command.phase_ticks))
-        self._batched = self.driver is None and self.loop.is_steady()
+        self._batch_s = 0.0 if self.driver is not None else self.loop.patience_s()
 
     def set_target(self, target_c: float) -> None:
         self._send(self.loop.set_target(target_c, self.now_s))
@@ -367,7 +369,8 @@ class Rig:
     def _host(self) -> None:
         now_s = self.now_s
         batch = [mail for mail in self._mail if mail[0] <= now_s]
-        count, wait_s = (BATCH_MESSAGES, BATCH_WAIT_S) if self._batched else (1, 0.0)
+        count = max(1, int(self._batch_s / MESSAGE_S))
+        wait_s = count * MESSAGE_S + BATCH_SLACK_S if self._batch_s else 0.0
         if len(batch) >= count or (batch and now_s - batch[0][0] >= wait_s):
             del self._mail[: len(batch)]
             blocks = take(self.stream, CLOCK_HZ, *(mail[1:] for mail in batch))

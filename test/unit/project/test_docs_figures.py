@@ -111,7 +111,8 @@ def control_rows() -> Iterator[str]:
     settled_s, settled_c = loop.InductionLoop.SETTLED_S, loop.InductionLoop.SETTLED_C
     yield f"holding: begin | within {settled_c:g} °C of the target for {settled_s:g} s"
     message_s = unit.records * unit.block_samples / unit.frequency_hz
-    yield f"interval of control steps | {ms(int(mcu.BATCH_S / message_s) * message_s)}"
+    for span_s, when in ((loop.HELD_BATCH_S, "nothing"), (loop.PLANNED_BATCH_S, "a change")):
+        yield f"interval of control steps with {when} planned | {ms(int(span_s / message_s) * message_s)}"
 
 
 SECTIONS = (
