@@ -66,7 +66,7 @@ class NozzleMonitor:
         self.printer = printer
         self.name, self._where = name, where
         self.history: deque[dict[str, Any]] = deque(maxlen=HISTORY_ROWS)
-        self._trace: deque[tuple[Any, ...]] = deque(maxlen=TRACE_ROWS)  # time and plot_condition.COLUMNS
+        self._trace: deque[tuple[Any, ...]] = deque(maxlen=TRACE_ROWS)  # time and report.COLUMNS
         self._options, self._alarm = options, alarm
         self._gcode = printer.lookup_object("gcode")
         self._reactor = printer.get_reactor()

@@ -1,6 +1,7 @@
-"""A picture of what [nozzle_monitor] saw: a process of its own.
+#!/usr/bin/env python3
+"""A picture of what [nozzle_monitor] saw, from the table of NOZZLE_REPORT PLOT=1.
 
-    python -m vibration.plot_condition REPORT.csv > REPORT.png
+    scripts/graph_nozzle.py /tmp/nozzle_report_NAME.csv > report.png
 
 Above the diameter with twice its standard deviation, below the evidence of a change and the lost flow. Times in which
 the nozzle is not clear are coloured. It needs matplotlib.
@@ -8,13 +9,15 @@ the nozzle is not clear are coloured. It needs matplotlib.
 
 from __future__ import annotations
 
+import in_venv  # noqa: F401  # isort: skip
+
+import argparse
 import csv
 import math
 import sys
 from pathlib import Path
 from typing import BinaryIO
 
-COLUMNS = ("t_s", "condition", "diameter_mm", "sigma_mm", "lost_flow", "evidence")
 COLOURS = {"restricted": "orange", "clogged": "red", "no_filament": "purple"}
 Row = dict[str, str]
 
@@ -52,13 +55,11 @@ def plot(rows: list[Row], output: BinaryIO) -> None:
 
 
 def main() -> int:
-    with Path(sys.argv[1]).open() as stream:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("table", type=Path, metavar="REPORT.csv")
+    with parser.parse_args().table.open() as stream:
         rows = list(csv.DictReader(stream))
-    try:
-        plot(rows, sys.stdout.buffer)
-    except ImportError as e:
-        print(f"a picture needs matplotlib in the host's Python environment ({e})", file=sys.stderr)
-        return 1
+    plot(rows, sys.stdout.buffer)
     return 0
 
 
