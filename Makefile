@@ -37,7 +37,7 @@ help:
 	@echo "make bench-clog         clogs, runouts, grinding and clean prints on random machines (studies; RUNS=4: fewer; QUICK=1)"
 	@echo "make bench-studies      the studies of config/studies: random machines, calibrated machines, the sample"
 	@echo "make soak               a long print in closed loop: does it leak? (HOURS=10, hours of wall time, too)"
-	@echo "make soak-api           clients that misbehave beside a print, one thing a simulated second (HOURS=24)"
+	@echo "make soak-api           clients that misbehave beside a print, one thing a simulated second (HOURS=24; EACH=60: a minute of each)"
 	@echo "make soak-kill          the host is killed while it writes a file (KILLS=200 of each kind)"
 	@echo "make soak-motion        random moves on every machine against the analytic path (SECONDS=600)"
 	@echo "make mutants FILE=guard  do its tests notice each small change of a safety file? (without FILE: all, hours)"
@@ -118,7 +118,7 @@ soak-motion: setup-test chelper
 	@$(PYTHON) scripts/bench/soak_motion.py --seconds $(or $(SECONDS),600)
 
 soak-api: setup sim chelper
-	@$(PYTHON) scripts/bench/soak_api.py --hours $(or $(HOURS),24)
+	@$(PYTHON) scripts/bench/soak_api.py $(if $(EACH),--each $(EACH),--hours $(or $(HOURS),24))
 
 soak-kill: setup-test chelper
 	@KILLS=$(or $(KILLS),200) $(PYTHON) -m pytest test/unit/host/test_killed.py

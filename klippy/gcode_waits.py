@@ -6,6 +6,7 @@ would wait behind it; so they are announced before they wait for the lock (`turn
     PAUSE                    the script keeps its place and gives the lock away until RESUME; then it waits anew
     CANCEL_PRINT, a restart  the script ends there, with the macros around it
     M108                     the same; a print from a file ends with an error, its heaters off
+    ABORT                    the same for a script that waits for a calibration
 
 No line behind a wait runs before the temperature is reached.
 """
@@ -52,6 +53,7 @@ class ScriptWaits:
         self._is_command = is_command
         self._pending: list[str] = []  # commands that wait for the lock and end waits
         self._holder = ""  # first command of the script that holds the lock
+        self._more: frozenset[str] = frozenset()  # what ends the present wait beside ENDING
         self._alarm: Any = None  # completed by an announcement
         self._frozen: _Frozen | None = None
         for event in ("klippy:shutdown", "klippy:disconnect"):
@@ -86,13 +88,22 @@ class ScriptWaits:
         """Whether a command from outside ends waits; PAUSE only where RESUME can let the script go on."""
         if command == PAUSE:
             return self._printer.lookup_object("pause_resume", None) is not None
-        return command in ENDING and self._is_command(command)
+        return command in ENDING | self._more and self._is_command(command)
 
     def is_waiting(self) -> bool:
         """Whether a script waits for a temperature now, or is frozen in its wait."""
         return self._alarm is not None or self._frozen is not None
 
     # --- the waiting script ---
+    @contextmanager
+    def ended_by(self, *commands: str) -> Iterator[None]:
+        """These commands end the waits within, too."""
+        before, self._more = self._more, self._more | set(commands)
+        try:
+            yield
+        finally:
+            self._more = before
+
     def sleep(self, waketime: float, what: str) -> bool:
         """One look of a wait: sleep until `waketime`, sooner if a command ends the wait. True: the script was frozen
         and goes on now, so that what it waits for must be set again. Raises ScriptEnded."""

@@ -6,7 +6,7 @@ scripts/calibrate_shaper.py /tmp/resonances_x_*.csv -o /tmp/shaper_x.png
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import sys

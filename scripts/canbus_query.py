@@ -8,7 +8,7 @@ Boards that a host has started since they were switched on do not answer. Exit s
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import sys

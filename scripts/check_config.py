@@ -10,7 +10,7 @@ buses can not be checked, for each firmware has its own. Exit status: 0 the prin
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import logging

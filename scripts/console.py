@@ -10,7 +10,7 @@ Every message of the MCU is shown. A host must not be connected to the same boar
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import ast

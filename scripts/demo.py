@@ -7,7 +7,7 @@ of charts and a picture of the part, and shows the figures.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import json

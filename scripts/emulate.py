@@ -10,7 +10,7 @@ run ends with Ctrl-C, or when the chip's model objects to something the firmware
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import logging

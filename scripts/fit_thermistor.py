@@ -9,7 +9,7 @@ resistance models).  Exit status 0 fitted, 2 the input cannot be used.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import json

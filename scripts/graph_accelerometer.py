@@ -8,7 +8,7 @@ scripts/graph_accelerometer.py /tmp/a.csv /tmp/b.csv -c -o /tmp/both.png        
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import sys

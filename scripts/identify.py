@@ -11,7 +11,7 @@ Exit status: 0 written, 2 the file is no recorded run, or one that does not dete
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import sys

@@ -8,7 +8,7 @@ scripts/log_extract.py klippy.log --plot OUT.png        temperatures, power and 
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import re

@@ -13,7 +13,7 @@ stays hot and the axes stay where they are.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import gc

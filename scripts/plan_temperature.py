@@ -11,7 +11,7 @@ firmware that has nothing else. Exit status: 0 done, 2 bad input.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import difflib

@@ -9,7 +9,7 @@ Exit status 0 drawn, 2 the file is neither, or the picture cannot be written.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import sys
@@ -32,18 +32,20 @@ GOOD_C = 2.0  # what a calibration should reach
 
 
 def draw_dump(columns: dict[str, fit_sensing.Array], figure: Figure) -> None:
-    top, middle, bottom = figure.subplots(3, 1, sharex=True)
+    top, middle, bottom = figure.subplots(3, 1, sharex=True, height_ratios=(3, 2, 2))
     time_s = columns["time"] - columns["time"][0]
-    top.fill_between(time_s, columns["raw_min"], columns["raw_max"], color="0.85", label="extremes")
-    top.plot(time_s, columns["raw_mean"], lw=0.8, label="mean")
-    top.set(ylabel="ADC code", title="Signal of the coil: mean and extremes of each block")
-    top.legend(loc="upper right")
+    if "temperature" in columns:
+        top.plot(time_s, columns["temperature"], lw=1.2, color="C3")
+    top.set(ylabel="temperature, °C", title="Temperature, as the law in force has it")
+    top.grid(alpha=0.3)
+    top.margins(x=0.01)
     middle.step(time_s, 100.0 * (columns["phase"] / fit_sensing.PHASE_FULL_TICKS) ** 2, where="post", lw=0.8)
     middle.set(ylabel="power, % of full", title="Power", ylim=(0.0, None))
-    if "temperature" in columns:
-        bottom.plot(time_s, columns["temperature"], lw=0.8)
-    bottom.set(xlabel="time, s", ylabel="temperature, °C", title="Temperature, as the law in force has it")
-    bottom.margins(x=0.01)
+    bottom.fill_between(time_s, columns["raw_min"], columns["raw_max"], color="0.85", label="extremes")
+    bottom.plot(time_s, columns["raw_mean"], lw=0.8, label="mean")
+    title = "Signal of the coil: mean and extremes of each block"
+    bottom.set(xlabel="time, s", ylabel="ADC code", title=title)
+    bottom.legend(loc="upper right")
 
 
 def draw_sweep(path: Path, figure: Figure) -> None:

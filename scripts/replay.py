@@ -11,7 +11,7 @@ Exit status: 0 the same bit for bit, 1 something moved, 2 a file is no recorded 
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import json

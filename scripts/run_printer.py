@@ -17,7 +17,7 @@ and the host is klippy/klippy.py itself, as with real boards: it needs a compute
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import contextlib

@@ -9,7 +9,7 @@ Without --pty the paths are those of the config's own `serial` options.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import logging

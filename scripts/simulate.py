@@ -9,7 +9,7 @@ and in the summary), 130 interrupted.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import json

@@ -9,7 +9,7 @@ met, 1 a limit is not met, 2 the study file is wrong or the study cannot go on, 
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import importlib.util

@@ -25,7 +25,7 @@ and, beyond Klipper's format, because an exit status alone proves little:
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import logging

@@ -11,7 +11,7 @@ the host's timers came, damaged and repeated bytes of the line, swapping, clock 
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import re

@@ -18,8 +18,10 @@ enum { STATS_SUMSQ_BASE = 256 };
 DECL_CONSTANT("STATS_SUMSQ_BASE", 256);
 enum { STATS_PERIOD_US = 5000000, UPTIME_POLL_US = 100000, IDENTIFY_MAX = 50 };
 
-/* Objects of one kind are chained in order of oid, and the first ones of the kinds: a shutdown walks them all in an interrupt.
- * Chains hold oid + 1; 0 ends them. */
+/* Objects of one kind are chained in order of oid: a shutdown walks them all in an interrupt.  The first ones of the kinds
+ * hang in a table by the kind's address, so that a kind without objects is seldom looked for.  Chains hold oid + 1; 0 ends them. */
+enum { KIND_CHAINS = 16 };
+
 struct oid_slot {
     void *type, *object;
     uint8_t next_alike;
@@ -30,7 +32,7 @@ static struct {
     char *arena;
     size_t arena_left;
     struct oid_slot *oids;
-    uint8_t oid_count, first_kind;
+    uint8_t oid_count, first_kind[KIND_CHAINS];
     uint8_t finalized;
     uint32_t config_crc;
     struct move_node *free_moves;
@@ -95,11 +97,11 @@ slot_of(uint8_t number)
     return &pool.oids[number - 1];
 }
 
-/* The link that leads to the first object of a kind; the end of the kinds' chain, if there is none. */
+/* The link that leads to the first object of a kind; the end of its chain, if there is none. */
 static uint8_t *
 link_of_kind(void *type)
 {
-    uint8_t *link = &pool.first_kind;
+    uint8_t *link = &pool.first_kind[(uintptr_t)type >> 2 & (KIND_CHAINS - 1)];
     while (*link && slot_of(*link)->type != type)
         link = &slot_of(*link)->next_kind;
     return link;

@@ -1,6 +1,8 @@
 /* Theory, formats and contexts: signal_test.h. */
 #include "signal_test.h"
 
+#include "oversample_kernel.h"
+
 enum { COMPARABLE_SHIFT = 5, RIPPLE_SHIFT = 15, RATE_SHIFT = 6 };
 static const uint32_t RATE_SPAN_MAX = 1u << 15;
 
@@ -111,10 +113,16 @@ static uint32_t
 sum_within(const uint16_t *samples, uint32_t index, uint16_t count, uint32_t start)
 {
     int32_t first = (int32_t)(start - index), end = first + SIGNAL_TEST_LEN;
-    uint32_t sum = 0;
-    for (int32_t i = first > 0 ? first : 0; i < end && i < count; i++)
-        sum += samples[i];
-    return sum;
+    if (first < 0)
+        first = 0;
+    if (end > count)
+        end = count;
+    if (end <= first)
+        return 0;
+    struct reduction r;
+    reduction_begin(&r);
+    reduction_add(&r, samples + first, (uint16_t)(end - first));
+    return r.sum;
 }
 
 /* The test is over: count it, plan the next. */

@@ -75,6 +75,7 @@ class PrinterHeaters:
         self.printer = printer
         self.sensor_factories: dict[str, SensorFactory] = {}
         self.heaters: dict[str, AnyHeater] = {}
+        self._other_names: dict[str, AnyHeater] = {}
         self.gcode_id_to_sensor: dict[str, Any] = {}
         self.available_heaters: list[str] = []
         self.available_sensors: list[str] = []
@@ -134,6 +135,7 @@ class PrinterHeaters:
         served = config.get("heater", None)
         if served is not None:
             heater = self.printer.load_object(config, f"induction_heater {served}").serve(config)
+            self._other_names[served] = heater
         else:
             heater = build_heater(config, self.setup_sensor(config))
         self.add_heater(config, heater, gcode_id)
@@ -147,8 +149,8 @@ class PrinterHeaters:
         self.register_sensor(config, heater, gcode_id)
         self.answer_to(heater.name, heater)
 
-    def answer_to(self, name: str, heater: AnyHeater) -> None:
-        """SET_HEATER_TEMPERATURE HEATER=name is for this heater."""
+    def answer_to(self, name: str | None, heater: AnyHeater) -> None:
+        """SET_HEATER_TEMPERATURE HEATER=name is for this heater; None: also without HEATER."""
 
         def set_heater_temperature(gcmd: GCodeCommand) -> None:
             self.set_temperature(heater, gcmd.get_float("TARGET", 0.0))
@@ -177,8 +179,8 @@ class PrinterHeaters:
         self.available_monitors.append(config.get_name())
 
     def lookup_heater(self, heater_name: str) -> Any:
-        """Heater by short name; raises the printer's config_error."""
-        heater = self.heaters.get(heater_name)
+        """Heater by short name, or by that of its own section; raises the printer's config_error."""
+        heater = self.heaters.get(heater_name) or self._other_names.get(heater_name)
         if heater is None:
             known = ", ".join(sorted(self.heaters)) or "none"
             raise self.printer.config_error(f"Unknown heater '{heater_name}' (known: {known})")
@@ -239,6 +241,9 @@ class PrinterHeaters:
 
     def _on_ready(self) -> None:
         self._has_started = True
+        if len(self.heaters) == 1:
+            (only,) = self.heaters.values()
+            self.answer_to(None, only)
 
     def _on_restart(self, print_time: float) -> None:
         self.turn_off_all_heaters()

@@ -19,10 +19,9 @@ from roles import Printer
 from thermal.control import loop
 from thermal.identification.run import OutputRun, as_control
 from thermal.identification.sweep import Sweep
-from thermal.records import PhaseCommand, TempEstimate
+from thermal.records import PhaseCommand
 from thermal.sensing import features, laws
 from thermal.sensing.blocks import Blocks
-from thermal.sensing.pipeline import Chain
 
 from . import heaters as heater_registry
 from .induction import calibrate as induction_calibrate
@@ -32,11 +31,13 @@ from .induction import record as induction_record
 from .induction import settings, supply_switch
 from .induction import supply as induction_supply
 from .induction.mcu import InductionUnit
+from .induction.notices import Notices
+from .induction.shown import MEASURED, ShownTemperature, SweepView
+from .induction.stopped import StoppedWatch
 from .outputs import output_file
 
 QUIET_S = 0.5  # how often it is looked whether melt or fan take heat
 LAPSE_MESSAGE_S = 60.0
-MEAN_POWER_S = 1.0  # a calibration visits all powers, some ms each: what is shown is the mean
 
 
 class Planner(Protocol):
@@ -46,30 +47,6 @@ class Planner(Protocol):
     def is_on_path(self) -> bool: ...
     def user_target_c(self) -> float: ...
     def renew(self) -> None: ...
-
-
-class SweepView:
-    """What status shows while a sweep commands the bridge: temperature by the law in force, or by the reference,
-    and the power given, a mean over the last second."""
-
-    def __init__(self, run: Sweep, p: loop.LoopParameters, now_s: float) -> None:
-        self.run = run
-        self._chain = Chain()  # the loop's own must not remember what the calibration does
-        self._chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.filter)
-        self.command = PhaseCommand(now_s, 0, 0.0)
-        self.power_w = 0.0
-        self.reference_c: float | None = None  # newest reading
-
-    def take(self, blocks: Blocks) -> TempEstimate | None:
-        news = self._chain.take(blocks)
-        self._chain.samples()
-        return news
-
-    def note(self, commands: list[PhaseCommand]) -> None:
-        for command in commands:
-            share = 1.0 - math.exp((self.command.time_s - command.time_s) / MEAN_POWER_S)
-            self.power_w += (self.command.power_w - self.power_w) * share
-            self.command = command
 
 
 class InductionHeater:
@@ -105,12 +82,12 @@ class InductionHeater:
         self._control = parameters.control  # without a run
         self.planner: Planner | None = None
         self._quiet_s = -math.inf
-        self._warned = ""
+        self.notices = Notices(printer, name)
         self._next_lapse_message = 0.0
         self._ahead: induction_flow.FlowAhead | None = None
         self._running = False
-        self._smoothed_c = 0.0
-        self._smoothed_s = -math.inf
+        self.shown = ShownTemperature(parameters, smooth_time_s)
+        self.stopped = StoppedWatch(self)
         self.record: induction_record.InductionRecord | None = None
         unit.setup_callback(self._on_blocks)
 
@@ -118,7 +95,7 @@ class InductionHeater:
         printer = self.printer
         printer.register_event_handler("klippy:ready", self._on_ready)
         printer.register_event_handler("klippy:shutdown", self._on_shutdown)
-        printer.register_event_handler("klippy:disconnect", self._stop)
+        printer.register_event_handler("klippy:disconnect", self._on_disconnect)
         printer.register_event_handler("mcu:explain_shutdown", self._explain)
 
     def serve(self, config: ConfigWrapper) -> InductionHeater:
@@ -135,14 +112,23 @@ class InductionHeater:
         return self
 
     def _show_limits(self, config: ConfigWrapper) -> None:
-        """Front ends look for a heater's limits among the settings of the extruder's own section."""
-        for option, value in (("min_temp", self.min_temp), ("max_temp", self.max_temp)):
+        """Front ends look for a heater's limits, sensor and law among the settings of the extruder's own section."""
+        shown = {
+            "min_temp": self.min_temp,
+            "max_temp": self.max_temp,
+            "sensor_type": "induction",
+            "control": self.parameters.control.law.name,
+            "smooth_time": self.smooth_time_s,
+            "max_power": self.get_max_power(),
+        }
+        for option, value in shown.items():
             if config.get(option, None, note_valid=False) is not None:
                 raise config.error(
                     f"Option '{option}' in section '{config.get_name()}' ({config.where(option)}): the extruder is"
-                    f" heated by [induction_heater {self.section_name}]; write the limit there, it holds for both."
+                    f" heated by [induction_heater {self.section_name}], which has its own; remove it here."
                 )
-            config.getfloat(option, value)
+            read = config.getfloat if isinstance(value, float) else config.get
+            read(option, value)
 
     # Life of the loop
 
@@ -152,6 +138,7 @@ class InductionHeater:
         if self.served_by:
             self._ahead = induction_flow.FlowAhead(self.printer, self.served_by)
         self.loop.start(self._now_s())
+        self.shown.start(self._now_s())
         self._running = True
         self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
 
@@ -160,7 +147,12 @@ class InductionHeater:
         if self._timer is not None:
             for line in self.loop.story.lines(self.loop.state, self.loop.chain.witness):
                 logging.info("Induction heater '%s': %s", self.section_name, line)
+            self._stop()
+            self.stopped.start()
+
+    def _on_disconnect(self) -> None:
         self._stop()
+        self.stopped.end()
 
     def _stop(self) -> None:
         """The MCU turns the bridge off in its own shutdown; here nothing more is sent."""
@@ -178,6 +170,7 @@ class InductionHeater:
             return ""
         news = self.loop.state.estimate
         last = f"its last reading was {news.temp_c:.0f} C" if news.valid else "there was no reading before"
+        self.notices.keep(reason)
         return f"Induction heater '{self.section_name}': {last}."
 
     def _now_s(self) -> float:
@@ -185,6 +178,7 @@ class InductionHeater:
 
     def _on_blocks(self, blocks: Blocks) -> None:
         if not self._running:
+            self.stopped.take(blocks)
             return
         eventtime = self._reactor.monotonic()
         now_s = self.unit.print_time_now(eventtime)
@@ -195,7 +189,10 @@ class InductionHeater:
             self.record.tick(now_s)
         self._look_ahead(now_s)
         self._send(self.loop.on_blocks(blocks, now_s), now_s)
-        self._smooth()
+        if self.shown.is_calibrated:
+            self.shown.measured(self.loop.state.estimate)
+        else:
+            self.shown.heated(now_s, 0.0)
         if (
             self._running and eventtime - self._quiet_s < QUIET_S
         ):  # while blocks come there is nothing to watch
@@ -208,13 +205,14 @@ class InductionHeater:
         news = view.take(blocks)
         if news is not None:
             self.loop.state.estimate = news
-        if view.reference_c is None:
-            self._smooth()
+            if not self.shown.is_referred(now_s):
+                self.shown.measured(news)
+        self.shown.heated(now_s, view.take_heat_j())
 
     def show_reference(self, temp_c: float) -> None:
         """A calibration's reference reads so: better than the law that is being replaced."""
         if self._view is not None:
-            self._view.reference_c = self._smoothed_c = temp_c
+            self.shown.referred(temp_c, self._now_s())
 
     def _look_ahead(self, now_s: float) -> None:
         """Planned flow and fan, for laws that know what to do with them."""
@@ -231,7 +229,7 @@ class InductionHeater:
         if eventtime - self._quiet_s >= QUIET_S:
             self._quiet_s = eventtime
             self.loop.quiet = self._is_quiet(eventtime)
-            self._warn()
+            self.notices.warn_once(self.warning())
             self._report_lapse(eventtime)
         if now_s - self.loop.state.decided_s >= period_s:
             self._send(self.loop.on_timer(now_s), now_s)
@@ -251,6 +249,7 @@ class InductionHeater:
             self._running = False
             text = f"Induction heater '{self.section_name}': {self.loop.fault}"
             logging.error("%s", text)
+            self.notices.keep(self.loop.fault)
             self.printer.invoke_shutdown(text)
 
     def _on_listener_error(self, problem: Exception) -> None:
@@ -268,30 +267,20 @@ class InductionHeater:
         fan = self.printer.lookup_object("fan", None)
         return fan is None or not fan.get_status(eventtime)["speed"]
 
-    def _warn(self) -> None:
-        """Say once what has become implausible."""
-        text = self.warning()
-        kind = text[:20]
-        if text and kind != self._warned:
-            logging.warning("Induction heater '%s': %s", self.section_name, text)
-            self.printer.lookup_object("gcode").respond_info(
-                f"Induction heater '{self.section_name}': {text}"
-            )
-        self._warned = kind
-
     def _report_lapse(self, eventtime: float) -> None:
         """Heat lapsed and was resumed: a line in the log each time, a message not too often."""
         lapse_s, self.loop.state.lapse_s = self.loop.state.lapse_s, 0.0
         if lapse_s <= self.unit.settings.max_duration_s:
             return
         text = (
-            f"Induction heater '{self.section_name}': no control for {lapse_s:.2f} s, the bridge was off meanwhile."
-            " The print goes on. The computer was too busy, or the line to the board was interrupted."
+            f"no control for {lapse_s:.2f} s, the bridge was off meanwhile. The print goes on. The computer was too"
+            " busy, or the line to the board was interrupted."
         )
-        logging.warning("%s", text)
         if eventtime >= self._next_lapse_message:
             self._next_lapse_message = eventtime + LAPSE_MESSAGE_S
-            self.printer.lookup_object("gcode").respond_info(text, log=False)
+            self.notices.warn(text)
+        else:
+            logging.warning("Induction heater '%s': %s", self.section_name, text)
 
     def warning(self) -> str:
         """What is not as it should be, "" while all is well."""
@@ -362,18 +351,9 @@ class InductionHeater:
         parameters = settings.remodelled(parameters)
         before, self.parameters = self.parameters, parameters
         self.loop.use(parameters)
+        self.shown.use(parameters)
         if self.planner is not None and parameters.melt != before.melt:
             self.planner.renew()
-
-    def _smooth(self) -> None:
-        """The displayed temperature: first-order, over `smooth_time`."""
-        news = self.loop.state.estimate
-        since_s = news.time_s - self._smoothed_s
-        if not news.valid or since_s <= 0.0:
-            return
-        share = since_s / (since_s + self.smooth_time_s) if since_s < math.inf else 1.0
-        self._smoothed_c += (news.temp_c - self._smoothed_c) * share
-        self._smoothed_s = news.time_s
 
     # The heater interface
 
@@ -427,7 +407,7 @@ class InductionHeater:
 
     def get_temp(self, eventtime: float) -> tuple[float, float]:
         """(displayed temperature, target) in degC."""
-        return self._smoothed_c, self.loop.state.target_c
+        return self.shown.temp_c, self.loop.state.target_c
 
     def check_busy(self, eventtime: float) -> bool:
         """Still on the way to the target?"""
@@ -437,7 +417,8 @@ class InductionHeater:
 
     @property
     def can_extrude(self) -> bool:
-        return self.batch or (self._view is None and self._smoothed_c >= self.min_extrude_c)
+        is_measured = self._view is None and self.shown.source == MEASURED
+        return self.batch or (is_measured and self.shown.temp_c >= self.min_extrude_c)
 
     def get_max_power(self) -> float:
         return 1.0
@@ -462,8 +443,9 @@ class InductionHeater:
         planned = self.planner is not None and self.planner.is_on_path()
         target_c = self.planner.user_target_c() if self.planner is not None and planned else state.target_c
         return {
-            "temperature": round(self._smoothed_c, 2),
-            "target": target_c,
+            "temperature": round(self.shown.temp_c, 2),
+            "temperature_source": self.shown.source,
+            "target": self._view.run.target_c if self._view is not None else target_c,
             "power": round(self._given()[0] / self.parameters.control.power_max_w, 4),
         }
 
@@ -485,6 +467,7 @@ class InductionHeater:
             "phase": phase_ticks,
             "fault": self.loop.fault or None,
             "warning": self.warning() or None,
+            "notices": self.notices.kept,
             "control": self.parameters.control.law.name,
             "flow": round(self.loop.flow.at(now_s), 3),
             "disturbance_w": _rounded(
@@ -506,11 +489,11 @@ class InductionHeater:
 
     def stats(self, eventtime: float) -> tuple[bool, str]:
         state = self.loop.state
-        active = state.target_c > 0.0 or self._smoothed_c > 50.0
+        active = state.target_c > 0.0 or self.shown.temp_c > 50.0
         power_w, phase_ticks = self._given()
         share = power_w / self.parameters.control.power_max_w
         text = (
-            f"{self.name}: target={state.target_c:.0f} temp={self._smoothed_c:.1f} pwm={share:.3f}"
+            f"{self.name}: target={state.target_c:.0f} temp={self.shown.temp_c:.1f} pwm={share:.3f}"
             f" power_w={power_w:.2f} phase={phase_ticks}"
             f" blocks_lost={self.unit.get_status()['blocks_lost']}"
         )
@@ -566,7 +549,7 @@ def load_config_prefix(config: ConfigWrapper) -> InductionSection:
     rows = settings.guard_rows(config, parameters)
     tests = settings.read_tests(config, parameters.front)
     ceiling = settings.ceiling(config, parameters, rows)
-    unit = InductionUnit(sense["chip"], sense["pin"], unit_settings, rows, tests, ceiling)
+    unit = InductionUnit(sense["chip"], sense["pin"], unit_settings, parameters.front, rows, tests, ceiling)
     heater = InductionHeater(
         printer,
         name,

@@ -11,7 +11,8 @@ host shut down, a client was dropped, memory grew or a figure misses its limit.
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
+from harness import END, ROOT, BenchError
 
 import argparse
 import json
@@ -22,8 +23,6 @@ import tempfile
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-
-from harness import END, ROOT, BenchError
 
 BASE_S = 60.0  # at most this long without clients
 SETTLE_S = 10.0  # clients are there, nothing is counted yet

@@ -10,7 +10,7 @@ plant of a hotend. The host's cost is measured last, on this machine.
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import math

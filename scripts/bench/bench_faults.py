@@ -7,7 +7,7 @@ command continues a run that was stopped.
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import shutil

@@ -11,7 +11,7 @@ which were taken on hardware or in simulavr, stand beside them.
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import sys

@@ -11,7 +11,8 @@ true skin.
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
+from harness import ROOT, SAMPLE_CONFIG
 
 import argparse
 import math
@@ -25,7 +26,6 @@ from pathlib import Path
 import numpy as np
 
 import configtext
-from harness import ROOT, SAMPLE_CONFIG
 from simulation.identify import fit, recording, report
 from simulation.sample_gcode import sample_path
 

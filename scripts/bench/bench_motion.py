@@ -22,7 +22,8 @@ Goals: the three ways within 20 % of each other, three times the peer's moves/s,
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
+from harness import ROOT
 
 import argparse
 import math
@@ -36,7 +37,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import batch_messages
-from harness import ROOT
 
 MAX_MEMORY_MB = 45.0
 MAX_SPREAD = 1.2  # of the slowest way to the fastest

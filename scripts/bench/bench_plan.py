@@ -10,7 +10,7 @@ the studies config/studies/plan_prints.toml and plan_steps.toml.
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import re

@@ -7,7 +7,7 @@ memory and its time are those of the printer stack alone. With --quick the small
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import json

@@ -9,6 +9,8 @@ as the boards count them. Three crashes: host killed (the counts are there), boa
 
 from __future__ import annotations
 
+import harness
+
 import argparse
 import random
 import sys
@@ -18,7 +20,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import harness
 from extras.recovery.journal import Journal
 from extras.recovery.path import Refusal
 from simulation.runner import RunOptions, Simulation

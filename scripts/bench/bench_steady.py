@@ -11,7 +11,8 @@
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
+from harness import Client
 
 import argparse
 import math
@@ -28,7 +29,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import bench_motion
-from harness import Client
 
 BUSY_SHARE = 0.6
 BUSY_CYCLE_S = 0.010

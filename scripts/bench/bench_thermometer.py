@@ -10,7 +10,7 @@ published chain runs on these. The line has 250 kBaud, bytes one after the other
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import math

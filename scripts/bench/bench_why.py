@@ -9,7 +9,7 @@ Half of the logs are of machines, files and seeds that the rules were not writte
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import collections

@@ -13,7 +13,7 @@ Exit status 0 the same, 1 not, 2 bad input.
 
 from __future__ import annotations
 
-import harness  # noqa: F401  # isort: skip
+import harness
 
 import argparse
 import math

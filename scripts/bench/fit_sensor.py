@@ -8,7 +8,7 @@ Exit status 0 fitted, 2 the input cannot be used (the text says why).
 
 from __future__ import annotations
 
-import harness  # noqa: F401  # isort: skip
+import harness
 
 import argparse
 import json

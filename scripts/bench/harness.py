@@ -26,7 +26,7 @@ for _folder in ("klippy", "scripts", "scripts/bench", "scripts/bench/rigs"):
     if str(ROOT / _folder) not in sys.path:
         sys.path.append(str(ROOT / _folder))
 
-import in_venv  # noqa: E402, F401
+import in_venv  # noqa: E402
 
 SAMPLE_CONFIG = ROOT / "config" / "sim-induction.cfg"
 START_TIMEOUT_S = 60.0

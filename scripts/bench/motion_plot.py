@@ -17,7 +17,7 @@ Exit status 0 drawn, 2 bad input.
 
 from __future__ import annotations
 
-import harness  # noqa: F401  # isort: skip
+import harness
 
 import argparse
 import configparser

@@ -10,7 +10,7 @@ step is gamma distributed, the heat Gaussian; no doubt of the laws is taken off.
 
 from __future__ import annotations
 
-import harness  # isort: skip  # noqa: F401
+import harness
 
 import argparse
 import sys
@@ -19,7 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
+from thermal.models.heat_loss import HeatCapacity
+from thermal.models.melt_exchange import MeltExchange
 from thermal.sensing.flow_monitor import FlowMonitorParameters
+from thermal.sensing.heat_balance_monitor import TwoNodeLoss
 from vibration.mount_witness import MountParameters
 
 CHAINS = 1000
@@ -92,7 +95,7 @@ def main() -> int:
         alarms, found = curve([of_power(p, times, p.noise_width_hz)], seconds, rng)
         left.plot(alarms, found, label=f"{name}, within {seconds} s")
     power = of_power(direct, (1.0 - LOST) ** 1.8, direct.noise_width_hz)
-    heat = of_heat(FlowMonitorParameters(None, None, None))  # type: ignore[arg-type]
+    heat = of_heat(FlowMonitorParameters(HeatCapacity(), TwoNodeLoss(), MeltExchange()))
     for name, draws in (("vibration", [power]), ("heat", [heat]), ("both", [power, heat])):
         alarms, found = curve(draws, 3, rng)
         right.plot(alarms, found, label=f"{name}, within 3 s")

@@ -8,7 +8,7 @@ numbers. Usage: scripts/bench/plot_plant.py [OUTPUT.png]
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import importlib

@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Does a client that misbehaves cost a print? One misdeed a simulated second (`make soak-api`; HOURS=24).
+"""Does a client that misbehaves cost a print? One misdeed a simulated second (`make soak-api`; HOURS=24), or each of
+them as often as it is answered for a simulated minute (EACH=60).
 
 The print runs in scripts/simulate.py with --api, in a process of its own. Time stands while the host computes, so
 this shows what is refused, what stays in memory and what stops a printer; how long the host is held up in real time is
@@ -8,7 +9,7 @@ measured by the tests of the API and of the macros.
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import csv
@@ -166,8 +167,11 @@ def resident_mb(pid: int) -> float:
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 1e6
 
 
-def misbehave(process: subprocess.Popen[bytes], path: Path) -> Iterator[tuple[float, float]]:
-    """One misdeed a simulated second until the run ends; yields simulated time and the memory of the run, MB."""
+def misbehave(
+    process: subprocess.Popen[bytes], path: Path, each_s: float = 0.0
+) -> Iterator[tuple[float, float]]:
+    """One misdeed a simulated second until the run ends, or each without a rest for each_s; yields simulated time and
+    the memory of the run, MB."""
     end = time.monotonic() + harness.START_TIMEOUT_S
     watch = None
     while watch is None and process.poll() is None and time.monotonic() < end:
@@ -180,15 +184,23 @@ def misbehave(process: subprocess.Popen[bytes], path: Path) -> Iterator[tuple[fl
     while "result" not in watch.request("objects/query", objects={"print_stats": None}):
         time.sleep(0.05)
     start_s = next_s = watch.now_s()
+    if each_s:  # beside the print itself
+        while watch.now_s() - start_s < SETTLED_S:
+            time.sleep(0.002)
     for do in itertools.cycle(misdeeds()):
         while watch.now_s() < next_s:
             time.sleep(0.002)
+        next_s = watch.now_s() + (each_s or 1.0)
         do(path)
-        next_s = watch.now_s() + 1.0
         yield watch.now_s() - start_s, resident_mb(process.pid)
+        while each_s and watch.now_s() < next_s:
+            do(path)
+            yield watch.now_s() - start_s, resident_mb(process.pid)
 
 
-def soak(seconds: float, folder: Path, seed: int = 1) -> tuple[int, list[tuple[float, float]], str]:
+def soak(
+    seconds: float, folder: Path, seed: int = 1, each_s: float = 0.0
+) -> tuple[int, list[tuple[float, float]], str]:
     """(misdeeds, memory over time, what went wrong)."""
     gcodes, config, api, trace = (
         folder / "gcodes",
@@ -217,7 +229,7 @@ def soak(seconds: float, folder: Path, seed: int = 1) -> tuple[int, list[tuple[f
     wrong = ""
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as process:
         try:
-            rows.extend(misbehave(process, api))
+            rows.extend(misbehave(process, api, each_s))
         except (ConnectionError, TimeoutError, OSError):
             if process.poll() is None and not rows:
                 wrong = "the host does not answer"
@@ -246,10 +258,15 @@ def main(argv: Sequence[str]) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--hours", type=float, default=24.0, help="simulated (default %(default)g)")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument(
+        "--each", type=float, default=0.0, metavar="SECONDS", help="one round, each for so long"
+    )
     options = parser.parse_args(argv)
+    if options.each:
+        options.hours = (SETTLED_S + options.each * (len(misdeeds()) + 0.5)) / 3600.0
     begin = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        count, rows, wrong = soak(3600.0 * options.hours, Path(folder), options.seed)
+        count, rows, wrong = soak(3600.0 * options.hours, Path(folder), options.seed, options.each)
     steady = [mb for now_s, mb in rows if now_s > SETTLED_S] or [mb for _, mb in rows] or [0.0]
     grown_mb = max(steady) - steady[0]
     print(f"{count} misdeeds in {options.hours:g} simulated hours ({time.monotonic() - begin:.0f} s)")

@@ -7,7 +7,7 @@ The short form is test/unit/motion/test_motion_properties.py. A fault names mach
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import sys

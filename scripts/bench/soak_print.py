@@ -8,7 +8,7 @@ result, and the Python objects that became more are named.
 
 from __future__ import annotations
 
-import harness  # isort: skip
+import harness
 
 import argparse
 import collections

@@ -8,7 +8,7 @@ from pathlib import Path
 
 sys.path.append(str(Path(__file__).resolve().parents[1]))
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import curses

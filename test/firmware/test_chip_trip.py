@@ -8,7 +8,7 @@ import pytest
 
 from block_codec import one_step
 from chip_rig import FREQ, Firmware
-from measure import PERIOD, clock_offset, code_at
+from measure import PERIOD, SIGNAL_TESTS, clock_offset, moving_code
 
 BLOCK = 192
 DEAD_CODE = 2000
@@ -48,10 +48,11 @@ def tripped(settle_samples: int) -> Firmware:
             {"oid": 0, "oversample": 5, "settle_samples": settle_samples, "ema_shift": 0},
         ),
         ("config_induction_block", {"oid": 0, "samples": BLOCK, "records": 2}),
+        ("config_induction_test", SIGNAL_TESTS),
         ("config_induction_limit", {"oid": 0, "phase": 1000, "low": 0, "high": 65535, "trip_blocks": 1}),
         *objects,
     )
-    chip.sample_code = code_at
+    chip.sample_code = alive = moving_code(chip)
     chip.send("induction_report", oid=0, enable=1)
     at = chip.now - clock_offset(chip) + FREQ // 100
     chip.post("queue_induction_plan", oid=0, clock=at & 0xFFFFFFFF, steps=one_step(20000))
@@ -62,7 +63,7 @@ def tripped(settle_samples: int) -> Firmware:
     chip.post("queue_induction_plan", oid=0, clock=later & 0xFFFFFFFF, steps=steps)
     chip.run(0.02)
     dies = chip.now + 3 * BLOCK // 4 * PERIOD
-    chip.sample_code = lambda clock: DEAD_CODE if clock >= dies else code_at(clock)
+    chip.sample_code = lambda clock: DEAD_CODE if clock >= dies else alive(clock)
     chip.run(0.05)
     assert chip.bridge_sets[-1][1] == 0
     assert chip.ask("induction_query", oid=0)["trip"] == 4

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import harness
+
 import argparse
 from pathlib import Path
-
-import harness  # noqa: F401  # isort: skip  (puts the rigs on the path)
 
 import pytest
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import harness
+
 import pytest
 
 import bench_thermometer
-import harness
 
 
 @pytest.mark.parametrize("units", [1.0, 6.4])

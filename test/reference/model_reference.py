@@ -1,23 +1,21 @@
 """Predictive control written out in Python, as an independent reference for the one in C.
 
-From the docstring of thermal/control/predictive.py; plant and filter are model_reference_filter.py's.
+From the docstring of thermal/control/predictive.py; filter and plant have files of their own.
 """
 
 from __future__ import annotations
 
 import math
 
-from reference.model_reference_filter import (
-    ModelState,
+from reference.model_reference_filter import ModelState, observe, taken_over
+from reference.model_reference_plant import (
     advance,
     changes,
     heat_per_output_w,
     hold_w,
     is_flat,
-    observe,
     reference_at,
     schedule_at,
-    taken_over,
 )
 from thermal.control.control_api import ControlInput, ControlOutput, Reference
 from thermal.models.heater_model import ModelParameters, Nodes

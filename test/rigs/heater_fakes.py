@@ -172,6 +172,9 @@ class FakeCommand:
     ) -> float:
         return float(self.params.get(name, default))
 
+    def get_int(self, name: str, default: int) -> int:
+        return int(self.params.get(name, default))
+
     def respond_info(self, text: str) -> None:
         self.gcode.respond_info(text)
 

@@ -35,7 +35,7 @@ def test_a_broken_coil_is_in_the_summary_with_what_stopped_it(simulate: Simulate
     run = simulate(HOLD, more=["--fault", "coil_open@6"])
     assert run.status == 3
     record = run.summary["injected"][0]
-    assert "below min_temp" in record["detected_by"] or "below its limit" in record["detected_by"]
+    assert any(words in record["detected_by"] for words in ("changed faster", "signal does not follow"))
     assert record["after_ms"] < 25.0
     assert record["bridge_off_after_ms"] < 25.0
 
@@ -53,9 +53,9 @@ def test_the_log_has_the_last_blocks_commands_and_the_plan_of_a_nozzle_that_stop
 
 
 def test_a_signal_that_jumps_is_no_reason_to_heat(simulate: Simulate) -> None:
-    run = simulate(
-        HOLD, settings=["simulator nozzle nozzle.preset=strong"], more=["--fault", "sense_gain:0.5@6"]
-    )
+    """The host's own judgement, without the board's tests of the signal, which are as quick."""
+    settings = ["simulator nozzle nozzle.preset=strong", "induction_heater nozzle.signal_test_interval=0"]
+    run = simulate(HOLD, settings=settings, more=["--fault", "sense_gain:0.5@6"])
     record = run.summary["injected"][0]
     assert "does not follow the heat" in record["detected_by"]
     assert record["after_ms"] < 40.0

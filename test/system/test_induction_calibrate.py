@@ -137,11 +137,11 @@ LOOK = """
 [delayed_gcode look]
 gcode:
   {% set nozzle = printer["induction_heater nozzle"] %}
-  { action_respond_info("LOOK %.1f %.3f %.2f %s %s" % (printer.extruder.temperature, printer.extruder.power,
-    nozzle.power_w, nozzle.calibrating, nozzle.can_extrude)) }
+  { action_respond_info("LOOK %.1f %.3f %.2f %s %s %.0f %s" % (printer.extruder.temperature, printer.extruder.power,
+    nozzle.power_w, nozzle.calibrating, nozzle.can_extrude, printer.extruder.target, nozzle.temperature_source)) }
   UPDATE_DELAYED_GCODE ID=look DURATION=1
 """
-SHOWN = re.compile(r"LOOK ([-0-9.]+) ([0-9.]+) ([0-9.]+) (True|False) (True|False)")
+SHOWN = re.compile(r"LOOK ([-0-9.]+) ([0-9.]+) ([0-9.]+) (True|False) (True|False) (\d+) (\w+)")
 
 
 @pytest.mark.parametrize(
@@ -154,7 +154,8 @@ SHOWN = re.compile(r"LOOK ([-0-9.]+) ([0-9.]+) ([0-9.]+) (True|False) (True|Fals
         ("tank", "reference", 15.0),
         ("tank", "manual", 3.0),  # the law in force, which is right here
         ("uncalibrated", "reference", 15.0),
-        ("uncalibrated", "manual", 90.0),
+        ("uncalibrated", "manual", 30.0),
+        ("uncalibrated", "one reading", 15.0),  # of another nozzle than this one
     ],
 )
 def test_status_follows_the_nozzle_while_it_is_calibrated(
@@ -164,20 +165,46 @@ def test_status_follows_the_nozzle_while_it_is_calibrated(
     log, path = tmp_path / "host.log", tmp_path / "printer.cfg"
     heater = f"[induction_heater nozzle]\nestimator: {law}\ncalibration_folder: {tmp_path}\n"
     path.write_text(f"[include {CONFIG}]\n{heater}{LOOK}{PERSON}")
-    begin = "CALIBRATE" if reference == "manual" else "INDUCTION_CALIBRATE REFERENCE=reference POWER=8"
+    begin = {
+        "manual": "CALIBRATE",
+        "one reading": "INDUCTION_CALIBRATE POWER=8\nINDUCTION_REFERENCE TEMP=25",
+        "reference": "INDUCTION_CALIBRATE REFERENCE=reference POWER=8",
+    }[reference]
     gcode = f"{begin}\nUPDATE_DELAYED_GCODE ID=look DURATION=0.5\n" + "G4 P500\n" * 60 + "ABORT\nG4 P3000\n"
     run = simulate(gcode, config=path, more=["--log", str(log)])
     assert run.status == 0, run.stderr
     rows = zip(run.column("t_s"), run.column("true_c"), run.column("estimate_c"), strict=True)
     heating = [(true_c, shown_c) for t_s, true_c, shown_c in rows if 8.0 < t_s < 29.0]
     assert max(true_c for true_c, _ in heating) > 200.0
-    assert all(abs(shown_c - true_c) < late_c for true_c, shown_c in heating)
+    late = max(abs(shown_c - true_c) for true_c, shown_c in heating)
+    assert late < late_c
     looks = SHOWN.findall(log.read_text())
     during, after = [look for look in looks if look[3] == "True"], looks[-1]
-    assert len(during) > 18 and {extrude for *_, extrude in during} == {"False"}
+    assert len(during) > 18 and {look[4] for look in during} == {"False"}
+    assert {look[5] for look in during[8:18]} == {"310"}
+    source = "reference" if reference == "reference" else "measured" if law == "tank" else "estimated"
+    assert (
+        source in {look[6] for look in during[8:18]} <= {source, "reference"}
+    )  # a typed one counts for a second
     assert all(6.0 < float(power_w) < 10.0 for _, _, power_w, *_ in during[8:18]), during  # POWER=8
     assert all(float(share) == pytest.approx(float(w) / 81.3, abs=0.001) for _, share, w, *_ in during)
     assert after[3] == "False" and float(after[2]) < 0.5
+
+
+def test_a_warm_nozzle_is_left_to_cool_before_it_is_calibrated(simulate: Simulate, tmp_path: Path) -> None:
+    """The fit takes the nozzle's temperature at rest for the room's, 25 degC here."""
+    log = tmp_path / "host.log"
+    gcode = "M109 S120\nM104 S0\nG4 P5000\nINDUCTION_CALIBRATE REFERENCE=reference WAIT=1\nG4 P500\n"
+    path = tmp_path / "printer.cfg"
+    path.write_text(f"[include {CONFIG}]\n[induction_heater nozzle]\ncalibration_folder: {tmp_path}\n")
+    run = simulate(gcode, config=path, more=["--log", str(log)])
+    text = log.read_text()
+    assert run.status == 0, run.stderr
+    assert "the nozzle is warm, wait until it is as cold as the room" in text
+    found = re.search(r"set \[induction_heater nozzle\] ambient_temp = ([0-9.]+)", text)
+    assert found is not None and float(found[1]) == pytest.approx(
+        25.0, abs=4.0
+    )  # half a degree in 15 s are 2.5 above
 
 
 def test_turning_the_heaters_off_ends_a_calibration(simulate: Simulate, tmp_path: Path) -> None:

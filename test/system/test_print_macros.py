@@ -161,3 +161,14 @@ def test_the_macros_stay_within_the_reach_of_every_machine(machine: Path, tmp_pa
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     assert "warning" not in done.stderr
+
+
+def test_a_picture_of_a_heat_up_lies_beside_the_log(simulate: Simulate, tmp_path: Path) -> None:
+    log = tmp_path / "logs" / "klippy.log"
+    log.parent.mkdir()
+    run = simulate("HEAT_UP_PICTURE NOZZLE=200\nG4 P3000\n", config=prepared(tmp_path), more=["--log", log])
+    assert run.status == 0, run.stderr
+    picture = log.parent / "heat-up.png"
+    assert f"Picture: {picture}" in log.read_text()
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert max(run.column("true_c")) > 195.0 and run.column("target_c")[-1] == 0.0

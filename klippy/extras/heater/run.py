@@ -22,6 +22,7 @@ from typing import Any
 
 import util
 from gcode import GCodeCommand
+from gcode_waits import ScriptEnded
 from roles import Printer
 from thermal.identification.run import Run
 
@@ -99,17 +100,37 @@ class Runner:
         self.gcode.register_command("ABORT", self._cmd_abort, desc="End the calibration")
         self._reported_s = self._received_s = self._reactor.monotonic()
         self._timer = self._reactor.register_timer(self._on_timer, self._reactor.NOW)
+        self._prompt(
+            f"begin {self.what} of {self.heater.name}",
+            "text The heater gets hot by itself. Abort switches it off.",
+            "footer_button Abort|ABORT|error",
+            "show",
+        )
+
+    def _prompt(self, *actions: str) -> None:
+        """A dialog in front ends that know them."""
+        for action in actions:
+            self.gcode.respond_raw(f"// action:prompt_{action}")
 
     def wait(self) -> None:
-        """Wait until the calibration is over and fitted."""
-        eventtime = self._reactor.monotonic()
-        while self.active and not self.printer.is_shutdown():
-            eventtime = self._reactor.pause(eventtime + WAIT_S)
+        """Wait until the calibration is over and fitted. Whatever else ends the wait ends the calibration, too."""
+        waits = self.gcode.waits
+        try:
+            with waits.ended_by("ABORT"):
+                while self.active and not self.printer.is_shutdown():
+                    waits.sleep(self._reactor.monotonic() + WAIT_S, f"the end of {self.what}")
+        except ScriptEnded as e:
+            if e.by != "ABORT":  # that comes itself
+                self._abort()
+            raise
 
     def say(self, text: str) -> None:
         self.gcode.respond_info(text)
 
     def _cmd_abort(self, gcmd: GCodeCommand) -> None:
+        self._abort()
+
+    def _abort(self) -> None:
         if self._run is not None:
             self._run.abort(ABORTED)
             return
@@ -154,6 +175,7 @@ class Runner:
     def _end(self) -> None:
         self.gcode.register_command("ABORT", None)
         self.active = False
+        self._prompt("end")
 
     # What becomes of the recording
 

@@ -72,20 +72,19 @@ class _Overlay:
 
 
 def heater_of(printer: Printer, gcmd: GCodeCommand, sole_nozzle: bool = False) -> Any:
-    """The heater that HEATER= names: an induction nozzle by its section's name, too, and with `sole_nozzle` by none if
-    it is the only one. An unknown one is the command's error, with the names there are."""
-    nozzles = _nozzles(printer)
-    name = gcmd.get("HEATER", None) if sole_nozzle and nozzles else gcmd.get("HEATER")
+    """The heater that HEATER= names: an induction nozzle by its section's name, too. Without HEATER the only one there
+    is, with `sole_nozzle` the only nozzle. An unknown one is the command's error, with the names there are."""
+    nozzles, registry = _nozzles(printer), printer.lookup_object("heaters")
+    choices = sorted(nozzles) if sole_nozzle and nozzles else sorted(registry.heaters)
+    name = gcmd.get("HEATER", None) or (choices[0] if len(choices) == 1 else None)
     if name is None:
-        if len(nozzles) > 1:
-            raise gcmd.error(
-                f"Error on '{gcmd.get_commandline()}': missing HEATER (choices: {', '.join(sorted(nozzles))})"
-            )
-        (name,) = nozzles
+        raise gcmd.error(
+            f"Error on '{gcmd.get_commandline()}': missing HEATER (choices: {', '.join(choices)})"
+        )
     if name in nozzles:
         return nozzles[name]
     try:
-        return printer.lookup_object("heaters").lookup_heater(name)
+        return registry.lookup_heater(name)
     except error as e:
         raise gcmd.error(str(e)) from None
 

@@ -83,6 +83,7 @@ class InductionCalibrate:
         runner = heater_run.Runner(self.printer, self.heater, "calibration")
         runner.start(run, lambda: self._finish(runner, run, gain), partial(self._read, run))
         self._run, self._reference, self._seen = run, sensor, (-1e9, 0.0)
+        self.heater.stopped.sensor = sensor
         against = "readings you enter by INDUCTION_REFERENCE" if sensor is None else reference
         self._say(
             f"Calibrating '{self.heater.section_name}' up to {limit_c:.0f} C against {against}; ABORT ends it."
@@ -113,7 +114,7 @@ class InductionCalibrate:
             raise gcmd.error("INDUCTION_REFERENCE is for a calibration with REFERENCE=manual")
         temp_c = gcmd.get_float("TEMP", minval=-20.0, maxval=600.0)
         self._run.reference(self.heater.now_s(), temp_c)
-        if not self.heater.parameters.supervise.calibrated:  # a law in force is quicker than a person
+        if not self.heater.shown.is_calibrated:  # a law in force is quicker than a person
             self.heater.show_reference(temp_c)
 
     def _read(self, run: sweep.Sweep, eventtime: float) -> None:
@@ -230,8 +231,8 @@ class InductionCalibrate:
             f"  drift against the heat balance: {_or_unknown(status['drift'], 'C')},"
             f" heat capacity found: {_or_unknown(status['capacity_ratio'], 'times the configured one')}",
         ]
-        if status["warning"]:
-            lines.append(f"  WARNING: {status['warning']}")
+        said = dict.fromkeys([*self.heater.notices.read(), status["warning"]])
+        lines += [f"  WARNING: {text}" for text in said if text]
         gcmd.respond_info("\n".join(lines))
 
 

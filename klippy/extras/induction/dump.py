@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
+import logging
+import subprocess
+import sys
+from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
+import util
 from gcode import GCodeCommand
 from roles import Printer
 from thermal.records import SampleBlock, TempEstimate
@@ -15,6 +21,8 @@ from ..outputs import output_file
 
 BATCH_S = 0.100  # rows go to clients together
 ROWS_HELD_MAX = 4000
+PLOT = Path(__file__).resolve().parents[3] / "scripts" / "plot_induction.py"
+PLOT_S = 120.0  # at most
 HEADER = ("time", "phase", "count", "raw_mean", "raw_min", "raw_max", "temperature", "latency")
 
 
@@ -30,6 +38,7 @@ class InductionDump:
         self._file: TextIO | None = None
         self._writer: Any = None
         self._from_s, self._until_s = 0.0, 0.0
+        self._is_drawn = False  # when it is full
         self._timer: Any = None
 
     def register(self) -> None:
@@ -101,6 +110,12 @@ class InductionDump:
             raise gcmd.error("INDUCTION_DUMP is writing already")
         name = gcmd.get("FILE", f"induction-{self.heater.section_name}-dump.csv")
         duration_s = gcmd.get_float("DURATION", 2.0, above=0.0, maxval=3600.0)
+        self._is_drawn = bool(gcmd.get_int("PICTURE", 0))
+        if self._is_drawn and importlib.util.find_spec("matplotlib") is None:
+            raise gcmd.error(
+                "INDUCTION_DUMP: a picture needs the Python package matplotlib. Run scripts/install.sh or `make setup`"
+                " in the folder of the host, then restart it"
+            )
         try:
             self._file = output_file.open_new(self._folder, name)
         except output_file.OutputError as e:
@@ -119,7 +134,19 @@ class InductionDump:
             self._close(e)
             return
         if time_s >= self._until_s:
+            path = Path(self._file.name) if self._file is not None else None
             self._close()
+            if path is not None and self._is_drawn:
+                self._draw(path)
+
+    def _draw(self, path: Path) -> None:
+        """In a process of its own: a picture takes seconds."""
+        reactor = self.printer.get_reactor()
+        done = reactor.run_beside(partial(_plot, path))
+        reactor.register_callback(lambda eventtime: self._say(str(done.wait())))
+
+    def _say(self, text: str) -> None:
+        self.printer.lookup_object("gcode").respond_info(text)
 
     def _close(self, problem: OSError | None = None) -> None:
         """The file is over, whether or not what is left of it can still be written."""
@@ -132,6 +159,18 @@ class InductionDump:
         except OSError as e:
             problem = problem or e
         if problem is not None:
-            self.printer.lookup_object("gcode").respond_info(
-                f"INDUCTION_DUMP ended: {stream.name} cannot be written: {problem.strerror}"
-            )
+            self._say(f"INDUCTION_DUMP ended: {stream.name} cannot be written: {problem.strerror}")
+            self._is_drawn = False
+
+
+def _plot(path: Path) -> str:
+    """On a thread of its own; what is said about it."""
+    command = util.at_ordinary_priority([sys.executable, str(PLOT), str(path)])
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PLOT_S, check=False)
+    except subprocess.TimeoutExpired:
+        return f"No picture of {path}: it took longer than {PLOT_S:.0f} s"
+    if done.returncode:
+        logging.warning("%s", done.stderr)
+        return f"No picture of {path}: {(done.stderr.strip().splitlines() or ['no reason given'])[-1]}"
+    return f"Picture: {path.with_suffix('.png')}"

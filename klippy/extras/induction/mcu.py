@@ -22,7 +22,7 @@ from thermal.sensing.blocks import Blocks
 from thermal.sensing.features import FeatureParameters
 from thermal.sensing.guard_limits import LimitRow
 
-from .signal_limits import signal_limits
+from .signal_limits import off_lsb, signal_limits
 
 PLAN_STEPS_MAX = 10  # of 4 bytes: they fit one message
 # Steps that may wait on the MCU at one time: a plan, and what stays of the one before.
@@ -32,6 +32,7 @@ MOVE_QUEUE_SLOTS = 24
 BATCH_SLACK_S = 0.005  # should a message be lost
 BLOCK_FORMAT = "induction_block oid=%c sequence=%hu clock=%u data=%*s"
 PLAN_STEP = struct.Struct("<HH")
+STATE_FORMAT = "induction_query oid=%c"  # answered by induction_state, also after a stop
 CEILING_FORMAT = "induction_ceiling oid=%c phase=%hu share=%hu"
 TEST_FORMAT = (
     "config_induction_test oid=%c moved_low=%hu moved_high=%hu off_low=%hu off_high=%hu interval=%hu phase=%hu"
@@ -73,12 +74,14 @@ class InductionUnit:
         mcu: Any,
         sense_pin: str,
         settings: UnitSettings,
+        front: FeatureParameters,
         limits: Sequence[LimitRow],
         tests: TestSettings | None = None,
         ceiling: guard_limits.Ceiling | None = None,
     ) -> None:
         self.mcu = mcu
         self.settings = settings
+        self._front = front
         self._sense_pin = sense_pin
         self._limits = list(limits)
         self._tests = tests
@@ -87,6 +90,8 @@ class InductionUnit:
         self._on_blocks: OnBlocks = lambda blocks: None
         self._queue_plan: Any = None
         self._set_ceiling: Any = None
+        self._ask_state: Any = None
+        self._on_current: Callable[[bool], None] = lambda flows: None
         self._share = 0xFFFF  # of the rows, as the firmware begins ...
         # ... and the step of the target, and the target, it is for
         self._ceiling_c = self._target_c = math.inf
@@ -131,6 +136,8 @@ class InductionUnit:
         queue = mcu.alloc_command_queue()
         self._queue_plan = mcu.lookup_command("queue_induction_plan oid=%c clock=%u steps=%*s", cq=queue)
         self._set_ceiling = mcu.try_lookup_command(CEILING_FORMAT) if self._ceiling else None
+        self._ask_state = mcu.lookup_command(STATE_FORMAT)
+        mcu.register_response(self._on_state, "induction_state", oid)
         self._period_s = period_ticks / clock_hz
         mcu.register_batch(self._take_batch, BLOCK_FORMAT)
 
@@ -169,6 +176,17 @@ class InductionUnit:
             logging.warning("induction unit on mcu '%s': %s; message ignored", name, complaint)
         if blocks.count:
             self._on_blocks(blocks)
+
+    def ask_current(self, on_current: Callable[[bool], None]) -> None:
+        """With the bridge commanded off: does current flow in the coil nevertheless? The answer comes later."""
+        if self._ask_state is not None:
+            self._on_current = on_current
+            self._ask_state.send([self._oid])
+
+    def _on_state(self, params: dict[str, Any]) -> None:
+        if not params["phase"]:
+            raw = params["value"] / (1 << self.settings.oversample)
+            self._on_current(abs(raw - self._front.adc_zero_raw) > off_lsb(self._front))
 
     def set_batched(self, span_s: float) -> None:
         """Messages of blocks may wait for one another for so long; 0: each is to come at once."""

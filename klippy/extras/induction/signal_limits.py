@@ -49,6 +49,11 @@ def moved_lsb(front: FeatureParameters, frequency_hz: float, gain_units_deg: flo
     return gain_units_deg * 360.0 * frequency_hz * moved_s / front.units_per_lsb
 
 
+def off_lsb(front: FeatureParameters) -> float:
+    """Without current the signal is no farther from its zero."""
+    return max(OFF_UNITS / front.units_per_lsb, OFF_LSB)
+
+
 def signal_limits(
     front: FeatureParameters,
     frequency_hz: float,
@@ -63,15 +68,15 @@ def signal_limits(
     if gain_units_deg is not None:
         low = far * (1.0 - MEASURED_TOLERANCE) - SLACK_LSB
         high = far * (1.0 + MEASURED_TOLERANCE) + SLACK_LSB
-    off_lsb = max(OFF_UNITS * lsb_per_unit, OFF_LSB)
+    off = off_lsb(front)
     rate_lsb = UNITS_PER_C * lsb_per_unit * RATE_SAMPLES / frequency_hz
     return SignalLimits(
         max(0, math.floor(16.0 * low)),
         min(0xFFFF, math.ceil(16.0 * high)) if moved_s else 0,
         round(256.0 * LEARNED_TOLERANCE),
         round(16.0 * SLACK_LSB),
-        max(0, math.floor(front.adc_zero_raw - off_lsb)),
-        math.ceil(front.adc_zero_raw + off_lsb),
+        max(0, math.floor(front.adc_zero_raw - off)),
+        math.ceil(front.adc_zero_raw + off),
         round(interval_s * frequency_hz),
         SENSING_PHASE_TICKS,
         math.ceil(16.0 * max(JUMP_UNITS * lsb_per_unit, JUMP_LSB)),

@@ -11,9 +11,10 @@ from __future__ import annotations
 
 import functools
 import re
+import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sized
-from typing import Any
+from typing import Any, NoReturn
 
 import jinja2
 import jinja2.nodes
@@ -229,6 +230,13 @@ class LimitedSandbox(jinja2.sandbox.SandboxedEnvironment):
         tree = _Counting().visit(source)
         tree.set_environment(self)
         return super()._generate(tree, *args, **kwargs)
+
+    def handle_exception(self, source: str | None = None) -> NoReturn:
+        """Jinja adds lines of the template to the traceback; its frames then hold each other, and their callers, until
+        the next search for cycles."""
+        if isinstance(sys.exception(), jinja2.TemplateSyntaxError):
+            super().handle_exception(source)  # its text needs that
+        raise  # noqa: PLE0704  # called while an exception is handled; a name for it here would be a cycle
 
     def call_binop(self, context: jinja2.runtime.Context, operator: str, left: Any, right: Any) -> Any:
         """a + b and the like."""

@@ -31,6 +31,7 @@ from .run import DONE, Run
 
 COLUMNS = ("t_s", "temp_ref_c", "error", "phase_ticks", "count", "duration_s")
 READING_MARK = "# reference,"  # before a reading as it came; the column is interpolated
+REST, WAIT, HEAT, COOL = "rest", "wait", "heat", "cool"  # stages; DONE follows
 POWERS_PERCENT = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0)
 
 
@@ -48,6 +49,9 @@ class SweepParameters:
     powers_percent: tuple[float, ...] = POWERS_PERCENT
     heat_w: float = 14.0  # mean: 10-30 K/s on the reference nozzle
     rest_s: float = 4.0  # at the start: a look at the nozzle as it is
+    warm_c: float = 35.0  # a nozzle above this, ...
+    still_c: float = 0.5  # ... or one that falls by more than this at rest, is left to cool ...
+    still_s: float = 15.0  # ... until it falls by less within this time
     heat_s: float = 90.0  # at most
     cool_to_c: float = 60.0
     cool_s: float = 75.0  # at most
@@ -84,20 +88,29 @@ class Sweep(Run):
     timeout_s = math.inf  # it watches blocks and reference itself: the law in use may have no reading here
 
     def __init__(self, parameters: SweepParameters, now_s: float) -> None:
-        super().__init__("rest")
+        super().__init__(REST)
         self.parameters = parameters
         self.recording = Recording()
         self.started_s = self.stage_s = self._watched_s = now_s
         self._received_s = now_s  # last blocks
         self._next_s = now_s + parameters.lead_s
         self._plan: Iterator[tuple[int, float]] = self._rest()
+        self._has_waited = False  # for a warm nozzle to cool
         self._rise = (now_s, -math.inf)  # when the reference had risen enough, and to what
         self._levels = itertools.cycle([ticks_of_percent(p) for p in parameters.powers_percent])
 
     def progress(self, temp_c: float) -> str:
         readings = self.recording.reference
         shown = f"{readings[-1][1]:.1f} C" if readings else "no reading yet"
-        return f"{self.stage} for {self._watched_s - self.stage_s:.0f} s, reference {shown}"
+        stage = (
+            "the nozzle is warm, wait until it is as cold as the room" if self.stage == WAIT else self.stage
+        )
+        return f"{stage} for {self._watched_s - self.stage_s:.0f} s, reference {shown}"
+
+    @property
+    def target_c(self) -> float:
+        """Where it heats to."""
+        return self.parameters.temp_max_c if self.stage in (WAIT, REST, HEAT) else 0.0
 
     def write(self, stream: TextIO) -> None:
         """The readings as they came, then the blocks with the reference interpolated to them."""
@@ -190,23 +203,44 @@ class Sweep(Run):
         since_s = now_s - self.stage_s
         if temp_c > p.temp_max_c + 60.0:
             self.abort(f"the reference reads {temp_c:.0f} C, far above the limit of this run")
-        elif self.stage == "rest" and since_s >= p.rest_s:
+        elif self.stage == REST and since_s >= p.rest_s:
             self._rise = (now_s, temp_c)
-            self._enter("heat", self._heat(), now_s)
-        elif self.stage == "heat":
+            if self._is_warm(temp_c):
+                self._enter(WAIT, self._rest(), now_s)
+            else:
+                self._enter(HEAT, self._heat(), now_s)
+        elif self.stage == WAIT and self._has_cooled(now_s):
+            self._has_waited = True
+            self.recording.blocks.clear()  # the run begins here
+            del self.recording.reference[:-1]
+            self._enter(REST, self._rest(), now_s)
+        elif self.stage == HEAT:
             if self._stalled(now_s, temp_c):
                 lost_w = heat_loss.loss_w(heat_loss.LossLaw(), temp_c)
                 if lost_w > p.balance_share * p.heat_w:
-                    self._enter("cool", self._cool(), now_s)  # as hot as this power makes it
+                    self._enter(COOL, self._cool(), now_s)  # as hot as this power makes it
                     return
                 self.abort(
                     f"the reference rose by only {temp_c - self._rise[1]:.1f} C in {p.contact_s:.0f} s of heating:"
                     " does it touch the nozzle, and is the nozzle in the coil?"
                 )
             elif temp_c + p.lag_s * self._slope_c_s() >= p.temp_max_c or since_s >= p.heat_s:
-                self._enter("cool", self._cool(), now_s)
-        elif self.stage == "cool" and (temp_c <= p.cool_to_c or since_s >= p.cool_s):
+                self._enter(COOL, self._cool(), now_s)
+        elif self.stage == COOL and (temp_c <= p.cool_to_c or since_s >= p.cool_s):
             self.stage = DONE
+
+    def _is_warm(self, temp_c: float) -> bool:
+        """The fit takes the temperature at rest for the room's."""
+        fell_c = self.recording.reference[0][1] - temp_c
+        return not self._has_waited and (temp_c > self.parameters.warm_c or fell_c > self.parameters.still_c)
+
+    def _has_cooled(self, now_s: float) -> bool:
+        """Has the reference stopped falling?"""
+        p, readings = self.parameters, self.recording.reference
+        before = [shown_c for read_s, shown_c in readings if read_s <= now_s - p.still_s]
+        return (
+            len(before) > 0 and before[-1] - readings[-1][1] < p.still_c and now_s - self.stage_s > p.still_s
+        )
 
     def _stalled(self, now_s: float, temp_c: float) -> bool:
         """Has the reference stopped rising?"""

@@ -168,7 +168,6 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
     choice = changes.pop("control", "model")
     front = changes.pop("front", features.FeatureParameters())
     drive = DriveLaw(power_full_w=changes.pop("power_full_w", 81.3))
-    pulse_s = block_s + settle_s + defaults.SETTLE_MARGIN_SAMPLES * PERIOD_S
     max_temp_c = changes.pop("max_temp_c", 350.0)
     loss_known = changes.pop("loss_uncertainty", 0.25)
     held = changes.pop("model", {})
@@ -190,19 +189,26 @@ def default_parameters(**changes: Any) -> loop.LoopParameters:
             isinstance(law, laws.TankLaw),
         ),
         loss,
-        actuator.ActuatorParameters(
-            drive,
-            pulse_s,
-            pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1,
-            watch_interval_s=defaults.DEFAULT_CONTROL_S,
-            look_s=settle_s + defaults.LOOK_SAMPLES * PERIOD_S,
-            long_look_s=settle_s + defaults.LONG_LOOK_SAMPLES * PERIOD_S,
-        ),
+        _actuator(drive, block_s, settle_s),
         supervision.SuperviseParameters(-10.0, max_temp_c),
         timing,
         approach,
         temperature_filter.FilterParameters(loss, heat),
         heat_balance_monitor.HeatBalanceParameters(heat, balance, loss_known),
+    )
+
+
+def _actuator(drive: DriveLaw, block_s: float, settle_s: float) -> actuator.ActuatorParameters:
+    from extras.induction import settings as defaults
+
+    pulse_s = block_s + settle_s + defaults.SETTLE_MARGIN_SAMPLES * PERIOD_S
+    return actuator.ActuatorParameters(
+        drive,
+        pulse_s,
+        pulses_max=math.ceil(defaults.DEFAULT_CONTROL_S / pulse_s) + 1,
+        watch_interval_s=defaults.DEFAULT_CONTROL_S,
+        look_s=settle_s + defaults.LOOK_SAMPLES * PERIOD_S,
+        long_look_s=settle_s + defaults.LONG_LOOK_SAMPLES * PERIOD_S,
     )
 
 

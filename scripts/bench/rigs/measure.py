@@ -4,6 +4,7 @@ what it costs in instructions. Steps and commands by themselves: rates.py.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -44,6 +45,16 @@ def code_at(clock: int) -> int:
     """What the ADC gives at a clock: no two neighbours alike, nothing periodic, nothing the guard calls clipped."""
     n = clock // PERIOD
     return 40 + ((n * 2654435761 >> 7 ^ n * 40503) & 0xFFF) % 4000
+
+
+def moving_code(chip: Firmware) -> Callable[[int], int]:
+    """A signal that moves with the sampling instant, as tests of the signal expect."""
+
+    def code(clock: int) -> int:
+        moved = chip.sampling_moves[-1][1] if chip.sampling_moves else 0
+        return 1000 + clock // PERIOD % 3 + 12 * moved
+
+    return code
 
 
 def sampling_unit(
@@ -99,9 +110,10 @@ def run_sampling(
     chip = sampling_unit(block, beside=(("config_induction_test", SIGNAL_TESTS),) if tests else ())
     given: dict[int, int] = {}
 
+    code = moving_code(chip) if tests else code_at
+
     def sample(clock: int) -> int:
-        moved = chip.sampling_moves[-1][1] if tests and chip.sampling_moves else 0
-        given[clock] = (1000 + clock // PERIOD % 3 + 12 * moved) if tests else code_at(clock)
+        given[clock] = code(clock)
         return given[clock]
 
     chip.sample_code = sample

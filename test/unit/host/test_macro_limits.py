@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 import tracemalloc
 from pathlib import Path
@@ -78,6 +79,17 @@ def test_a_template_without_a_measure_is_an_error_soon(tmp_path: Path, template:
         assert s.lines[-1] == "echo: on"
 
     Session(tmp_path, config(template)).run(body)
+
+
+def test_a_template_that_fails_leaves_nothing_for_the_search_for_cycles(tmp_path: Path) -> None:
+    def body(s: Session) -> None:
+        gc.collect()
+        for _ in range(20):
+            with pytest.raises(s.gcode.error, match=WORDS["bits"]):
+                s.gcode.run_script("TRY")
+        assert gc.collect() < 20
+
+    Session(tmp_path, config("{2**(2**30)}")).run(body)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import harness
+
 import argparse
 import json
 import math
@@ -10,8 +12,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-
-import harness
 
 Bench = Callable[[argparse.Namespace, harness.Report], None]
 

@@ -51,7 +51,7 @@ PROGRAMS = [*SIMULATION, *(p for p in (ROOT / "scripts").glob("*.py") if p not i
 @pytest.mark.parametrize(
     ("files", "known"),
     [
-        # a printer never plots; the swarm is an offline tool's
+        # the swarm is an offline tool's
         ([p for p in HOST if p.name != "fit_thermistor.py"], "requirements.txt"),
         ([*HOST, *PROGRAMS], "requirements-sim.txt"),
         ([*HOST, *PROGRAMS, *STUDY], "requirements-study.txt"),

@@ -12,8 +12,16 @@ import pytest
 
 from base_rig import Session
 from extras.heater import run as heater_run
+from gcode import CommandError
 from reactor import SystemTime
 from thermal.identification.run import DONE, Run
+
+DIALOG = [
+    "action:prompt_begin TEST of oven",
+    "action:prompt_text The heater gets hot by itself. Abort switches it off.",
+    "action:prompt_footer_button Abort|ABORT|error",
+    "action:prompt_show",
+]
 
 
 class Heater:
@@ -70,7 +78,9 @@ def calibrate(
         assert session.gcode.get_handler("ABORT") is None
 
     lines = Session(tmp_path, "", time_source).run(drive).lines
-    return [line.removeprefix("// ") for line in lines if "Klipper state" not in line]
+    lines = [line.removeprefix("// ") for line in lines if "Klipper state" not in line]
+    assert lines[: len(DIALOG)] == DIALOG and lines.pop() == "action:prompt_end"
+    return lines[len(DIALOG) :]
 
 
 def test_abort_ends_a_run_and_progress_is_reported_before(tmp_path: Path) -> None:
@@ -79,6 +89,30 @@ def test_abort_ends_a_run_and_progress_is_reported_before(tmp_path: Path) -> Non
         session.gcode.run_script("ABORT")
 
     assert calibrate(tmp_path, body) == ["TEST: heating, 100 C", "over: ended by ABORT"]
+
+
+@pytest.mark.parametrize("command", ["ABORT", "CANCEL_PRINT"])
+def test_a_client_ends_a_run_that_a_script_waits_for(tmp_path: Path, command: str) -> None:
+    """The script holds the lock of the console: the dialog's button must not wait behind it."""
+
+    def body(session: Session, runner: heater_run.Runner, run: ShortRun) -> None:
+        gcode, ended = session.gcode, []
+        gcode.register_command("CALIBRATE", lambda gcmd: runner.wait())
+        gcode.register_command("CANCEL_PRINT", lambda gcmd: None)
+
+        def script(eventtime: float) -> None:
+            with pytest.raises(CommandError, match=f"{command} ended the wait for the end of TEST"):
+                gcode.run_script("CALIBRATE\nCANCEL_PRINT")
+            ended.append(session.reactor.monotonic())
+
+        session.reactor.register_callback(script)
+        session.sleep(1.0)
+        begin_s = session.reactor.monotonic()
+        gcode.run_script(command)
+        session.sleep(0.3)
+        assert ended and ended[0] - begin_s < 0.2
+
+    assert calibrate(tmp_path, body) == ["over: ended by ABORT"]
 
 
 def test_a_second_calibration_is_refused_while_one_runs(tmp_path: Path) -> None:

@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 import chelper
 from reference import model_reference as reference
-from reference import model_reference_filter as plant
+from reference import model_reference_filter as model_filter
+from reference import model_reference_plant as plant
 from thermal.control import predictive_filter
 from thermal.control.control_api import IDLE, ControlInput, Reference, Schedule
 from thermal.control.predictive import MODEL, model_follow, model_step
@@ -226,11 +227,11 @@ def test_taking_over_is_its_equations() -> None:
     rng = random.Random(5)
     for nodes in NODES:
         p = parameters(rng, *nodes)
-        a, b = predictive_filter.begin(p, 200.0, 1.0), plant.begin(p, 200.0, 1.0)
+        a, b = predictive_filter.begin(p, 200.0, 1.0), model_filter.begin(p, 200.0, 1.0)
         same_state(a, b)
-        same_state(predictive_filter.taken_over(p, a, 70.0), plant.taken_over(p, b, 70.0))
+        same_state(predictive_filter.taken_over(p, a, 70.0), model_filter.taken_over(p, b, 70.0))
         changed = replace(p, gain_start=0.9)
-        same_state(predictive_filter.begin(changed, 90.0, 2.0, a), plant.begin(changed, 90.0, 2.0, b))
+        same_state(predictive_filter.begin(changed, 90.0, 2.0, a), model_filter.begin(changed, 90.0, 2.0, b))
 
 
 def warm(p: ModelParameters) -> tuple[predictive_filter.ModelState, ControlInput]:
@@ -279,7 +280,7 @@ def test_only_a_reference_flat_to_the_plans_end_needs_no_plan(beyond_s: float, s
     p = ModelParameters(
         heat_j_k=0.414, loss_w_k=0.02, output_w=1.0, output_high=80.0, hold_s=0.008, tau_s=0.045, ahead=11
     )
-    state, other = predictive_filter.begin(p, 250.0, 10.0), plant.begin(p, 250.0, 10.0)
+    state, other = predictive_filter.begin(p, 250.0, 10.0), model_filter.begin(p, 250.0, 10.0)
     end_s = 10.02 + (p.ahead + 1) * p.hold_s + beyond_s
     ramp = Reference((10.02, end_s), (250.0, 250.0 + slope_k_s * (end_s - 10.02)))
     held_w = heater_model.hold_w(p, 250.0, 0.0, 0.0)

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import pytest
-from test_heaters import deliver, machine
 
 from extras.outputs import output_file
 from heater_fakes import CommandError, FakeCommand, FakePrinter
+from nozzle_rig import deliver, machine
 from thermal.records import PhaseCommand
 from thermal.sensing.blocks import Blocks
 
