@@ -9,7 +9,7 @@ the nozzle is not clear are coloured. It needs matplotlib.
 
 from __future__ import annotations
 
-import in_venv  # noqa: F401  # isort: skip
+import in_venv
 
 import argparse
 import csv
