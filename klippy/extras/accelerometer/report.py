@@ -16,7 +16,7 @@ from roles import Printer
 from .commands import open_result, result_name
 
 COLUMNS = ("t_s", "condition", "diameter_mm", "sigma_mm", "lost_flow", "evidence")
-SCRIPT = Path(__file__).resolve().parents[3] / "scripts" / "graph_nozzle.py"
+SCRIPT = Path(__file__).resolve().parents[3] / "scripts" / "bench" / "plot_nozzle.py"
 
 
 def write(printer: Printer, gcmd: GCodeCommand, rows: Iterable[tuple[Any, ...]]) -> str:

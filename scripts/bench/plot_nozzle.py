@@ -1,15 +1,13 @@
 #!/usr/bin/env python3
 """A picture of what [nozzle_monitor] saw, from the table of NOZZLE_REPORT PLOT=1.
 
-    scripts/graph_nozzle.py /tmp/nozzle_report_NAME.csv > report.png
+    scripts/bench/plot_nozzle.py /tmp/nozzle_report_NAME.csv > report.png
 
 Above the diameter with twice its standard deviation, below the evidence of a change and the lost flow. Times in which
 the nozzle is not clear are coloured. It needs matplotlib.
 """
 
 from __future__ import annotations
-
-import in_venv
 
 import argparse
 import csv
