@@ -135,7 +135,8 @@ struct accelerometer {
     struct accel_chip chip;
     uint32_t noise; /* state of its generator */
     int fault;      /* enum accel_fault */
-    double next_s, last_s, last_rate[FRAME_AXES], last_mount_rate, frozen[3];
+    double rate_hz; /* of its registers, at the last tick */
+    double next_s, last_rate[FRAME_AXES + 1], frozen[3];
 };
 
 /* A probe that measures. `sum`: integral of the signal since the last conversion, up to time_s. */
@@ -181,6 +182,7 @@ struct machine {
     struct mount mount;
     int has_mount, mount_nozzle, mount_axis; /* axis: 0 to 2 */
     double frame_s, frame_step_s; /* up to when it has been advanced */
+    double frame_rates[FRAME_AXES + 1]; /* of its axes and of the mount, a step before */
     int axis_count, duty_count, fan_count, nozzle_count, load_count, reference_count, probe_count;
     int accelerometer_count, panel_count, gauge_count;
     int nozzle_of_mcu[MACHINE_MCUS]; /* index, -1 */
