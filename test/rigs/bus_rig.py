@@ -167,8 +167,16 @@ class Chip:
         assert self.parser.lookup_response(name) is not None
         self.handlers[name, oid] = callback
 
-    def let_wait(self, response: str) -> None:
-        pass
+    def let_wait(self, msgformat: str, oid: int, callback: Callable[[bytes], None]) -> None:
+        """`report()` hands these on as their bytes from after the oid."""
+        response = self.parser.lookup_command(msgformat)
+        start = len(response.id_bytes) + len(msgproto.encode_vlq(oid))
+
+        def hand_on(params: dict[str, Any]) -> None:
+            known = {"oid": oid, **params}
+            callback(response.encode([known[name] for name in response.names])[start:])
+
+        self.handlers[response.name, oid] = hand_on
 
     def require_connected(self) -> None:
         pass

@@ -10,8 +10,10 @@ import pytest
 
 from bus_devices import frames
 from bus_rig import BusSession, run, start_error
+from extras.accelerometer.bulk import BulkReader
 from extras.eddy.curve import Curve
 from extras.eddy.drift import Drift, fit, value
+from extras.load_cells.chips import unpack
 from extras.load_cells.contact import find_contact
 from extras.probing.filters import Scale, high_pass, low_pass, notch
 
@@ -140,6 +142,27 @@ def test_the_older_name_of_the_height_still_counts(tmp_path: Path) -> None:
         assert s.printer.lookup_object("probe").get_offsets()[2] == 0.7
 
     run(tmp_path, EDDY.replace("descend_z: 0.5", "z_offset: 0.7"), body, debugoutput="x")
+
+
+def test_samples_are_read_from_messages_and_a_gap_is_counted(tmp_path: Path) -> None:
+    samples: list[float | None] = []
+
+    def body(s: BusSession) -> None:
+        reader = BulkReader(s.chip, 7, 2, 4)
+        reader.build(s.chip.lookup_query_command("query_hx71x_status oid=%c", "sensor_bulk_status"))
+        reader.start(80.0)
+        s.chip.answers["query_hx71x_status"] = lambda values: {
+            "clock": 1000, "query_ticks": 10, "next_sequence": 302, "buffered": 0, "possible_overflows": 0,
+        }  # fmt: skip
+        for sequence, counts in ((0, (5, -6)), (301, (-(1 << 23), 7))):
+            data = b"".join(value.to_bytes(4, "little", signed=True) for value in counts)
+            s.chip.report("sensor_bulk_data", 7, sequence=sequence, data=data)
+        assert reader.update() == 604
+        reader.take(lambda raw, print_time: samples.append(unpack(raw)))
+        assert reader.lost_messages == 300
+
+    run(tmp_path, HX711, body, debugoutput="x")
+    assert samples == [5.0, -6.0, -8388608.0, 7.0]
 
 
 # ---- computing ---------------------------------------------------------------------------------------------
