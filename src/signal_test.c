@@ -3,7 +3,7 @@
 
 #include "oversample_kernel.h"
 
-enum { COMPARABLE_SHIFT = 5, RIPPLE_SHIFT = 15, RATE_SHIFT = 6 };
+enum { COMPARABLE_SHIFT = 5, RIPPLE_SHIFT = 15, HARD_PHASE = 1 << 15, HARD_SHIFT = 12, RATE_SHIFT = 6 };
 static const uint32_t RATE_SPAN_MAX = 1u << 15;
 
 static uint8_t
@@ -203,6 +203,13 @@ comparable(const struct signal_test *t, const struct guard_input *block, uint32_
     return t->jump_count && difference <= phase >> COMPARABLE_SHIFT && span < RATE_SPAN_MAX;
 }
 
+static uint32_t
+jump_limit(const struct signal_test *t, uint16_t phase)
+{
+    uint32_t jump = t->limits.jump, hard = phase > HARD_PHASE ? (uint32_t)phase - HARD_PHASE : 0;
+    return jump + (jump * phase >> RIPPLE_SHIFT) + (jump * hard >> HARD_SHIFT);
+}
+
 enum guard_trip
 signal_test_block(struct signal_test *t, const struct guard_input *block, uint32_t first)
 {
@@ -214,7 +221,7 @@ signal_test_block(struct signal_test *t, const struct guard_input *block, uint32
     uint8_t judged = t->limits.jump && block->phase >= t->limits.phase && comparable(t, block, span);
     uint64_t sum = (uint64_t)block->sum * t->jump_count, before = (uint64_t)t->jump_sum * block->count;
     uint8_t fell = sum < before;
-    uint32_t limit = t->limits.jump + ((uint32_t)t->limits.jump * block->phase >> RIPPLE_SHIFT);
+    uint32_t limit = jump_limit(t, block->phase);
     limit += (fell ? t->limits.fall : t->limits.rise) * span >> RATE_SHIFT;
     uint64_t allowed = (uint64_t)limit * ((uint32_t)block->count * t->jump_count) >> 4;
     if (judged && (fell ? before - sum : sum - before) > allowed)

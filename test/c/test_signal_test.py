@@ -333,12 +333,15 @@ def test_two_blocks_that_stand_out_are_forgotten() -> None:
         (450 + 19, 1, 2184),
         (450 - 15 - 18 / 16, 0, 2184),
         (450 - 15 - 19 / 16, 1, 2184),
-        (450 + 35 + 9 / 16 + 3, 0, 45000),
-        (450 + 35 + 10 / 16 + 3, 1, 45000),
+        (450 + 80 + 5 / 16 + 3, 0, 45000),
+        (450 + 80 + 6 / 16 + 3, 1, 45000),
+        (450 + 30 + 3, 0, 32768),
+        (450 + 30 + 1 / 16 + 3, 1, 32768),
     ],
 )
 def test_a_nozzle_may_rise_and_fall_between_two_blocks(mean: float, bad: int, phase: int) -> None:
-    """192 samples apart: 15 LSB times 1 + phase / 32768 (2184: 15 sixteenths more), and 3 LSB up or 3/16 LSB down."""
+    """192 samples apart: 15 LSB times 1 + phase / 32768 (2184: 15 sixteenths more), and 3 LSB up or 3/16 LSB down. Above a
+    phase of 32768 the limit rises faster."""
     t = learned()
     block(t, 450, 0, phase)
     assert block(t, mean, 192, phase) == NONE

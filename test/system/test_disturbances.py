@@ -37,7 +37,7 @@ def away_c(run: Run) -> list[float]:
     [
         ((f"{NOZZLE}move_um=5", f"{NOZZLE}move_hz=20"), 0.5),
         ((*STRONG, f"{NOZZLE}move_um=5", f"{NOZZLE}move_hz=20"), 0.5),
-        ((f"{NOZZLE}ripple_v=1", f"{NOZZLE}ripple_hz=100"), 3.0),
+        ((f"{NOZZLE}ripple_v=2", f"{NOZZLE}ripple_hz=100"), 3.0),
         ((f"{NOZZLE}noise_lsb=0",), 1.0),
         ((f"{NOZZLE}noise_lsb=0.05",), 1.0),
         (STRONG, 0.5),

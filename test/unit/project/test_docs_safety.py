@@ -208,7 +208,8 @@ def signal_claims() -> Iterator[str]:
     assert constant("SIGNAL_IDLE_BLOCKS") == 4
     yield "of an idle nozzle too, must show the same: four bad ones in a row trip"
     yield f"at the same drive by more than {signal_limits.JUMP_UNITS:g} units, three blocks in a row"
-    yield f"drive the limit is {signal_limits.JUMP_UNITS * (1.0 + PHASE_MAX_TICKS / 2**15):.0f} units"
+    ripple = PHASE_MAX_TICKS / 2**15 + (PHASE_MAX_TICKS - 2**15) / 2**12
+    yield f"drive the limit is {signal_limits.JUMP_UNITS * (1.0 + ripple):.0f} units"
     samples = 2.0 * interval_s / PERIOD_S
     lost = (length + off + option("settle_samples")) / samples
     yield f"The tests cost {100 * lost:.1f} % of the samples and the bridge {100 * off / samples:.0f} % of its time."
