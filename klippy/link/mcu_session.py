@@ -155,8 +155,9 @@ SHUTDOWN_HELP = (
     ),
     (
         ("Induction coil signal changed faster",),
-        "The reading of the induction coil jumped by more than the temperature of a nozzle can in that time. Check the"
-        " connections of coil and capacitor, whether the nozzle sits firmly in the coil, and the bridge's supply.",
+        "The reading of the induction coil jumped by more than the temperature of a nozzle can in that time. Check coil"
+        " and sensing lead for a break, the connections of the capacitor, whether the nozzle sits firmly in the coil, and"
+        " the bridge's supply.",
     ),
     (
         ("Induction bridge off: no phase command",),
