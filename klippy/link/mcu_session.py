@@ -149,15 +149,15 @@ SHUTDOWN_HELP = (
     (
         ("Induction coil carries current",),
         "The board turned the bridge off, and the signal was not that of a coil without current: the bridge conducts,"
-        " or the signal stands still. Cut the supply. Then check the transistors of the bridge and their drivers for one"
-        " that conducts all the time, the amplifier and the sensing lead, and adc_zero: it must be what the ADC reads"
+        " or the signal stands still. Cut the supply. Then check the transistors of the bridge and their drivers for"
+        " one that conducts all the time, the amplifier and the sensing lead, and adc_zero: it must be what the ADC reads"
         " without current.",
     ),
     (
         ("Induction coil signal changed faster",),
         "The reading of the induction coil jumped by more than the temperature of a nozzle can in that time. Check coil"
-        " and sensing lead for a break, the connections of the capacitor, whether the nozzle sits firmly in the coil, and"
-        " the bridge's supply.",
+        " and sensing lead for a break, the connections of the capacitor, whether the nozzle sits firmly in the coil,"
+        " and the bridge's supply.",
     ),
     (
         ("Induction bridge off: no phase command",),

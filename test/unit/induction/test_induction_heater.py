@@ -123,7 +123,7 @@ def test_the_units_own_tests_are_configured_unless_turned_off() -> None:
     off, _ = nozzle("signal_test_interval: 0")
     assert off.mcu.config == printer.mcu.config[:-1]
     assert printer.mcu.config[-1] == (
-        "config_induction_test oid=3 moved_low=451 moved_high=4060 off_low=246 off_high=266 interval=1200"
+        "config_induction_test oid=3 moved_low=451 moved_high=4060 off_low=246 off_high=266 interval=1008"
         " phase=2012 jump=240 rise=15 fall=1 tolerance=20 slack=16"
     )
 
