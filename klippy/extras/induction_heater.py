@@ -33,6 +33,7 @@ from .induction import supply as induction_supply
 from .induction.mcu import InductionUnit
 from .induction.notices import Notices
 from .induction.shown import MEASURED, ShownTemperature, SweepView
+from .induction.signal_limits import seen_cause
 from .induction.stopped import StoppedWatch
 from .outputs import output_file
 
@@ -170,6 +171,8 @@ class InductionHeater:
             return ""
         news = self.loop.state.estimate
         last = f"its last reading was {news.temp_c:.0f} C" if news.valid else "there was no reading before"
+        if seen := seen_cause(self.loop.story.blocks(), self.parameters.front):
+            last += f"; {seen}"
         self.notices.keep(reason)
         return f"Induction heater '{self.section_name}': {last}."
 

@@ -97,7 +97,7 @@ def read_unit(config: ConfigWrapper) -> UnitSettings:
 
 def read_tests(config: ConfigWrapper, front: features.FeatureParameters) -> TestSettings:
     """The board's tests of its signal; all of them are off with an interval of 0."""
-    interval_s = config.getfloat("signal_test_interval", 0.010, minval=0.0, maxval=0.1)
+    interval_s = config.getfloat("signal_test_interval", 0.0084, minval=0.0, maxval=0.1)
     if 0.0 < interval_s < TEST_INTERVAL_MIN_S:
         raise config.error(
             f"Option 'signal_test_interval' in section '{config.get_name()}'"

@@ -190,7 +190,7 @@ def signal_claims() -> Iterator[str]:
         return int(re.findall(rf"\b{name} = (\d+)", header + board)[0])
 
     interval_s, length = option("signal_test_interval"), constant("SIGNAL_TEST_LEN")
-    yield f"The next three come every `signal_test_interval` ({interval_s:.3f} s)."
+    yield f"The next three come every `signal_test_interval` ({interval_s:g} s)."
     off, ticks = constant("SIGNAL_TEST_OFF_LEN"), constant("SYNC_ADC_MOVE_TICKS")
     assert signal_limits.SLACK_LSB == 1.0
     moved = signal_limits.GAIN_UNITS_DEG * 360.0 * ticks / 72e6 / PERIOD_S
