@@ -340,8 +340,10 @@ def test_two_blocks_that_stand_out_are_forgotten() -> None:
     ],
 )
 def test_a_nozzle_may_rise_and_fall_between_two_blocks(mean: float, bad: int, phase: int) -> None:
-    """192 samples apart: 15 LSB times 1 + phase / 32768 (2184: 15 sixteenths more), and 3 LSB up or 3/16 LSB down. Above a
-    phase of 32768 the limit rises faster."""
+    """192 samples apart: 15 LSB times 1 + phase / 32768 (2184: 15 sixteenths more), and 3 LSB up or 3/16 LSB down.
+
+    Above a phase of 32768 the limit rises faster.
+    """
     t = learned()
     block(t, 450, 0, phase)
     assert block(t, mean, 192, phase) == NONE
