@@ -150,8 +150,8 @@ SHUTDOWN_HELP = (
         ("Induction coil carries current",),
         "The board turned the bridge off, and the signal was not that of a coil without current: the bridge conducts,"
         " or the signal stands still. Cut the supply. Then check the transistors of the bridge and their drivers for"
-        " one that conducts all the time, the amplifier and the sensing lead, and adc_zero: it must be what the ADC reads"
-        " without current.",
+        " one that conducts all the time, the amplifier and the sensing lead, and adc_zero: it must be what the"
+        " ADC reads without current.",
     ),
     (
         ("Induction coil signal changed faster",),
