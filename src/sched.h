@@ -56,6 +56,7 @@ sched_insert(struct timer **link, struct timer *t)
 {
     const uint32_t waketime = t->waketime;
     struct timer *next;
+    /* cppcheck-suppress uninitvar ; the list always ends */
     while ((next = *link) && !timer_is_before(waketime, next->waketime))
         link = &next->next;
     t->next = next;
