@@ -13,7 +13,8 @@ import gc
 import math
 import shlex
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -88,6 +89,18 @@ class _Ending:
     reason: str = ""
 
 
+@contextmanager
+def _rare_collections() -> Iterator[None]:
+    """For a print: what a start makes stays, and is not looked through again and again."""
+    before = gc.get_threshold()
+    gc.set_threshold(GC_ALLOCATIONS)
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        gc.set_threshold(*before)
+
+
 class Simulation:
     """Runs once."""
 
@@ -118,8 +131,8 @@ class Simulation:
         self.printer.register_event_handler("klippy:shutdown", self._on_shutdown)
         started = time.monotonic()
         self.reactor.register_callback(self._drive)
-        gc.set_threshold(GC_ALLOCATIONS)
-        result = self.printer.run()
+        with _rare_collections():
+            result = self.printer.run()
         if result == "error_exit":
             self._end(SHUT_DOWN, "internal error of the host; --log FILE gives the details")
         elif "restart" in result and self.printer.get_state_message()[1] == "ready":
