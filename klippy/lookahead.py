@@ -180,7 +180,7 @@ class LookAheadQueue:
     those that Python has made or requested."""
 
     # Try to fix moves whenever at least this much motion time has come in.
-    REVIEW_S = 0.250
+    REVIEW_S = 0.050
 
     def __init__(self, toolhead: Any = None) -> None:
         self._toolhead = toolhead

@@ -8,8 +8,8 @@ Three times matter, all in print_time (seconds of the main MCU's clock):
     now (estimated)            done_time                 print_time
     ----|===== at the MCU ======|==== planned moves =======|.... look-ahead queue ....
 
-print_time runs ahead of now by up to BUFFER_FULL_S, then move() waits. If too little is ahead and nothing more comes,
-the timer `_watch` plans what there is, to a stop, so that the head never halts in mid-move.
+print_time runs ahead of now by up to BUFFER_FULL_S, then move() waits. If too little is ahead and nothing
+more comes, the timer `_watch` plans what there is, to a stop, so that the head never halts in mid-move.
 In batch mode there is no now: nothing ever waits.
 """
 
@@ -31,10 +31,11 @@ __all__ = ["Coord", "LookAheadQueue", "Move", "ToolHead", "add_printer_objects"]
 
 # From standstill the first step is planned this far ahead: time to work out and send the first commands.
 START_LEAD_S = 0.250
-# move() waits while more than this is planned ahead: bounds the delay of a pause or a speed change.
-BUFFER_FULL_S = 2.0
+# move() waits while more than this is planned ahead. With what is queued a pause or a speed change acts within 1 s, and
+# a host that is late by 0.8 s still finds the motors moving.
+BUFFER_FULL_S = 0.88
 # Below this the look-ahead queue is planned to a stop rather than risk running dry.
-BUFFER_LOW_S = 0.6
+BUFFER_LOW_S = 0.25
 # A first move waits this long (host time) for company before it is planned alone.
 GATHER_S = 0.100
 # Steps are worked out in batches of this much motion.
@@ -94,7 +95,7 @@ class ToolHead(VelocityLimited):
         self._listeners: list[Callable[[Sequence[Move]], None]] = []
         self._record_listeners: list[Callable[[Any, int, float], None]] = []
         self._at_rest = True  # nothing planned runs on: print_time may have passed
-        self._next_check_time = -math.inf
+        self._ahead_s = BUFFER_FULL_S  # of motion, in a print
         self._motion_end = 0.0  # print_time at which the head's last motion ends
         self._forced_stop = False
         self._others_end = 0.0  # print_time up to which others move beside the head
@@ -208,10 +209,10 @@ class ToolHead(VelocityLimited):
             if way:
                 self.extra_axes[number].process_move(print_time, AllAxesMove(move), 4 + number)
 
-    def _make_steps(self) -> None:
-        """Work out steps as far as the plan reaches, once it is worth it."""
+    def _make_steps(self, batch_s: float = STEP_BATCH_S) -> None:
+        """Work out steps as far as the plan reaches, once they are so much motion."""
         reach = self.print_time - self._streams.look_ahead_s()
-        if reach - self._streams.done_time >= STEP_BATCH_S:
+        if reach - self._streams.worked_out_time > batch_s:
             self._streams.advance(reach)
 
     def _flush_lookahead(self, lazy: bool = False) -> None:
@@ -247,7 +248,6 @@ class ToolHead(VelocityLimited):
         self._streams.advance(end, hold_back=False)
         self.print_time = end
         self._at_rest = True
-        self._next_check_time = -math.inf
 
     # -- pacing --
 
@@ -282,15 +282,20 @@ class ToolHead(VelocityLimited):
         if self.can_pause:
             self.reactor.update_timer(self._watch_timer, self.reactor.monotonic() + GATHER_S)
 
+    def keep_ahead(self, seconds: float) -> None:
+        """For who must know motion earlier: at least so much of it is ahead (s); 0: no more than otherwise."""
+        self._ahead_s = max(BUFFER_FULL_S, seconds)
+
     def _wait_for_room(self) -> None:
         """Hold the caller back while enough motion is planned ahead."""
         while self.can_pause and not self._at_rest:
             eventtime = self.reactor.monotonic()
-            surplus = self.print_time - self.mcu.estimated_print_time(eventtime) - BUFFER_FULL_S
+            ahead = self.print_time - self.mcu.estimated_print_time(eventtime)
+            surplus = ahead - self._ahead_s
             if surplus <= 0.0:
                 break
+            self._make_steps(0.0)  # a host that is late must have sent them
             self.reactor.pause(eventtime + min(1.0, max(0.005, surplus)))
-        self._next_check_time = self.print_time + 0.1
 
     # -- moves --
 
@@ -336,8 +341,7 @@ class ToolHead(VelocityLimited):
             self._start_watch()
         if due:
             self._flush_lookahead(lazy=True)
-            if self.print_time > self._next_check_time:
-                self._wait_for_room()
+            self._wait_for_room()
 
     def manual_move(self, coord: Sequence[float | None], speed: float) -> None:
         """Move the given coordinates (None: stay)."""

@@ -41,7 +41,7 @@ from simulation.path_host import PathHost, PathPrinter
 from thermal.control.control_api import Reference
 from thermal.plan.requests import Requests, read_comment
 
-AHEAD_S = 2.0  # toolhead.BUFFER_FULL_S
+AHEAD_S = 2.0  # planned while [temperature_plan] is enabled
 NOZZLE_C = 245.0
 SECTION = {"material": "ABS", "bed_temp": "100", "chamber_temp": "40", "minimum_speed_factor": "1"}
 # The flat part reaches X 190.

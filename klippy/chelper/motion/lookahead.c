@@ -113,6 +113,15 @@ follow(struct lookahead_move *move, const struct lookahead_move *prev, double ex
     move->max_smoothed_v2 = lesser(limit, prev->max_smoothed_v2 + prev->smooth_delta_v2);
 }
 
+/* A move takes at least this long (s): it speeds up from its highest entry speed, and need not brake. */
+static double
+shortest_s(const struct lookahead_move *m)
+{
+    double top_v2 = lesser(m->max_cruise_v2, m->max_start_v2 + m->delta_v2), top_v = sqrt(top_v2);
+    double accel_d = .5 * (top_v2 - m->max_start_v2) / m->accel;
+    return (top_v - sqrt(m->max_start_v2)) / m->accel + (m->move_d - accel_d) / top_v;
+}
+
 int
 lookahead_add(struct lookahead *la, const struct lookahead_move *source, double extruder_v2)
 {
@@ -124,7 +133,7 @@ lookahead_add(struct lookahead *la, const struct lookahead_move *source, double 
     if (la->next > la->first)
         follow(move, lookahead_move_at(la, la->next - 1), extruder_v2);
     la->next++;
-    la->until_review_s -= move->min_move_t;
+    la->until_review_s -= shortest_s(move);
     return la->until_review_s <= 0.;
 }
 

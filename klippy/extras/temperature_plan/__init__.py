@@ -254,6 +254,8 @@ class TemperaturePlanner(PathEvents):
         if enable == self.enabled:
             return
         self.enabled = enable
+        if self._is_listening:
+            self.keep_ahead()
         if not enable:
             self.session.full_speed()
             self.set_speed(1.0)

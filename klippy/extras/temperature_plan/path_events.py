@@ -16,6 +16,8 @@ from thermal.plan.session import Session
 
 from .settings import Settings
 
+AHEAD_S = 2.0  # motion that a plan knows
+
 
 class PathEvents:
     """Feeds one session from one printer."""
@@ -58,6 +60,11 @@ class PathEvents:
         self._gcode.register_comment_listener(self._on_comment)
         self._toolhead.register_move_listener(self._on_moves, as_records=True)
         self._is_listening = True
+        self.keep_ahead()
+
+    def keep_ahead(self) -> None:
+        """A nozzle falls by 15 C in more than a second: the plan needs motion longer ahead than a pause should wait."""
+        self._toolhead.keep_ahead(AHEAD_S if self.enabled else 0.0)
 
     # For who owns the session
 

@@ -1,4 +1,6 @@
-"""The plan takes no time from the look-ahead: each move is sent as early and made at the same time as without it."""
+"""The plan takes no time from the look-ahead: each move is sent as early, and made at the same time, as without it.
+
+An enabled plan keeps more motion ahead, so that moves are sent earlier."""
 
 from __future__ import annotations
 
@@ -61,11 +63,13 @@ def test_every_move_comes_as_early_and_is_deposited_at_the_same_time(tmp_path: P
     text = body()
     without, planned = printed(tmp_path, text, ""), printed(tmp_path, text, SECTION)
     assert len(planned.emitted) > 20  # it has planned
-    assert deposited(planned) == pytest.approx(deposited(without), abs=1e-6)
+    known = len(deposited(without))  # where the run ends; with a plan more is
+    assert known > 1000
+    assert deposited(planned)[:known] == pytest.approx(deposited(without), abs=1e-6)
     assert planned.stalls == without.stalls == 0
     starts, ends = deposited(planned)[1:-2, 0], deposited(planned)[:-3, 1]
     assert np.abs(starts - ends).max() < 1e-6  # never dry: each begins where the one before it ends
     # how far ahead of the machine each batch was given out; the host looks at other moments, some ms apart
-    assert len(planned.ahead_s) == len(without.ahead_s)
-    assert planned.ahead_s[-20:] == pytest.approx(without.ahead_s[-20:], abs=0.02)
+    batches = len(without.ahead_s)
+    assert np.min(np.subtract(planned.ahead_s[5:batches], without.ahead_s[5:])) > -0.02
     assert min(planned.ahead_s[5:]) > min(without.ahead_s[5:]) - 0.02

@@ -27,9 +27,9 @@ PAUSES = (
 START = "M104 S215\nG28\nG90\nM83\nG1 X40 Y40 Z0.3 F6000\nM109 S215\n"
 FILAMENT_MM2 = 2.405
 STEP_C = 2.0
-# M104 acts when it is read: BUFFER_FULL_S (2 s) before its path, and two roads more that wait in the look-ahead. Then
+# M104 acts when it is read: about 1 s before its path, and two roads more that wait in the look-ahead. Then
 # the nozzle needs its time: 26 degC down, at 10 degC/s and slowing down, with its holder still warm.
-EARLY_S, SETTLE_S = 3.5, 5.0
+EARLY_S, SETTLE_S = 2.5, 5.0
 ROAD_S, ROADS = 0.5, 24
 # The minimum change that is written, half a degree of rounding, and what the control is off while the flow changes.
 TOLERANCE_C = STEP_C + 0.5 + 0.5
