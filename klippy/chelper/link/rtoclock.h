@@ -6,6 +6,9 @@
 #define RTO_MIN_S 0.025
 #define RTO_MAX_S 5.0
 #define RTO_START_S 0.1 // before the first measurement
+// Once the round trip is measured it is doubled no further, unless measured so: a line that was cut is used again this
+// soon after. Motion is planned for less than a second (BUFFER_FULL_S of the toolhead).
+#define RTO_BACKOFF_S 0.05
 
 struct rtoclock {
     double srtt_s, rttvar_s, rto_s;
@@ -49,11 +52,14 @@ rtoclock_progress(struct rtoclock *r)
         r->rto_s = rto_clamp(r->srtt_s + 4.0 * r->rttvar_s);
 }
 
-// The timer expired. Section 5.5.
+// The timer expired. Section 5.5, then up to RTO_BACKOFF_S.
 static inline void
 rtoclock_backoff(struct rtoclock *r)
 {
-    r->rto_s = rto_clamp(2.0 * r->rto_s);
+    double doubled_s = 2.0 * r->rto_s;
+    if (r->has_sample && doubled_s > RTO_BACKOFF_S)
+        doubled_s = r->rto_s > RTO_BACKOFF_S ? r->rto_s : RTO_BACKOFF_S;
+    r->rto_s = rto_clamp(doubled_s);
 }
 
 #endif
