@@ -3,7 +3,8 @@
 
 #include "oversample_kernel.h"
 
-enum { COMPARABLE_SHIFT = 5, RIPPLE_SHIFT = 15, HARD_PHASE = 1 << 15, HARD_SHIFT = 12, RATE_SHIFT = 6 };
+enum { COMPARABLE_SHIFT = 5, RIPPLE_SHIFT = 15, HARD_SHIFT = 12, RATE_SHIFT = 6 };
+#define HARD_PHASE 0x8000u
 static const uint32_t RATE_SPAN_MAX = 1u << 15;
 
 static uint8_t
