@@ -31,7 +31,7 @@ help:
 	@echo "make bench-firmware     cost of samples, steps, commands on the images of both chips (QUICK=1)"
 	@echo "make bench-identify     hidden plants found again from their recorded prints (QUICK=1)"
 	@echo "make bench-faults       every fault on every machine in every state: caught by what, how hot (QUICK=1)"
-	@echo "make bench-recovery     where an interrupted print would be resumed, at 1,000 instants"
+	@echo "make bench-recovery     where an interrupted print would be resumed, at 1,000 instants (a study; RUNS=60: fewer; QUICK=1)"
 	@echo "make bench-plan         what the temperature plan does for welds, and how the melt follows it (studies)"
 	@echo "make bench-machines     1,000 drifting machines, calibrated and printing for 20 minutes (a study; RUNS=20: 40; QUICK=1)"
 	@echo "make bench-clog         clogs, runouts, grinding and clean prints on random machines (studies; RUNS=4: fewer; QUICK=1)"
@@ -83,8 +83,7 @@ deb:
 
 # QUICK=1: what each bench leaves out then stands in its --help.
 BENCH = $(PYTHON) scripts/bench/bench_$*.py --json $(OUT)/bench/$*.json
-BENCHES := bench-print bench-api bench-thermometer bench-motion bench-steady bench-firmware bench-identify bench-faults \
-           bench-recovery
+BENCHES := bench-print bench-api bench-thermometer bench-motion bench-steady bench-firmware bench-identify bench-faults
 .PHONY: $(BENCHES)
 bench: bench-print
 $(BENCHES): bench-%: setup sim chelper
@@ -96,6 +95,7 @@ bench-motion: ARGS = $(if $(PEER),--peer "$(PEER)")
 # Benches that are studies, and what each measures besides.
 STUDIES_bench-control := control control_machines
 STUDIES_bench-disturbance := disturbance
+STUDIES_bench-recovery := recovery
 STUDIES_bench-plan    := plan_prints plan_steps
 STUDIES_bench-machines := bench_machines
 STUDIES_bench-clog    := clog lost_flow clean_prints
@@ -105,7 +105,7 @@ BESIDE_bench-plan     = $(PYTHON) scripts/bench/bench_plan.py --json $(OUT)/benc
     $(PYTHON) scripts/bench/bench_plan_cost.py --memory benchy.gcode && \
     $(PYTHON) scripts/bench/bench_plan_cost.py --real-time 30
 
-bench-control bench-plan bench-machines bench-clog bench-studies: setup sim chelper
+bench-recovery bench-control bench-disturbance bench-plan bench-machines bench-clog bench-studies: setup sim chelper
 	@scripts/setup.sh study
 	@status=0; for study in $(STUDIES_$@); do \
 	    $(PYTHON) scripts/study.py config/studies/$$study.toml --out $(OUT)/studies/$$study $(if $(QUICK),--small) $(if $(RUNS),--runs $(RUNS)) || status=1; \

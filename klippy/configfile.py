@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import configabsent
+import configreaders
 import configtext
 import util
 from configtext import ConfigData, ConfigError, Origin
@@ -335,7 +335,6 @@ class PrinterConfig:
         self._pending: dict[str, dict[str, str] | None] = {}
         self._warnings: list[dict[str, Any]] = []
         self._settings: dict[str, dict[str, Any]] = {}
-        self._left_out: frozenset[str] = frozenset()
         printer.lookup_object("gcode").register_command(
             "SAVE_CONFIG", self.cmd_SAVE_CONFIG, desc="Overwrite config file and restart"
         )
@@ -366,20 +365,6 @@ class PrinterConfig:
         configtext.ConfigParser(data).parse_file(filename)
         return ConfigWrapper(self.printer, data, {}, "printer")
 
-    def check_absent_sections(self, has_module: Callable[[str], bool]) -> None:
-        """Before modules are loaded: leave out what Klipper has and we do not."""
-        left_out = configabsent.find_left_out(self._data.sections, has_module)
-        self._left_out = frozenset(left_out)
-        if left_out:
-            text = configabsent.notice(left_out.values())
-            self.runtime_warning(text)
-            respond = self.printer.lookup_object("gcode").respond_info
-            self.printer.register_event_handler("klippy:ready", lambda: respond(text, log=False))
-
-    def sections_left_out(self) -> frozenset[str]:
-        """Names of the sections that no module reads."""
-        return self._left_out
-
     def unused_options(self, failed: set[str]) -> list[str]:
         """What is wrong with sections and options that no module asked for.
 
@@ -389,9 +374,9 @@ class PrinterConfig:
         known_sections.update(name.lower() for name, _ in self.printer.lookup_objects())
         problems: list[str] = []
         for name, section in self._data.sections.items():
-            if name in self._left_out or name in failed or (failed and configabsent.is_read_last(name)):
+            if name in failed or (failed and configreaders.is_read_last(name)):
                 continue
-            reader = configabsent.READ_BY.get(configabsent.kind_of(name))
+            reader = configreaders.READ_BY.get(configreaders.kind_of(name))
             if reader in failed:
                 continue
             if reader is not None and reader not in self._data.sections:

@@ -180,7 +180,7 @@ class LookAheadQueue:
     those that Python has made or requested."""
 
     # Try to fix moves whenever at least this much motion time has come in.
-    REVIEW_S = 0.100
+    REVIEW_S = 0.050
 
     def __init__(self, toolhead: Any = None) -> None:
         self._toolhead = toolhead
@@ -228,10 +228,6 @@ class LookAheadQueue:
     def plan(self, lazy: bool = False) -> int:
         """Fix the speeds of the moves that are settled (all of them unless lazy); returns how many."""
         return self._lib.lookahead_plan(self.row, lazy)
-
-    def duration(self) -> float:
-        """How long the waiting moves take if no more come (s)."""
-        return self._lib.lookahead_duration(self.row)
 
     def planned(self, count: int) -> list[Move]:
         """The first moves, which are planned, as objects; the queue drops them."""

@@ -466,10 +466,10 @@ class MCU:
         except msgproto.error as e:
             self._fail(self._missing_command_text(msgformat, e))
 
-    def let_wait(self, msgformat: str) -> None:
-        """Messages of this format wake nobody: they come with the next of another. One format only."""
+    def let_wait(self, msgformat: str, oid: int, cb: Callable[[bytes], None]) -> None:
+        """Messages of this format wake nobody: they come with the next of another, undecoded from after the oid."""
         try:
-            self._serial.let_wait(msgformat)
+            self._serial.let_wait(msgformat, oid, cb)
         except msgproto.error as e:
             self._fail(self._missing_command_text(msgformat, e))
 

@@ -11,7 +11,6 @@ from functools import partial
 from types import ModuleType
 from typing import Any
 
-import absentpins
 import chelper
 import configfile
 import extras
@@ -208,10 +207,8 @@ class Printer:
         del extras.__path__[1:]  # plugins of the run before a restart
         if config.has_section(PLUGINS):  # before anybody asks for a module of the user's
             self.load_object(config, PLUGINS)
-        loader.check_absent_sections(lambda name: _locate_extra(name) is not None)
         for name in self.CORE_FIRST:
             importlib.import_module(name).add_printer_objects(config)
-        absentpins.register(self, loader.sections_left_out())
         names = [section.get_name() for section in config.get_prefix_sections("")]
         for name in names:
             self._try(name, partial(self.load_object, config, name, None))

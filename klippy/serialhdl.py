@@ -27,6 +27,7 @@ BatchHandler = Callable[[Any, int], None]
 
 PULL_MAX = 64
 BATCH_MAX = 32
+UNDECODED_BYTES = 4096  # taken at once
 IDENTIFY_CHUNK = 40  # bytes of dictionary asked for at once: the answer fits a block
 IDENTIFY_CHUNK_MIN = 8  # on a line that damages bytes a short answer arrives more often than a long one
 IDENTIFY_PROGRESS_S = 5.0  # a device that has answered lately is waited for
@@ -71,6 +72,8 @@ class _Tables:
     handlers: dict[tuple[str, int | None], ResponseHandler] = field(default_factory=dict)
     waiters: dict[tuple[str, int | None], list[_Waiter]] = field(default_factory=dict)
     notices: dict[int, Callable[[Params], None]] = field(default_factory=dict)
+    undecoded: dict[bytes, Callable[[bytes], None]] = field(default_factory=dict)  # by id and oid
+    undecoded_len: int = 0
 
 
 class SerialReader:
@@ -92,6 +95,7 @@ class SerialReader:
         self._port: serialport.Port | None = None
         self._pulled = self._ffi.new("struct pull_message[]", PULL_MAX)
         self._batch = self._ffi.new("struct pull_message[]", BATCH_MAX)
+        self._undecoded = self._ffi.new("uint8_t[]", UNDECODED_BYTES)
         self._on_batch: BatchHandler | None = None
         self._stats = self._ffi.new("struct serialqueue_stats *")
         self._tables = _Tables()
@@ -108,6 +112,8 @@ class SerialReader:
         self._lib.serialqueue_reset(self._sq, file_mode)
         self._tables.waiters.clear()
         self._tables.notices.clear()
+        self._tables.undecoded.clear()
+        self._tables.undecoded_len = 0
         self._on_batch = None
         self._clock = _Clock()
 
@@ -208,10 +214,16 @@ class SerialReader:
         self._on_batch = callback
         self._lib.serialqueue_set_batch(self._sq, message_id, len(message_id), seconds, batch_max)
 
-    def let_wait(self, msgformat: str) -> None:
-        """Messages of this format wake nobody: they come with the next of another. One format only."""
+    def let_wait(self, msgformat: str, oid: int, callback: Callable[[bytes], None]) -> None:
+        """Messages of this format and oid wake nobody: they come with the next of another, undecoded. One format only.
+
+        `callback` gets what follows the oid.
+        """
         message_id = self.msgparser.lookup_command(msgformat).id_bytes
         self._lib.serialqueue_set_patient(self._sq, message_id, len(message_id))
+        start = message_id + msgproto.encode_vlq(oid)
+        self._tables.undecoded[start] = callback
+        self._tables.undecoded_len = len(start)
 
     def _drain(self) -> None:
         """Take what the queue has received. Called by the port in the reactor thread."""
@@ -219,6 +231,8 @@ class SerialReader:
         while count := self._lib.serialqueue_pull(self._sq, pulled, PULL_MAX):
             # decode all before calling anybody: a handler may come back here
             received = [self._unpack(pulled[i]) for i in range(count)]
+            if self._tables.undecoded_len:
+                self._drain_undecoded()  # before the answers that came after them
             for notify_id, params in received:
                 if notify_id:
                     notice = self._tables.notices.pop(notify_id, None)
@@ -241,20 +255,38 @@ class SerialReader:
             if count < BATCH_MAX:
                 break
 
+    def _drain_undecoded(self) -> None:
+        start = self._tables.undecoded_len
+        while used := self._lib.serialqueue_pull_patient(self._sq, self._undecoded, UNDECODED_BYTES):
+            data, at = self._ffi.buffer(self._undecoded, used)[:], 0
+            while at < used:
+                begin, at = at + 1, at + 1 + data[at]
+                handler = self._tables.undecoded.get(data[begin : begin + start])
+                if handler is not None:
+                    handler(data[begin + start : at])
+                elif params := self._decode(data[begin:at]):
+                    now = self.reactor.monotonic()
+                    self._dispatch(params | {"#sent_time": now, "#receive_time": now})
+
     def _unpack(self, message: Any) -> tuple[int, Params]:
         params: Params = {}
         if message.len:
-            content = self._ffi.buffer(message.data, message.len)[:]
-            try:
-                params = self.msgparser.parse(content)
-            except msgproto.error as e:
-                # before the dictionary is there an MCU that has just booted may greet: nothing to worry about
-                level = logging.WARNING if self.msgparser.version else logging.DEBUG
-                logging.log(level, "%sundecodable message %s: %s", self.warn_prefix, content.hex(), e)
+            params = self._decode(self._ffi.buffer(message.data, message.len)[:])
+            if not params:
                 return 0, {}
         params["#sent_time"] = message.sent_time
         params["#receive_time"] = message.receive_time
         return message.notify_id, params
+
+    def _decode(self, content: bytes) -> Params:
+        """{} where it is no message."""
+        try:
+            return self.msgparser.parse(content)
+        except msgproto.error as e:
+            # before the dictionary is there an MCU that has just booted may greet: nothing to worry about
+            level = logging.WARNING if self.msgparser.version else logging.DEBUG
+            logging.log(level, "%sundecodable message %s: %s", self.warn_prefix, content.hex(), e)
+            return {}
 
     def _dispatch(self, params: Params) -> None:
         key = (params["#name"], params.get("oid"))

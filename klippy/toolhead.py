@@ -8,7 +8,7 @@ Three times matter, all in print_time (seconds of the main MCU's clock):
     now (estimated)            done_time                 print_time
     ----|===== at the MCU ======|==== planned moves =======|.... look-ahead queue ....
 
-print_time and the queue run ahead of now by up to BUFFER_FULL_S, then move() waits. If too little is ahead and nothing
+print_time runs ahead of now by up to BUFFER_FULL_S, then move() waits. If too little is ahead and nothing
 more comes, the timer `_watch` plans what there is, to a stop, so that the head never halts in mid-move.
 In batch mode there is no now: nothing ever waits.
 """
@@ -31,10 +31,9 @@ __all__ = ["Coord", "LookAheadQueue", "Move", "ToolHead", "add_printer_objects"]
 
 # From standstill the first step is planned this far ahead: time to work out and send the first commands.
 START_LEAD_S = 0.250
-# move() waits while more motion than this is ahead, planned or queued: a pause or a speed change acts within 1 s.
-BUFFER_FULL_S = 0.75
-# Of it so much may be queued; with longer moves there is more ahead, so that this remains planned.
-BUFFER_QUEUED_S = 0.4
+# move() waits while more than this is planned ahead. With what is queued a pause or a speed change acts within 1 s, and
+# a host that is late by 0.8 s still finds the motors moving.
+BUFFER_FULL_S = 0.88
 # Below this the look-ahead queue is planned to a stop rather than risk running dry.
 BUFFER_LOW_S = 0.25
 # A first move waits this long (host time) for company before it is planned alone.
@@ -210,10 +209,10 @@ class ToolHead(VelocityLimited):
             if way:
                 self.extra_axes[number].process_move(print_time, AllAxesMove(move), 4 + number)
 
-    def _make_steps(self) -> None:
-        """Work out steps as far as the plan reaches, once it is worth it."""
+    def _make_steps(self, batch_s: float = STEP_BATCH_S) -> None:
+        """Work out steps as far as the plan reaches, once they are so much motion."""
         reach = self.print_time - self._streams.look_ahead_s()
-        if reach - self._streams.done_time >= STEP_BATCH_S:
+        if reach - self._streams.worked_out_time > batch_s:
             self._streams.advance(reach)
 
     def _flush_lookahead(self, lazy: bool = False) -> None:
@@ -292,9 +291,10 @@ class ToolHead(VelocityLimited):
         while self.can_pause and not self._at_rest:
             eventtime = self.reactor.monotonic()
             ahead = self.print_time - self.mcu.estimated_print_time(eventtime)
-            surplus = ahead - self._ahead_s + min(self.lookahead.duration(), BUFFER_QUEUED_S)
+            surplus = ahead - self._ahead_s
             if surplus <= 0.0:
                 break
+            self._make_steps(0.0)  # a host that is late must have sent them
             self.reactor.pause(eventtime + min(1.0, max(0.005, surplus)))
 
     # -- moves --

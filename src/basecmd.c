@@ -20,7 +20,7 @@ enum { STATS_PERIOD_US = 5000000, UPTIME_POLL_US = 100000, IDENTIFY_MAX = 50 };
 
 /* Objects of one kind are chained in order of oid: a shutdown walks them all in an interrupt.  The first ones of the kinds
  * hang in a table by the kind's address, so that a kind without objects is seldom looked for.  Chains hold oid + 1; 0 ends them. */
-enum { KIND_CHAINS = 16 };
+enum { KIND_CHAINS = 8 };
 
 struct oid_slot {
     void *type, *object;

@@ -23,7 +23,15 @@ FIRMWARE_INDUCTION := src/oversample.c src/phase.c src/guard.c src/signal_test.c
 	src/block_record.c src/inductionconfig.c src/inductioncmds.c
 # Buses and pin peripherals.  A port takes what it has room and hardware for; *_hardware needs board/spi.h, board/i2c.h.
 FIRMWARE_BUS := src/spicmds.c src/spi_software.c src/thermocouple.c src/i2ccmds.c src/i2c_software.c
-FIRMWARE_ACCELEROMETERS := src/sensor_bulk.c src/accelerometers.c
+FIRMWARE_BULK := src/sensor_bulk.c
+FIRMWARE_ACCELEROMETERS := src/accelerometers.c
+FIRMWARE_LOAD_CELLS := src/load_cell_adcs.c
+FIRMWARE_EDDY := src/ldc1612.c
+FIRMWARE_ANGLE := src/angle.c
+# Of load cells and eddy probes.
+FIRMWARE_TRIGGER := src/sos_filter.c src/trigger_analog.c
+FIRMWARE_SENSORS := $(FIRMWARE_BULK) $(FIRMWARE_ACCELEROMETERS) $(FIRMWARE_TRIGGER) $(FIRMWARE_LOAD_CELLS) $(FIRMWARE_EDDY) \
+	$(FIRMWARE_ANGLE)
 FIRMWARE_BUS_HARDWARE := src/spi_hardware.c src/i2c_hardware.c
 FIRMWARE_PINS := src/buttons.c src/pulse_counter.c src/neopixel.c src/tmcuart.c src/lcd_hd44780.c src/lcd_st7920.c
 FIRMWARE_EXTRAS := $(FIRMWARE_BUS) $(FIRMWARE_BUS_HARDWARE) $(FIRMWARE_PINS)
@@ -32,7 +40,7 @@ FIRMWARE_HEADERS := $(wildcard src/*.h src/board/*.h)
 
 SIM_DIR := $(OUT)/simulator
 SIM_PORT := src/simulator/sim_mcu.c src/simulator/sim_pins.c src/simulator/sim_bridge.c src/simulator/sim_bus.c
-SIM_SOURCES := $(FIRMWARE_SOURCES) $(FIRMWARE_EXTRAS) $(FIRMWARE_ACCELEROMETERS) $(SIM_PORT)
+SIM_SOURCES := $(FIRMWARE_SOURCES) $(FIRMWARE_EXTRAS) $(FIRMWARE_SENSORS) $(SIM_PORT)
 SIM_HEADERS := $(FIRMWARE_HEADERS) $(wildcard src/simulator/sim_*.h src/simulator/port_types.h)
 SIM_INCLUDES := -Isrc -Isrc/simulator
 SIM_MCU_LIB := $(SIM_DIR)/libferrite_mcu.so
@@ -67,7 +75,7 @@ $(SIM_MCU_SANITIZED): $(SIM_DIR)/dictionary.stamp
 # --- the portable files on other compilers -------------------------------------------------------
 # One stamp a compiler.  Missing cross compilers are an error here: `make check` promises them.
 CROSS_DIR := $(OUT)/compile-check
-CROSS_SOURCES := $(FIRMWARE_SOURCES) $(FIRMWARE_EXTRAS) $(FIRMWARE_ACCELEROMETERS) src/template/port.c
+CROSS_SOURCES := $(FIRMWARE_SOURCES) $(FIRMWARE_EXTRAS) $(FIRMWARE_SENSORS) src/template/port.c
 CROSS_COMPILERS := clang arm-none-eabi-gcc avr-gcc
 CROSS_FLAGS_clang :=
 CROSS_FLAGS_arm-none-eabi-gcc := -mcpu=cortex-m4 -mthumb

@@ -282,7 +282,7 @@ take_block(struct induction *u, const struct oversample_block *b)
     enum guard_trip tripped = guard_block(&u->guard, &seen);
     if (tripped != GUARD_TRIP_NONE)
         trip(u, tripped);
-    if (u->test.limits.jump)
+    if (u->test.limits.interval)
         trip_if(u, signal_test_block(&u->test, &seen, b->first), b->sum, b->count);
     if (!u->reporting)
         return;

@@ -67,6 +67,7 @@ static void
 power_on_state(void)
 {
     sched_turn.timers = NULL;
+    sched_turn.end = 0;
     sched.recovery = NULL;
     sched.shutdown_clock = 0;
     sched.pass_ticks = 0;

@@ -55,10 +55,11 @@ static inline void
 sched_insert(struct timer **link, struct timer *t)
 {
     const uint32_t waketime = t->waketime;
-    struct timer *next;
-    /* cppcheck-suppress uninitvar ; the list always ends */
-    while ((next = *link) && !timer_is_before(waketime, next->waketime))
+    struct timer *next = *link;
+    while (next && !timer_is_before(waketime, next->waketime)) {
         link = &next->next;
+        next = *link;
+    }
     t->next = next;
     *link = t;
 }

@@ -51,6 +51,10 @@
     X(SHUTDOWN_BUS_TYPE, "bus_type invalid") \
     X(SHUTDOWN_MODEL_TYPE, "model type invalid") \
     X(SHUTDOWN_TMCUART_SIZE, "tmcuart data too large") \
+    X(SHUTDOWN_FILTER_SECTION, "Filter section index larger than max_sections") \
+    X(SHUTDOWN_HX71X_GAIN, "HX71x gain/channel out of range 1-4") \
+    X(SHUTDOWN_ADS131_CHANNELS, "Invalid ads131m0x channels configuration") \
+    X(SHUTDOWN_ANGLE_TYPE, "Invalid spi_angle chip type") \
     X(SHUTDOWN_LCD_DELAY, "Invalid display delay") \
     X(SHUTDOWN_ONOFF_TIMEOUT, "Missed renewal of on-off set point") \
     X(SHUTDOWN_ONOFF_SILENT, "On-off heater without readings") \

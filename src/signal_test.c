@@ -3,7 +3,8 @@
 
 #include "oversample_kernel.h"
 
-enum { COMPARABLE_SHIFT = 5, RIPPLE_SHIFT = 15, RATE_SHIFT = 6 };
+enum { COMPARABLE_SHIFT = 5, RIPPLE_SHIFT = 15, HARD_SHIFT = 12, RATE_SHIFT = 6 };
+#define HARD_PHASE 0x8000u
 static const uint32_t RATE_SPAN_MAX = 1u << 15;
 
 static uint8_t
@@ -168,6 +169,12 @@ feed_move(struct signal_test *t, const uint16_t *samples, uint32_t index, uint16
     return conclude(t, is_move_good(t, moved), &t->bad_moves, GUARD_TRIP_UNMOVED, index + count);
 }
 
+static uint8_t
+shows_no_current(const struct signal_test *t, uint32_t sum, uint16_t count)
+{
+    return sum >= (uint32_t)t->limits.off_low * count && sum <= (uint32_t)t->limits.off_high * count;
+}
+
 static enum guard_trip
 feed_off(struct signal_test *t, const uint16_t *samples, uint32_t index, uint16_t count)
 {
@@ -176,9 +183,7 @@ feed_off(struct signal_test *t, const uint16_t *samples, uint32_t index, uint16_
     t->inside += sum_within(samples, index, count, t->from + SIGNAL_TEST_OFF_LEN - SIGNAL_TEST_LEN);
     if (!t->ended || is_before(index + count, t->to))
         return GUARD_TRIP_NONE;
-    uint8_t good = t->inside >= (uint32_t)t->limits.off_low * SIGNAL_TEST_LEN &&
-                   t->inside <= (uint32_t)t->limits.off_high * SIGNAL_TEST_LEN;
-    return conclude(t, good, &t->bad_offs, GUARD_TRIP_CONDUCTS, index + count);
+    return conclude(t, shows_no_current(t, t->inside, SIGNAL_TEST_LEN), &t->bad_offs, GUARD_TRIP_CONDUCTS, index + count);
 }
 
 enum guard_trip
@@ -199,14 +204,25 @@ comparable(const struct signal_test *t, const struct guard_input *block, uint32_
     return t->jump_count && difference <= phase >> COMPARABLE_SHIFT && span < RATE_SPAN_MAX;
 }
 
+static uint32_t
+jump_limit(const struct signal_test *t, uint16_t phase)
+{
+    uint32_t jump = t->limits.jump, hard = phase > HARD_PHASE ? (uint32_t)phase - HARD_PHASE : 0;
+    return jump + (jump * phase >> RIPPLE_SHIFT) + (jump * hard >> HARD_SHIFT);
+}
+
 enum guard_trip
 signal_test_block(struct signal_test *t, const struct guard_input *block, uint32_t first)
 {
+    uint8_t conducts = t->limits.off_high && !block->phase && !shows_no_current(t, block->sum, block->count);
+    t->bad_idles = conducts ? (uint8_t)(t->bad_idles + 1) : 0;
+    if (t->bad_idles >= SIGNAL_IDLE_BLOCKS)
+        return GUARD_TRIP_CONDUCTS;
     uint32_t end = first + block->count, span = end - t->jump_end;
     uint8_t judged = t->limits.jump && block->phase >= t->limits.phase && comparable(t, block, span);
     uint64_t sum = (uint64_t)block->sum * t->jump_count, before = (uint64_t)t->jump_sum * block->count;
     uint8_t fell = sum < before;
-    uint32_t limit = t->limits.jump + ((uint32_t)t->limits.jump * block->phase >> RIPPLE_SHIFT);
+    uint32_t limit = jump_limit(t, block->phase);
     limit += (fell ? t->limits.fall : t->limits.rise) * span >> RATE_SHIFT;
     uint64_t allowed = (uint64_t)limit * ((uint32_t)block->count * t->jump_count) >> 4;
     if (judged && (fell ? before - sum : sum - before) > allowed)

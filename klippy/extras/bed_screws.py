@@ -59,8 +59,10 @@ class BedScrews:
         }
 
     def _lift(self) -> None:
-        toolhead = self.printer.lookup_object("toolhead")
-        toolhead.manual_move([None, None, self.travel.horizontal_move_z], self.travel.speed)
+        """Fast only on the way to the first screw."""
+        toolhead, travel = self.printer.lookup_object("toolhead"), self.travel
+        speed = travel.speed if self._state is None else travel.probe_speed
+        toolhead.manual_move([None, None, travel.horizontal_move_z], speed)
 
     def _go_to(self, state: str, number: int) -> None:
         """Nozzle down at a screw, and ask."""
@@ -96,12 +98,9 @@ class BedScrews:
         self._next()
 
     def cmd_ADJUSTED(self, gcmd: GCodeCommand) -> None:
-        """It was turned: all have to be looked at again, also those of the coarse round."""
+        """It was turned: all have to be looked at again, after a fine round also those of the coarse one."""
         self._accepted = 0
-        if self._state == "fine":
-            self._go_to("adjust", 0)
-        else:
-            self._next()
+        self._next()
 
     def cmd_ABORT(self, gcmd: GCodeCommand) -> None:
         """Give up."""
@@ -111,7 +110,8 @@ class BedScrews:
         state = self._state or "adjust"
         screws = self.rounds[state]
         if self._accepted < len(screws):
-            self._go_to(state, (self._current + 1) % len(screws))
+            last = self._current + 1 == len(screws)
+            self._go_to(*(("adjust", 0) if last else (state, self._current + 1)))
             return
         self._accepted = 0
         if state == "adjust" and "fine" in self.rounds:

@@ -216,11 +216,6 @@ class GCodeMacro:
         previous = self.gcode.register_command(self.alias, None)
         if previous is not None:
             self.gcode.register_command(new_name, previous, desc=f"Renamed builtin of '{self.alias}'")
-        elif left_out := self.printer.lookup_object("configfile").sections_left_out():
-            self.printer.lookup_object("configfile").runtime_warning(
-                f"Macro '{self.alias}': there is no command to rename to {new_name}; it may be one of the"
-                f" sections that Ferrite does not have yet: {', '.join(sorted(left_out))}"
-            )
         else:
             raise self.printer.config_error(
                 f"Existing command '{self.alias}' not found in gcode_macro rename"

@@ -33,6 +33,7 @@ from .induction import supply as induction_supply
 from .induction.mcu import InductionUnit
 from .induction.notices import Notices
 from .induction.shown import MEASURED, ShownTemperature, SweepView
+from .induction.signal_limits import seen_cause
 from .induction.stopped import StoppedWatch
 from .outputs import output_file
 
@@ -170,6 +171,8 @@ class InductionHeater:
             return ""
         news = self.loop.state.estimate
         last = f"its last reading was {news.temp_c:.0f} C" if news.valid else "there was no reading before"
+        if seen := seen_cause(self.loop.story.blocks(), self.parameters.front):
+            last += f"; {seen}"
         self.notices.keep(reason)
         return f"Induction heater '{self.section_name}': {last}."
 
@@ -417,7 +420,9 @@ class InductionHeater:
         """Still on the way to the target?"""
         if self.planner is not None and self.planner.is_on_path():
             return not self.batch
-        return not self.batch and not self.loop.is_settled()
+        # A reading that swings is at the target by its mean.
+        is_near = abs(self.shown.temp_c - self.loop.state.target_c) <= self.loop.SETTLED_C
+        return not self.batch and not is_near and not self.loop.is_settled()
 
     @property
     def can_extrude(self) -> bool:
@@ -465,6 +470,9 @@ class InductionHeater:
             "can_extrude": self.can_extrude,
             "estimate": round(news.temp_c, 3) if news.valid else None,
             "sigma": round(news.sigma_c, 3) if news.valid else None,
+            "tip": _rounded(
+                self.parameters.melt.tip_c(news.temp_c, self.loop.flow.at(now_s)) if news.valid else None
+            ),
             "estimate_age": round(age_s, 4) if news.valid else None,
             "valid": self._running and news.valid and age_s <= self.parameters.supervise.invalid_s,
             "power_w": round(power_w, 3),

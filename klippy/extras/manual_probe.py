@@ -21,8 +21,8 @@ DEFAULT_SPEED_MM_S = 5.0
 PLAY_MM = 0.5
 # Two heights nearer than this are the same.
 SAME_MM = 1e-5
-# How far TESTZ Z=++ and Z=-- go on a side where no height has been tried; Z=+ and Z=- go half as far.
-FIRST_STEP_MM = 0.2
+# How far TESTZ Z=+ and its kin go at most, and where no height has been tried on that side.
+STEP_MM = 0.2
 COMMANDS = {
     "ACCEPT": "Accept the current Z position",
     "ABORT": "Abort manual Z probing tool",
@@ -100,8 +100,8 @@ class ManualProbeHelper:
         self._gcode.respond_info(f"Z position: {left} --> {self._z_mm:.3f} <-- {right}")
 
     def _go_to(self, z_mm: float) -> None:
-        """Move to a height; from below by way of a place above it."""
-        if z_mm > self._z_mm:
+        """Move to a height; to one that is not that far below by way of a place above it."""
+        if z_mm + PLAY_MM > self._z_mm:
             self._toolhead.manual_move([None, None, z_mm + PLAY_MM], self.speed)
         self._toolhead.manual_move([None, None, z_mm], self.speed)
 
@@ -111,13 +111,12 @@ class ManualProbeHelper:
         if text not in ("+", "++", "-", "--"):
             return self._z_mm + gcmd.get_float("Z")
         lower, upper = self._neighbours()
-        bound = upper if text[0] == "+" else lower
-        if bound is None:  # nothing tried on that side yet
-            bound = self._z_mm + math.copysign(FIRST_STEP_MM, 1.0 if text[0] == "+" else -1.0)
-        return bound if len(text) == 2 else 0.5 * (bound + self._z_mm)
+        tried = upper if text[0] == "+" else lower
+        way = STEP_MM if tried is None else min(STEP_MM, abs(tried - self._z_mm) / (3 - len(text)))
+        return self._z_mm + math.copysign(way, 1.0 if text[0] == "+" else -1.0)
 
     def cmd_TESTZ(self, gcmd: GCodeCommand) -> None:
-        """TESTZ Z=<mm>|+|++|-|--: by a distance, half way to a height tried before, or back to it."""
+        """TESTZ Z=<mm>|+|++|-|--: by a distance, half way to a height tried before, or back to it; 0.2 mm at most."""
         wanted = self._wanted(gcmd)
         self._go_to(wanted)
         place = bisect.bisect_left(self._tested, self._z_mm)

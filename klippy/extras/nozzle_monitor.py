@@ -20,12 +20,13 @@ from thermal.records import TempEstimate
 from thermal.sensing import flow_monitor
 from vibration import mount_witness, nozzle_condition
 
-from .accelerometer import mount_calibrate
+from .accelerometer import mount_calibrate, report
 from .accelerometer.axes import axis_number
 from .accelerometer.mount import MountVibration
 
 HISTORY_ROWS = 2000
 HISTORY_S = 30.0  # between rows while the condition stays
+TRACE_ROWS, TRACE_S = 2880, 5.0  # four hours, for NOZZLE_REPORT's picture
 NEW_FILAMENT_MM = 50.0  # from the farthest place: filament is changed
 LAG_S = 0.06  # from the motor to the heat: compliance and the wall of the bore
 CALIBRATED_SIGMA = 0.03  # of a saved gain: one spool and temperature to another
@@ -65,6 +66,7 @@ class NozzleMonitor:
         self.printer = printer
         self.name, self._where = name, where
         self.history: deque[dict[str, Any]] = deque(maxlen=HISTORY_ROWS)
+        self._trace: deque[tuple[Any, ...]] = deque(maxlen=TRACE_ROWS)  # time and report.COLUMNS
         self._options, self._alarm = options, alarm
         self._gcode = printer.lookup_object("gcode")
         self._reactor = printer.get_reactor()
@@ -153,6 +155,7 @@ class NozzleMonitor:
     def _judge(self) -> None:
         before, self._condition = self._condition, nozzle_condition.condition(*self._witnesses())
         self._note(self._condition)
+        self._trace_now()
         if self._condition not in GOOD and before in GOOD:
             self._reactor.register_callback(self._on_alarm)
 
@@ -165,6 +168,15 @@ class NozzleMonitor:
             self.history.append(
                 {"t_s": now_s, "condition": condition, "diameter_mm": diameter_mm, "sigma_mm": sigma_mm}
             )
+
+    def _trace_now(self) -> None:
+        """A row of what NOZZLE_REPORT draws."""
+        now_s = self._reactor.monotonic()
+        if self._trace and now_s - self._trace[-1][0] < TRACE_S:
+            return
+        status = self.get_status(now_s)
+        names = ("condition", "diameter", "diameter_sigma", "lost_flow", "evidence")
+        self._trace.append((now_s, *(status[name] for name in names)))
 
     def _diameter(self) -> tuple[float | None, float | None]:
         """mm, and its standard deviation."""
@@ -251,6 +263,8 @@ class NozzleMonitor:
             lines.append("Diameter: not yet known")
         else:
             lines.append(f"Diameter: {status['diameter']:.3f} +- {status['diameter_sigma']:.3f} mm")
+        if gcmd.get_int("PLOT", 0, minval=0, maxval=1):
+            lines.append(report.write(self.printer, gcmd, self._trace))
         gcmd.respond_info("\n".join(lines))
 
     def cmd_NOZZLE_MONITOR_CALIBRATE(self, gcmd: GCodeCommand) -> None:

@@ -261,14 +261,21 @@ class PrintRecovery:
             segments = path.moves(
                 source.read(), record["offset"], path.State(**record["state"]), self._is_known
             )
-        return path.locate(segments, head, self._tolerance(steppers, record["pressure_advance"]))
+        return path.locate(segments, head, self._tolerance(record["pressure_advance"]))
 
     def _is_known(self, command: str) -> bool:
         return self.gcode.get_handler(command) is not None
 
-    def _tolerance(self, steppers: list[Any], advance_s: float) -> path.Tolerance:
+    def full_steps_mm(self) -> dict[str, float]:
+        """Way of a full step of each motor of the print; the extruder's comes last."""
         settings = self.printer.lookup_object("configfile").get_status(0.0)["settings"]
-        full = [s.get_step_dist() * settings[s.get_name()].get("microsteps", 1) for s in steppers]
+        return {
+            s.get_name(): s.get_step_dist() * settings[s.get_name()].get("microsteps", 1)
+            for s in self._steppers()
+        }
+
+    def _tolerance(self, advance_s: float) -> path.Tolerance:
+        full = list(self.full_steps_mm().values())
         return path.Tolerance(max(full[:-1]), full[-1] + advance_s * PA_FLOW_MM_S)
 
     # --- commands ---

@@ -53,7 +53,7 @@ class PrinterProbe:
         self.mcu_probe = mcu_probe
         self.sampling = Sampling.read(config)
         self.offsets = ProbeOffsets(
-            config.getfloat("x_offset", 0.0), config.getfloat("y_offset", 0.0), config.getfloat("z_offset")
+            config.getfloat("x_offset", 0.0), config.getfloat("y_offset", 0.0), self._read_height(config)
         )
         self._series = False
         self._results: list[list[float]] = []
@@ -62,6 +62,11 @@ class PrinterProbe:
         ProbeEvents(self.printer, mcu_probe)
         self.printer.register_event_handler("gcode:command_error", self._end_series)
         self.printer.lookup_object("pins").register_chip("probe", self)
+
+    @staticmethod
+    def _read_height(config: ConfigWrapper) -> float:
+        """Height of the nozzle at the trigger."""
+        return config.getfloat("z_offset")
 
     def setup_pin(self, pin_type: str, pin_params: dict[str, Any]) -> Any:
         """Called by pins for `probe:z_virtual_endstop`."""

@@ -11,6 +11,7 @@
     [simulator probe]           the bed's surface, and the probe that looks for it
     [simulator frame]           ringing of the axes X and Y
     [simulator panel SECTION]   the display of section [SECTION] ("display", "display second")
+    [simulator gauge SECTION]   the force or the coil that [load_cell_probe], [probe_eddy_current NAME] measure
     [simulator accelerometer NAME]   the accelerometer of section [NAME] ("adxl345", "lis2dw bed"), on that frame
 
 These describe the machine as it *is*; the other sections say what the host assumes. Whatever is left out
@@ -67,12 +68,13 @@ ParameterTables = Mapping[str, Mapping[str, ParameterRow]]  # "nozzle" and "load
 @dataclass(frozen=True, slots=True)
 class SimulatorSettings:
     """[simulator]: trace rows a simulated second; for how long the host does nothing, at random; faults as simulate.py
-    --fault takes them.
+    --fault takes them; whether the host is started again after a stop.
     """
 
     trace_rate_hz: float = TRACE_RATE_HZ
     host_late_s: float = 0.0
     faults: tuple[str, ...] = ()
+    starts_again: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,6 +201,26 @@ class ProbeSettings:
     stuck: bool
     z_positions: tuple[tuple[float, float], ...] | None
     bed: Mapping[str, float]
+
+
+# Option of a gauge: field of struct world_gauge_options, default
+GAUGE_OPTIONS = {
+    "rate_error": ("rate_error", 0.005), "noise": ("noise", 0.5), "counts_per_gram": ("counts_per_g", 500.0),
+    "stiffness": ("stiffness_g_mm", 1000.0), "tare": ("tare_g", 120.0), "drift": ("drift_g_s", 0.0),
+    "free_frequency": ("free_hz", 3.0e6), "coupling": ("coupling", 0.2), "decay": ("decay_mm", 2.5),
+    "coil_height": ("coil_mm", 2.0), "coil_temp": ("coil_c", 25.0), "coil_ramp": ("coil_c_per_s", 0.0),
+    "coil_end_temp": ("coil_end_c", 25.0), "drift_per_k": ("drift_per_k", -4e-5),
+    "drift_per_k2": ("drift_per_k2", 8e-8), "drift_per_k3": ("drift_per_k3", 2e-10),
+    "drift_near_per_k": ("drift_near_per_k", 3e-5),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class GaugeSettings:
+    """[simulator gauge SECTION]: what the load cell or the coil of that section feels."""
+
+    name: str
+    values: Mapping[str, float]
 
 
 @dataclass(frozen=True, slots=True)
@@ -457,6 +479,9 @@ _READERS: dict[str, Callable[[Any, str], Any]] = {
     "axis": _read_axis,
     "fan": _read_fan,
     "probe": _read_probe,
+    "gauge": lambda config, name: GaugeSettings(
+        name, {field: config.getfloat(option, default) for option, (field, default) in GAUGE_OPTIONS.items()}
+    ),
     "frame": _read_frame,
     "mount": _read_mount,
     "accelerometer": _read_accelerometer,
@@ -550,6 +575,7 @@ def read_settings(config: ConfigWrapper) -> SimulatorSettings:
         config.getfloat("trace_rate", TRACE_RATE_HZ, above=0.0, maxval=1000.0),
         config.getfloat("host_late", 0.0, minval=0.0, maxval=10.0),
         tuple(config.get("fault", "").split()),
+        config.getboolean("start_again", False),
     )
 
 

@@ -19,7 +19,7 @@ def load_config(config: ConfigWrapper) -> ZLevel:
         plane = surface_fit.fit_plane(places, [place[2] for place in places])
         return [plane.z(x, y) for x, y in positions]
 
-    level = ZLevel(config, len(positions), heights)
+    level = ZLevel(config, len(positions), heights, bed_is_zero=True)
     level.points.minimum_points(2)
     for name, places in (("z_positions", positions), ("points", level.points.probe_points or ())):
         if len(positions) > 2 and surface_fit.on_a_line(places):

@@ -143,19 +143,21 @@ SHUTDOWN_HELP = (
     (
         ("Induction coil signal does not follow",),
         "The board moved the instant at which it samples the signal of the induction coil, and the reading did not move"
-        " by as much as it must: the signal is frozen, or its gain is not signal_gain. Check the sensing coil's lead,"
-        " the amplifier and its supply.",
+        " by as much as it must: the coil carries no current, its signal stands still, or its gain is not signal_gain."
+        " Check the coil, the bridge's supply, the sensing lead, the amplifier and its supply.",
     ),
     (
         ("Induction coil carries current",),
-        "The board turned the bridge off, and the signal was still that of a driven coil. Cut the supply. Then check"
-        " the transistors of the bridge and their drivers for one that conducts all the time, and adc_zero: it must be"
-        " what the ADC reads without current.",
+        "The board turned the bridge off, and the signal was not that of a coil without current: the bridge conducts,"
+        " or the signal stands still. Cut the supply. Then check the transistors of the bridge and their drivers for"
+        " one that conducts all the time, the amplifier and the sensing lead, and adc_zero: it must be what the ADC"
+        " reads without current.",
     ),
     (
         ("Induction coil signal changed faster",),
-        "The reading of the induction coil jumped by more than the temperature of a nozzle can in that time. Check the"
-        " connections of coil and capacitor, whether the nozzle sits firmly in the coil, and the bridge's supply.",
+        "The reading of the induction coil jumped by more than the temperature of a nozzle can in that time. Check coil"
+        " and sensing lead for a break, the connections of the capacitor, whether the nozzle sits firmly in the coil,"
+        " and the bridge's supply.",
     ),
     (
         ("Induction bridge off: no phase command",),

@@ -24,6 +24,7 @@ from extras.simulator import (
     FanSettings,
     FeedSettings,
     FrameSettings,
+    GaugeSettings,
     LoadSettings,
     McuSettings,
     MountSettings,
@@ -35,6 +36,7 @@ from extras.simulator import (
 )
 
 from .builds import Build, make_build
+from .gauges import add_gauge, measuring_section
 from .panel.simulated import SimulatedPanel, add_panel
 from .world import Pin, World, WorldError, parameter_values
 
@@ -48,6 +50,7 @@ Settings = (
     | FanSettings
     | ReferenceSettings
     | ProbeSettings
+    | GaugeSettings
     | FrameSettings
     | MountSettings
     | AccelerometerSettings
@@ -83,6 +86,7 @@ class Machine:
     loads: dict[str, int] = field(default_factory=dict)
     beds: list[int] = field(default_factory=list)  # those of them that are beds
     probes: dict[str, int] = field(default_factory=dict)
+    gauges: dict[str, int] = field(default_factory=dict)  # by the host's section
     recording: SimulatorSettings = field(default_factory=SimulatorSettings)
     nozzle_mcus: list[int] = field(default_factory=list)  # of each nozzle
     accelerometers: dict[str, int] = field(default_factory=dict)
@@ -114,6 +118,8 @@ def assemble(
     machine.panels.update({panel.name: _add_panel(machine, panel, config) for panel in panels})
     for probe in _of(things, ProbeSettings):
         machine.probes[probe.name] = _add_probe(machine, probe, config)
+    gauges = _of(things, GaugeSettings)
+    machine.gauges.update({gauge.name: _add_gauge(machine, gauge, config) for gauge in gauges})
     for fan in _of(things, FanSettings):
         pin = _pin(machine, fan.pin, config, fan.section, "pin", f"simulator fan {fan.name}")
         machine.fans[fan.name] = world.add_fan(pin, fan.spin_up_s)
@@ -285,10 +291,25 @@ def _add_panel(machine: Machine, settings: PanelSettings, config: Config) -> Sim
 # --- bed and probe ---
 
 
+def _add_gauge(machine: Machine, settings: GaugeSettings, config: Config) -> int:
+    where = f"simulator gauge {settings.name}"
+    probe = _index(machine.probes, "", "probe", where)
+
+    def pin(text: str) -> Pin:
+        return parse_pin(text, machine, f"Section '{where}'")
+
+    return add_gauge(machine.world, settings, config, probe, pin, machine.mcus)
+
+
 def _add_probe(machine: Machine, probe: ProbeSettings, config: Config) -> int:
     where = f"simulator probe {probe.name}".rstrip()
-    assumed = config.get("bltouch") or config.get("probe", {})
-    pin = _pin(machine, probe.pin or assumed.get("sensor_pin"), config, "probe", "pin", where)
+    measuring = measuring_section(config)
+    assumed = config.get("bltouch") or config.get("smart_effector") or config.get(measuring or "probe", {})
+    if measuring is None or probe.pin:
+        section = "smart_effector" if "smart_effector" in config else "probe"
+        pin = _pin(machine, probe.pin or assumed.get("sensor_pin"), config, section, "pin", where)
+    else:
+        pin = Pin()  # a gauge measures
     control_text = probe.control_pin or assumed.get("control_pin")
     control = parse_pin(control_text, machine, f"Section '{where}', control_pin") if control_text else None
     x, y, z = (

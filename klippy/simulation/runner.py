@@ -13,7 +13,8 @@ import gc
 import math
 import shlex
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ import reactor as reactor_module
 from link.serialport import PortError
 from printer import Printer
 
-from . import preview
+from . import preview, restarted
 from . import world as world_module
 from .builds import OUT
 from .faults import KILLED_S, FaultError, Injector, Target, all_orders
@@ -39,7 +40,7 @@ OUTPUT_FOLDER = OUT / "simulation"  # of a run without a log: files of INDUCTION
 AFTERMATH_S = 2.0  # watched on after a shutdown, to see that the heat goes off
 PROGRESS_WALL_S = 0.1
 UNKNOWN_COMMAND = '// Unknown command:"'  # how the console says it; the print goes on
-WARNINGS = ("// Induction heater '", "// Nozzle monitor:")
+WARNINGS = ("// Induction heater '", "// Nozzle monitor:", "!! Warning: ")
 GC_ALLOCATIONS = 100_000  # between looks for cycles: blocks and moves come by the thousand and make none
 
 
@@ -88,6 +89,18 @@ class _Ending:
     reason: str = ""
 
 
+@contextmanager
+def _rare_collections() -> Iterator[None]:
+    """For a print: what a start makes stays, and is not looked through again and again."""
+    before = gc.get_threshold()
+    gc.set_threshold(GC_ALLOCATIONS)
+    try:
+        yield
+    finally:
+        gc.unfreeze()
+        gc.set_threshold(*before)
+
+
 class Simulation:
     """Runs once."""
 
@@ -113,23 +126,42 @@ class Simulation:
         self.world = World(self.options.seed)
         self.time = SimTime(self.world)
         self.time.before_advance = self._before_advance
-        self.reactor = reactor_module.Reactor(self.time)
+        self._new_reactor()
         self.printer = self._new_printer()
         self.printer.register_event_handler("klippy:shutdown", self._on_shutdown)
         started = time.monotonic()
         self.reactor.register_callback(self._drive)
-        gc.set_threshold(GC_ALLOCATIONS)
-        result = self.printer.run()
+        with _rare_collections():
+            result = self.printer.run()
         if result == "error_exit":
             self._end(SHUT_DOWN, "internal error of the host; --log FILE gives the details")
         elif "restart" in result and self.printer.get_state_message()[1] == "ready":
             self._end(
                 PRINTED, "ended by the file's own RESTART or SAVE_CONFIG: a simulated print is one session"
             )
+        if self.ending.status == SHUT_DOWN and self.machine and self.machine.recording.starts_again:
+            self._start_again(self.machine)
         self.facts.stages_s["start"] = started - self._wall_start
         self.facts.stages_s["world"] = self.time.world_wall_s
         self.facts.stages_s["host"] = time.monotonic() - started - self.time.world_wall_s
         return self._finish()
+
+    def _start_again(self, machine: Machine) -> None:
+        """The host, on the machine as it is after the stop; what it offers of the print is the result of the run."""
+        written = self.printer.lookup_object("print_recovery").get_status(0.0)["bytes_per_minute"]
+        place_mm = {name: self.world.axis(index)["position_mm"] for name, index in machine.axes.items()}
+        self.world.lib.world_stall_host(self.world.pointer, self.world.now)
+        self._heater = self._bed = self._plan = None
+        self._nozzles = []
+        self.printer = restarted.start_again(self._new_printer, self._new_reactor)
+        self.facts.recovery = {**restarted.judge(self.printer, place_mm), "bytes_per_minute": round(written)}
+        stop = self.ending.reason
+        self.ending.status = PRINTED
+        self.ending.reason = f"{stop}; started again: the print is {self.facts.recovery['state']}"
+
+    def _new_reactor(self) -> reactor_module.Reactor:
+        self.reactor = reactor_module.Reactor(self.time)
+        return self.reactor
 
     def _new_printer(self) -> Any:
         options = self.options
@@ -156,6 +188,8 @@ class Simulation:
         """The OpenPort of this run: no device, but the MCU whose section names this path."""
         if self.machine is None:
             self.machine = self._build_machine()
+            if self.machine.recording.starts_again:
+                self.facts.recovery = dict(restarted.NEVER)
         if path not in self.machine.serials:
             raise PortError(f"No simulated MCU has the serial port {path}.")
         return SimPort(self.world, self.time, self.machine.mcus[self.machine.serials[path]])
@@ -298,15 +332,15 @@ class Simulation:
         return True
 
     def _on_output(self, text: str) -> None:
-        if text.startswith("!!"):
-            self.facts.faults.append(
-                f"{self.reactor.monotonic() - self.world.start_s:.1f} s: {text[2:].strip()}"
-            )
-        elif text.startswith(WARNINGS):
-            now = self.reactor.monotonic()
-            self.facts.messages.append(f"{now - self.world.start_s:.1f} s: {text[3:]}")
+        now = self.reactor.monotonic()
+        at = f"{now - self.world.start_s:.1f} s: "
+        if text.startswith(WARNINGS):
+            words = text[3:].removeprefix("Warning: ")
+            self.facts.messages.append(at + words)
             if self.injector is not None:
-                self.injector.warned(text[3:], now)
+                self.injector.warned(words, now)
+        elif text.startswith("!!"):
+            self.facts.faults.append(at + text[2:].strip())
         elif text.startswith(UNKNOWN_COMMAND):
             name = text[len(UNKNOWN_COMMAND) :].strip('"')
             self.facts.unknown_commands[name] = self.facts.unknown_commands.get(name, 0) + 1

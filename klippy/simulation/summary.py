@@ -46,6 +46,7 @@ class RunFacts:
     nozzle_monitor: list[dict[str, Any]] = field(default_factory=list)
     unknown_commands: dict[str, int] = field(default_factory=dict)  # name: how often
     injected: list[dict[str, Any]] = field(default_factory=list)  # see faults.py
+    recovery: dict[str, Any] = field(default_factory=dict)  # see restarted.py
     stages_s: dict[str, float] = field(default_factory=dict)
     host_links: dict[str, Mapping[str, Any]] = field(default_factory=dict)
 
@@ -96,6 +97,7 @@ def summary(facts: RunFacts, machine: Machine | None) -> dict[str, Any]:
         "nozzle_monitor": facts.nozzle_monitor,
         "unknown_commands": facts.unknown_commands,
         "injected": facts.injected,
+        **({"recovery": facts.recovery} if facts.recovery else {}),
     }
     if machine is None:
         return result

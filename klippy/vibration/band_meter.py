@@ -17,7 +17,7 @@ from typing import Any
 from chelper import get_ffi
 
 Section = tuple[float, float, float, float, float]  # b0, b1, b2, a1, a2
-WINDOWS_MAX = 64  # of a message
+WINDOWS_MAX = 64  # of a call
 PEAKS = 2  # one after the other: 12 dB an octave to each side
 
 
@@ -67,6 +67,8 @@ class BandMeter:
         band.packed, band.is_big_endian = format.sample_bytes == 5, format.is_big_endian
         band.clip_counts, band.weight = format.clip_counts, format.weight_m_s2
         band.window_samples, band.settle_samples = window_samples, settle_samples
+        self._sample_bytes = format.sample_bytes
+        self._slice_bytes = (WINDOWS_MAX - 1) * window_samples * format.sample_bytes
 
     def set_sections(self, sections: Sequence[Section]) -> None:
         """Other filters from the next sample on; their memory stays."""
@@ -75,6 +77,12 @@ class BandMeter:
             self._band.sections[number] = section
 
     def take(self, first: int, data: bytes) -> Iterator[Any]:
-        """The windows (struct band_window) that end in a message; each is valid until the next message."""
-        count = self._lib.mount_band_take(self._band, first, data, len(data), self._windows, WINDOWS_MAX)
-        return (self._windows[number] for number in range(count))
+        """The windows (struct band_window) that end in some samples; each is valid until the next one."""
+        size = self._slice_bytes
+        for at in range(0, len(data), size):
+            part = data[at : at + size]
+            count = self._lib.mount_band_take(
+                self._band, first + at // self._sample_bytes, part, len(part), self._windows, WINDOWS_MAX
+            )
+            for number in range(count):
+                yield self._windows[number]

@@ -28,6 +28,7 @@ KELVIN = 273.15
 FLOW_MM3_S, TEMP_C = 5.0, 210.0  # v0, T0
 MEDIUM = Melt(650.0, 0.66, 5000.0, 200.0)  # PLA, Tlegenov 2018, Table 1; beta is not given there [assumed]
 UNKNOWN_FLOW_EXPONENT_SIGMA, FLOW_EXPONENT_SIGMA = 0.2, 0.05  # of m: by the pressure, of a calibration
+FLOW_CHANGE_MAX = 1.3  # from a window to the next
 SHAPE = (1.75, 20.0, 110.0, 1.0)  # mm, mm, degrees, mm: barrel, its length, cone, length of the hole
 
 
@@ -141,6 +142,7 @@ class MountState:
     noise_weight: float = 0.0  # s
     noise_moves: bool = False  # it is that of motion
     response: float = 0.0  # square of the expected law, behind the lag
+    flow_mm3_s: float = 0.0  # of the window before
     step: Step = field(default_factory=Step)
     narrowed: float = 0.0  # sums of the two tests
     lost: float = 0.0
@@ -148,7 +150,9 @@ class MountState:
     is_narrowed: bool = False
     is_lost: bool = False
     news: float = 0.0  # log-likelihood ratio of lost flow, of the step that just ended
-    recent: deque[tuple[float, float]] = field(default_factory=deque)  # W, ratio of power without noise
+    recent: deque[tuple[float, float, float]] = field(
+        default_factory=deque
+    )  # W, ratio of power without noise, flow
     log_diameter: float = math.nan  # of d/d0
     log_sigma: float = math.nan
 
@@ -187,6 +191,7 @@ def observe(p: MountParameters, state: MountState, window: MountWindow) -> bool:
     square = _expected_square(p, state, window.flow_mm3_s, window.temp_c) if flowing else 0.0
     share = 1.0 - math.exp(-window.lasts_s / p.lag_s)
     state.response += share * (square - state.response)
+    before, state.flow_mm3_s = state.flow_mm3_s, window.flow_mm3_s
     if window.is_disturbed:
         return False
     if not flowing:
@@ -195,6 +200,8 @@ def observe(p: MountParameters, state: MountState, window: MountWindow) -> bool:
         return False
     if window.flow_mm3_s < p.flow_min_mm3_s or state.noise_weight < p.noise_s:
         return False
+    if not before < FLOW_CHANGE_MAX * window.flow_mm3_s < FLOW_CHANGE_MAX**2 * before:
+        return False  # its power is that of more than one flow
     step = state.step
     expected = state.response * math.exp(2.0 * state.log_amplitude)
     step.lasts_s += window.lasts_s
@@ -233,21 +240,23 @@ def _judge(p: MountParameters, state: MountState, step: Step) -> None:
         _learn(p, state, signal, weight, away, variance)
         return
     doubt = math.sqrt(variance + p.doubt**2)
-    state.recent.append((weight, signal))
+    state.recent.append((weight, signal, away))  # logarithm of the flow, from the centre
     if _test(p, state, ratio, weight, signal_share, doubt):
         while len(state.recent) > state.evidence_steps:  # what was before the change is no longer so
             state.recent.popleft()
-    while sum(w for w, _ in state.recent) - state.recent[0][0] >= p.window_weight:
+    while sum(w for w, _, _ in state.recent) - state.recent[0][0] >= p.window_weight:
         state.recent.popleft()
-    recent_weight = sum(w for w, _ in state.recent)
-    mean = sum(w * s for w, s in state.recent) / recent_weight
+    recent_weight = sum(w for w, _, _ in state.recent)
+    mean = sum(w * s for w, s, _ in state.recent) / recent_weight
     state.log_diameter = -0.5 * math.log(max(1e-6, mean)) / p.exponent
     scatter = math.sqrt(0.25 / recent_weight + doubt**2) / p.exponent
     state.log_sigma = math.hypot(scatter, p.exponent_doubt * state.log_diameter)
     quiet = 0.25 * p.threshold
     if not state.is_narrowed and not state.is_lost and state.narrowed < quiet and state.lost < quiet:
-        learn = _learn_flow if state.is_learned else _learn
-        learn(p, state, signal, weight, away, variance)
+        if state.is_learned:
+            _learn_flow(p, state, signal, weight, away)
+        else:
+            _learn(p, state, signal, weight, away, variance)
 
 
 def _log_ratio(weight: float, ratio: float, times: float, signal_share: float) -> float:
@@ -313,12 +322,13 @@ def _recentre(state: MountState) -> None:
     state.covariance = 0.0
 
 
-def _learn_flow(
-    p: MountParameters, state: MountState, signal: float, weight: float, away: float, variance: float
-) -> None:
-    """m alone: how the amplitude goes with the flow does not change with a clog."""
+def _learn_flow(p: MountParameters, state: MountState, signal: float, weight: float, away: float) -> None:
+    """m alone, from how a step differs from the mean of the recent ones: a narrower hole changes them all alike."""
+    recent_weight = sum(w for w, _, _ in state.recent)
+    away -= sum(w * x for w, _, x in state.recent) / recent_weight
+    innovation = 0.5 * math.log(signal) + 0.25 / weight + p.exponent * state.log_diameter
     scatter = 0.25 / weight + p.doubt**2
-    gain = away * state.variance[1] / (variance + scatter)
-    state.flow_exponent += gain * (0.5 * math.log(signal) + 0.25 / weight)
+    gain = away * state.variance[1] / (away**2 * state.variance[1] + scatter)
+    state.flow_exponent += gain * innovation
     state.flow_exponent = min(2.0, max(0.3, state.flow_exponent))
     state.variance[1] = max(1e-4, state.variance[1] - gain * away * state.variance[1])

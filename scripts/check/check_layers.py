@@ -29,7 +29,7 @@ LAYERS: tuple[tuple[str, frozenset[str]], ...] = tuple(
         ("thermal", "thermal vibration"),
         (
             "base",
-            "util queuelogger reactor roles configabsent absentpins configtext configfile"
+            "util queuelogger reactor roles configreaders configtext configfile"
             " gcode_command gcode_waits gcode gcode_io pins msgproto",
         ),
         ("link", "link serialhdl clocksync mcu"),

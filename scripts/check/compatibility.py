@@ -20,8 +20,8 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT / "klippy"))
 
-import configabsent  # noqa: E402  (the path comes first)
 import configfile  # noqa: E402
+import configreaders  # noqa: E402  (the path comes first)
 from klipper_names import COMMANDS, SECTIONS  # noqa: E402
 from klipper_options import FIELDS, OPTIONS  # noqa: E402
 
@@ -47,8 +47,6 @@ HEAD = """\
 Written by `scripts/check/compatibility.py`; a test compares it with the program. Names are those of Klipper's reference
 pages; options and fields of 2026 may be missing. [Config_Reference](Config_Reference.md), [G-Codes](G-Codes.md) and
 [Status_Reference](Status_Reference.md) list those of this program, with what each does.
-
-A section that is missing does not stop the printer ([why](Config_Reference.md#sections-of-klipper-that-are-missing)).
 """
 
 
@@ -119,8 +117,8 @@ def page() -> str:
         name
         for name in SECTIONS
         if name in modules
-        or name in configabsent.READ_BY
-        or configabsent.is_read_last(name)
+        or name in configreaders.READ_BY
+        or configreaders.is_read_last(name)
         or name == "stepper"
     }
     lines = [HEAD, "## Sections", "", *table(SECTIONS, sections), "", "## Commands", ""]

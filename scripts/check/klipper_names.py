@@ -59,3 +59,5 @@ SECTIONS = frozenset(_SECTIONS.split())
 COMMANDS = frozenset(_COMMANDS.split())
 # Its documentation does not name them, the G-code of slicers and front ends has them, and Klipper takes them.
 UNDOCUMENTED = frozenset({"ECHO", "G20", "G21", "M110", "M28", "M29", "M30"})
+# Lines for a Palette (palette2), and the further steps of a load cell's calibration.
+UNDOCUMENTED |= {*(f"O{number}" for number in range(1, 33)), "CALIBRATE", "TARE"}

@@ -145,6 +145,17 @@ tsl1401cl_filament_width_sensor pin default_nominal_filament_diameter max_differ
 smart_effector pin control_pin probe_accel recovery_time +PROBING activate_gcode deactivate_gcode
   deactivate_on_each_sample
 sx1509 +I2C
+load_cell sensor_type counts_per_gram reference_tare_counts sensor_orientation sclk_pin dout_pin gain sample_rate cs_pin
+  +SPI data_ready_pin pga_bypass input_mux vref adc_channel clock_freq pwm_clock enable_global_chop global_chop_delay
+load_cell_probe sensor_type counts_per_gram reference_tare_counts sensor_orientation force_safety_limit trigger_force
+  drift_filter_cutoff_frequency drift_filter_delay buzz_filter_cutoff_frequency buzz_filter_delay
+  notch_filter_frequencies notch_filter_quality tare_time interpolate_enable interpolate_lift_dist z_offset speed
+  samples sample_retract_dist lift_speed samples_result samples_tolerance samples_tolerance_retries activate_gcode
+  deactivate_gcode
+probe_eddy_current sensor_type frequency intb_pin max_sensor_hz descend_z +I2C x_offset y_offset speed lift_speed
+  samples sample_retract_dist samples_result samples_tolerance samples_tolerance_retries tap_threshold tap_z_offset
+angle sensor_type sample_period stepper cs_pin +SPI
+palette2 serial baud feedrate_splice feedrate_normal auto_load_speed auto_cancel_variation
 replicape revision enable_pin host_mcu standstill_power_down stepper_x_microstep_mode stepper_x_current
   stepper_x_chopper_off_time_high stepper_x_chopper_hysteresis_high stepper_x_chopper_blank_time_high
 samd_sercom sercom tx_pin rx_pin clk_pin
@@ -153,6 +164,7 @@ ads1x1x chip pga adc_voltage +I2C
 """
 
 _FIELDS = """
+angle temperature
 bed_mesh profile_name mesh_min mesh_max probed_matrix mesh_matrix profiles
 bed_screws is_active state current_screw accepted_screws
 canbus_stats rx_error tx_error tx_retries bus_state
@@ -174,11 +186,15 @@ extruder temperature target power can_extrude
 heaters available_heaters available_sensors available_monitors
 idle_timeout state printing_time
 led color_data
+load_cell is_calibrated counts_per_gram reference_tare_counts tare_counts force_g min_force_g max_force_g
+load_cell_probe is_calibrated counts_per_gram reference_tare_counts tare_counts force_g min_force_g max_force_g name
+  last_query last_z_result last_probe_position endstop_tare_counts last_trigger_time
 manual_probe is_active z_position z_position_lower z_position_upper
 manual_stepper position enabled
 mcu mcu_version mcu_build_versions mcu_constants last_stats
 motion_report live_position live_velocity live_extruder_velocity
 output_pin value
+palette2 ping remaining_load_length is_splicing
 pause_resume is_paused
 print_stats filename total_duration print_duration filament_used state message total_layer current_layer
 probe name last_query last_z_result last_probe_position

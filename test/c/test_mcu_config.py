@@ -95,6 +95,36 @@ query_icm20948_status oid=%c
 config_bmi160 oid=%c bus_oid=%c bus_oid_type=%c
 query_bmi160 oid=%c rest_ticks=%u
 query_bmi160_status oid=%c
+ads1220_attach_trigger_analog oid=%c trigger_analog_oid=%c
+ads131m0x_attach_trigger_analog oid=%c trigger_analog_oid=%c
+config_ads1220 oid=%c spi_oid=%c data_ready_pin=%u
+config_ads131m0x oid=%c spi_oid=%c channel=%c num_channels=%c data_ready_pin=%u
+config_hx71x oid=%c gain_channel=%c dout_pin=%u sclk_pin=%u
+config_ldc1612 oid=%c i2c_oid=%c
+config_ldc1612_with_intb oid=%c i2c_oid=%c intb_pin=%c
+config_sos_filter oid=%c max_sections=%c
+config_spi_angle oid=%c spi_oid=%c spi_angle_type=%c
+config_trigger_analog oid=%c sos_filter_oid=%c
+hx71x_attach_trigger_analog oid=%c trigger_analog_oid=%c
+ldc1612_attach_trigger_analog oid=%c trigger_analog_oid=%c
+query_ads1220 oid=%c rest_ticks=%u
+query_ads1220_status oid=%c
+query_ads131m0x oid=%c rest_ticks=%u
+query_ads131m0x_status oid=%c
+query_hx71x oid=%c rest_ticks=%u
+query_hx71x_status oid=%c
+query_ldc1612 oid=%c rest_ticks=%u
+query_spi_angle oid=%c clock=%u rest_ticks=%u time_shift=%c
+query_status_ldc1612 oid=%c
+sos_filter_set_active oid=%c n_sections=%c coeff_frac_bits=%c
+sos_filter_set_offset_scale oid=%c offset=%i scale=%i scale_frac_bits=%c auto_offset=%c
+sos_filter_set_section oid=%c section_idx=%c sos0=%i sos1=%i sos2=%i sos3=%i sos4=%i
+sos_filter_set_state oid=%c section_idx=%c state0=%i state1=%i
+spi_angle_transfer oid=%c data=%*s
+trigger_analog_home oid=%c trsync_oid=%c trigger_reason=%c error_reason=%c clock=%u monitor_ticks=%u monitor_max=%u
+trigger_analog_query_state oid=%c
+trigger_analog_set_raw_range oid=%c raw_min=%i raw_max=%i
+trigger_analog_set_trigger oid=%c trigger_analog_type=%c trigger_value=%i
 """  # noqa: E501
 STOCK_RESPONSES = """
 analog_in_state oid=%c next_clock=%u values=%*s
@@ -120,6 +150,8 @@ thermocouple_result oid=%c next_clock=%u value=%u fault=%c
 tmcuart_response oid=%c read=%*s
 sensor_bulk_data oid=%c sequence=%hu data=%*s
 sensor_bulk_status oid=%c clock=%u query_ticks=%u next_sequence=%hu buffered=%u possible_overflows=%hu
+spi_angle_transfer_response oid=%c clock=%u response=%*s
+trigger_analog_state oid=%c homing=%c homing_clock=%u
 """
 
 

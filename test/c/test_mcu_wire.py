@@ -103,10 +103,29 @@ def test_content_that_cannot_be_parsed_shuts_down(mcu: Mcu, content: bytes) -> N
     assert mcu.shutdown_reason() == "Command parser error"
 
 
-@pytest.mark.parametrize("number", [0, -1, 95, 96, 5000])
+@pytest.mark.parametrize("number", [0, -1, -33, 5000])
 def test_unknown_command_shuts_down(mcu: Mcu, number: int) -> None:
     mcu.send_content(vlq(number))
     assert mcu.shutdown_reason() == "Invalid command"
+
+
+@pytest.mark.parametrize("behind", [1, 2, 128])
+def test_number_behind_the_last_command_shuts_down(mcu: Mcu, behind: int) -> None:
+    last = max(command.number for command in mcu.dictionary.commands.values())
+    mcu.send_content(vlq(last + behind))
+    assert mcu.shutdown_reason() == "Invalid command"
+
+
+def test_commands_whose_number_has_two_bytes_are_obeyed(mcu: Mcu) -> None:
+    query = mcu.dictionary.commands["trigger_analog_query_state"]
+    assert query.number > 95 and len(vlq(query.number)) == 2
+    mcu.configure(
+        2,
+        ("config_sos_filter", {"oid": 0, "max_sections": 1}),
+        ("config_trigger_analog", {"oid": 1, "sos_filter_oid": 0}),
+    )
+    state = mcu.ask("trigger_analog_query_state", oid=1)
+    assert (state.name, state["oid"], state["homing"]) == ("trigger_analog_state", 1, 0)
 
 
 def test_one_error_burst_gets_one_nak(mcu: Mcu) -> None:

@@ -333,12 +333,17 @@ def test_two_blocks_that_stand_out_are_forgotten() -> None:
         (450 + 19, 1, 2184),
         (450 - 15 - 18 / 16, 0, 2184),
         (450 - 15 - 19 / 16, 1, 2184),
-        (450 + 35 + 9 / 16 + 3, 0, 45000),
-        (450 + 35 + 10 / 16 + 3, 1, 45000),
+        (450 + 80 + 5 / 16 + 3, 0, 45000),
+        (450 + 80 + 6 / 16 + 3, 1, 45000),
+        (450 + 30 + 3, 0, 32768),
+        (450 + 30 + 1 / 16 + 3, 1, 32768),
     ],
 )
 def test_a_nozzle_may_rise_and_fall_between_two_blocks(mean: float, bad: int, phase: int) -> None:
-    """192 samples apart: 15 LSB times 1 + phase / 32768 (2184: 15 sixteenths more), and 3 LSB up or 3/16 LSB down."""
+    """192 samples apart: 15 LSB times 1 + phase / 32768 (2184: 15 sixteenths more), and 3 LSB up or 3/16 LSB down.
+
+    Above a phase of 32768 the limit rises faster.
+    """
     t = learned()
     block(t, 450, 0, phase)
     assert block(t, mean, 192, phase) == NONE
@@ -385,3 +390,29 @@ def test_without_a_limit_jumps_are_not_judged() -> None:
     t = fresh(jump=0)
     block(t, 450, 0)
     assert block(t, 900, 192) == NONE and t.bad_jumps == 0
+
+
+@pytest.mark.parametrize("mean", [249, 263])
+def test_a_bridge_that_conducts_while_nothing_drives_it_trips_at_the_fourth_block(mean: float) -> None:
+    t = fresh()
+    found = [block(t, mean, 192 * n, phase=0) for n in range(4)]
+    assert found == [NONE, NONE, NONE, CONDUCTS]
+
+
+@pytest.mark.parametrize("mean", [250, 262])
+def test_blocks_without_drive_may_show_no_current_for_ever(mean: float) -> None:
+    t = fresh()
+    assert {block(t, mean, 192 * n, phase=0) for n in range(20)} == {NONE}
+
+
+@pytest.mark.parametrize(("mean", "phase"), [(256, 0), (400, 2012)])
+def test_a_block_without_current_and_one_with_drive_end_the_count(mean: float, phase: int) -> None:
+    t = fresh()
+    for n in range(0, 40, 4):
+        assert {block(t, 400, 192 * (n + i), phase=0) for i in range(3)} == {NONE}
+        assert block(t, mean, 192 * (n + 3), phase) == NONE
+
+
+def test_without_limits_of_no_current_blocks_without_drive_are_not_judged() -> None:
+    t = fresh(off_low=0, off_high=0)
+    assert {block(t, 400, 192 * n, phase=0) for n in range(8)} == {NONE}

@@ -6,9 +6,12 @@ pull-down.
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 from pathlib import Path
+
+import pytest
 
 from chip_rig import make_build
 from mega_rig import MEGA_HZ, STEP_PINS, Mega, run_steps, stepping
@@ -139,8 +142,23 @@ def test_stack_keeps_a_quarter_free_with_all_that_is_deep_at_once() -> None:
 # ---------------------------------------------------------------- interrupts
 
 
-def test_no_division_and_no_allocation_is_in_the_interrupts() -> None:
-    image = make_build("atmega2560").image
+OPTIONAL_TIMERS = {
+    "CONFIG_LOAD_CELLS": "load_cell_event",
+    "CONFIG_EDDY_PROBES": "ldc1612_event",
+    "CONFIG_ANGLE_SENSORS": "angle_event",
+}
+
+
+def image_with_all_options(folder: Path) -> Path:
+    variables = [f"OUT={folder}", "KCONFIG_CONFIG=/dev/null", *(f"{name}=y" for name in OPTIONAL_TIMERS)]
+    clean = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
+    subprocess.run(["make", "-s", "PORT=atmega2560", *variables, "firmware"], cwd=ROOT, env=clean, check=True)
+    return folder / "atmega2560" / "ferrite.elf"
+
+
+@pytest.mark.parametrize("with_all_options", [False, True])
+def test_no_division_and_no_allocation_is_in_the_interrupts(tmp_path: Path, with_all_options: bool) -> None:
+    image = image_with_all_options(tmp_path) if with_all_options else make_build("atmega2560").image
     code = subprocess.run(
         ["avr-objdump", "-d", str(image)], capture_output=True, text=True, check=True
     ).stdout
@@ -154,6 +172,8 @@ def test_no_division_and_no_allocation_is_in_the_interrupts() -> None:
         for path in ROOT.glob("src/*.c")
         for match in re.findall(r"^static uint8_t\n(\w+)\(struct timer \*t\)", path.read_text(), re.M)
     } - {"phase_timer"}  # the bridge's, which is not here
+    if not with_all_options:
+        timers -= set(OPTIONAL_TIMERS.values())
     roots = [name for name in called if name.startswith("__vector_") or name.split(".")[0] in timers]
     assert {name.split(".")[0] for name in roots} >= timers and len(timers) > 10
     reached: set[str] = set()

@@ -2,66 +2,79 @@
 
 from __future__ import annotations
 
-import math
+import harness
+
 import random
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-import bench_recovery
-from bench_recovery import FULL_STEP_MM
 from extras.recovery.journal import Journal
 from extras.recovery.path import Refusal
-from reactor import Reactor
-from simulation.runner import PRINTED, SHUT_DOWN, RunOptions
+from simulation.runner import PRINTED, SHUT_DOWN, RunOptions, Simulation
+
+AXES = {"x": "stepper_x", "y": "stepper_y", "z": "stepper_z", "extruder": "extruder"}
+FULL_STEP_MM = {"x": 40.0 / 200, "y": 40.0 / 200, "z": 8.0 / 200, "extruder": 7.6 / 200}
+INTERVAL_S = 0.5
+
+
+@dataclass(slots=True)
+class Instant:
+    """What a crash at this moment would leave: the journal, the motors' steps; and where the axes are."""
+
+    record: dict[str, Any]
+    steps: dict[str, int]
+    place: dict[str, float]
+
+
+class Watched(Simulation):
+    """Looks at journal and machine at given times."""
+
+    def __init__(self, options: RunOptions, journal: Path, at_s: list[float]) -> None:
+        super().__init__(options)
+        self.journal, self.at_s = journal, sorted(at_s)
+        self.instants: list[Instant] = []
+        self.outcome: Any = None
+
+    def axis(self, name: str) -> dict[str, Any]:
+        assert self.machine is not None
+        return self.world.axis(self.machine.axes[name])
+
+    def _before_advance(self, now: float) -> None:
+        super()._before_advance(now)
+        while self.at_s and now - self.world.start_s >= self.at_s[0]:
+            self.at_s.pop(0)
+            axes = {name: self.axis(name) for name in AXES}
+            steps = {AXES[n]: int(a["steps_forward"] - a["steps_backward"]) for n, a in axes.items()}
+            place = {name: a["position_mm"] for name, a in axes.items()}
+            self.instants.append(Instant(Journal(str(self.journal)).read(), steps, place))
+
+
+def options(
+    part: Path, journal: Path, faults: tuple[str, ...] = (), more: tuple[tuple[str, str, str], ...] = ()
+) -> RunOptions:
+    """A print of `part` with [print_recovery]."""
+    values = {"filename": str(journal), "interval": str(INTERVAL_S), "z_stays": "True"}
+    overrides = tuple(("print_recovery", name, value) for name, value in values.items())
+    return RunOptions(harness.SAMPLE_CONFIG, part, overrides=overrides + more, faults=faults)
+
 
 FILAMENT_STEP_MM = FULL_STEP_MM["extruder"]
 
 
-def spiral(turns: int = 6) -> str:
-    """A print whose path never passes a place twice: 8-sided rings that grow, retractions between them."""
-    lines = ["M104 S250", "G28", "G90", "M83", "G1 X90 Y90 Z0.3 F6000", "M109 S250", "M106 S128"]
-    for number in range(8 * turns):
-        radius, angle = 4.0 + number * 0.3, number * math.pi / 4
-        x, y = 90 + radius * math.cos(angle), 90 + radius * math.sin(angle)
-        lines.append(f"G1 X{x:.3f} Y{y:.3f} E{radius * 0.03:.5f} F{1800 + 60 * number}")
-        if number % 8 == 7:
-            lines += ["G1 E-0.8 F1800", f"G1 X{x:.3f} Y{y + 0.5:.3f} Z{0.3 + number / 160:.3f}", "G1 E0.8"]
-    return "\n".join([*lines, "M400", "M104 S0", ""])
+PART = Path(__file__).resolve().parents[2] / "config" / "studies" / "recovery.gcode"
 
 
-class Restarted(bench_recovery.Watched):
-    """Can start the host again; `script` runs instead of a print."""
+class Restarted(Watched):
+    """`script` runs instead of a print."""
 
     def __init__(self, options: RunOptions, journal: Path, at_s: list[float], script: str = "") -> None:
         super().__init__(options, journal, at_s)
         self.script = script
         self.offer: dict[str, Any] = {}
-
-    def start_again(self) -> None:
-        """Start the host anew on the machine as it is, also after an MCU reset, until it is ready."""
-        self.world.lib.world_stall_host(self.world.pointer, self.world.now)
-        self._heater = self._bed = None
-        reason = "startup"
-        for _ in range(3):
-            self.reactor = Reactor(self.time)
-            self.printer = self._new_printer()
-            self.printer.start_args["start_reason"] = reason
-            self.reactor.register_callback(self._wait)
-            reason = self.printer.run()
-            if reason == "exit":
-                return
-
-    def _wait(self, eventtime: float) -> None:
-        # a board that shuts itself down while the host starts is reset: the host ends by itself then
-        while (
-            self.printer.get_state_message()[1] not in ("ready", "error")
-            and self.world.now < eventtime + 20.0
-        ):
-            self.reactor.pause(self.reactor.monotonic() + 0.1)
-        self.printer.request_exit("exit")
 
     def _print(self) -> None:
         if not self.script:
@@ -76,11 +89,17 @@ class Restarted(bench_recovery.Watched):
                 return
 
 
-def run(folder: Path, at_s: list[float], script: str = "", faults: tuple[str, ...] = ()) -> Restarted:
+def run(
+    folder: Path,
+    at_s: list[float],
+    script: str = "",
+    faults: tuple[str, ...] = (),
+    more: tuple[tuple[str, str, str], ...] = (),
+) -> Restarted:
     part, journal = folder / "part.gcode", folder / "recovery"
     if not part.exists():
-        part.write_text(spiral())
-    simulation = Restarted(bench_recovery.options(part, journal, *faults), journal, at_s, script)
+        part.write_text(PART.read_text())
+    simulation = Restarted(options(part, journal, faults, more), journal, at_s, script)
     simulation.outcome = simulation.run()
     return simulation
 
@@ -126,27 +145,24 @@ def test_after_a_shutdown_the_next_start_offers_and_prints_the_rest(tmp_path: Pa
     assert not Journal(str(first.journal)).read()  # the print ended: nothing to offer at the next start
 
 
-@pytest.mark.parametrize("at_s", [13.137, 15.911, 18.482])
-def test_a_host_that_was_killed_finds_the_place_from_the_boards_own_counts(
-    tmp_path: Path, at_s: float
+@pytest.mark.parametrize(
+    ("faults", "state", "reason"),
+    [
+        ("host_kill@13.137", "offered", ""),
+        ("host_kill@15.911", "offered", ""),
+        ("mcu_reset@16", "refused", "a board was reset or lost its power"),
+        ("mcu_reset@16 host_kill@16", "refused", "a board was reset or lost its power"),
+    ],
+)
+def test_a_host_started_again_offers_the_place_of_the_boards_counts_or_refuses(
+    tmp_path: Path, faults: str, state: str, reason: str
 ) -> None:
-    result = run(tmp_path, [], faults=(f"host_kill@{at_s}",))
-    assert result.outcome.status == SHUT_DOWN
-    assert "steps" not in Journal(str(result.journal)).read()
-    result.start_again()
-    assert result.printer.get_state_message()[1] == "ready"
-    offer = result.printer.lookup_object("print_recovery").get_status(0.0)
-    assert offer["state"] == "offered", offer["reason"]
-    assert_there(offer["position"], {name: result.axis(name)["position_mm"] for name in FULL_STEP_MM})
-
-
-def test_a_board_that_was_reset_is_a_refusal(tmp_path: Path) -> None:
-    result = run(tmp_path, [], faults=("mcu_reset@16",))
-    assert result.outcome.status == SHUT_DOWN
-    result.start_again()
-    offer = result.printer.lookup_object("print_recovery").get_status(0.0)
-    assert offer["state"] == "refused"
-    assert "a board was reset or lost its power" in offer["reason"]
+    again = (("simulator", "start_again", "True"), ("simulator", "fault", faults))
+    found = run(tmp_path, [], more=again).outcome.summary["recovery"]
+    assert found["state"] == state
+    assert reason in found["reason"]
+    assert found["off_steps"] < 1.0
+    assert 0.0 < found["bytes_per_minute"] < 200_000
 
 
 def test_another_print_discards_the_offer_before_it_moves(tmp_path: Path) -> None:

@@ -167,7 +167,7 @@ EDDY_CONFIG = """
 [include {root}/config/example-cartesian.cfg]
 [plugins]
 path: {folder}
-[eddy]
+[eddy_scan]
 [bed_mesh]
 mesh_min: 10, 10
 mesh_max: 150, 100
@@ -181,7 +181,7 @@ speed: 100
 def test_a_bed_is_scanned_without_a_stop(tmp_path: Path) -> None:
     """At 100 mm/s, 47 mm between points; between rows the head goes 8 mm on and comes back."""
     (tmp_path / "plugins").mkdir()
-    (tmp_path / "plugins" / "eddy.py").write_text(EDDY)
+    (tmp_path / "plugins" / "eddy_scan.py").write_text(EDDY)
     config = EDDY_CONFIG.format(root=ROOT, folder=tmp_path / "plugins")
     scan = "BED_MESH_CALIBRATE METHOD="
     script = f"G28\nEDDY_KEEP COUNT=12\n{scan}rapid_scan\nBED_MESH_MAP\n{scan}scan\n"

@@ -49,17 +49,19 @@ def _target(
     return then_c - min(p.band_c, max(-p.band_c, now_c - temp_c)) * remaining
 
 
-def _ridden(p: ModelParameters, state: ModelState, inputs: ControlInput, dt_s: float) -> ModelState:
+def _ridden(p: ModelParameters, state: ModelState, inputs: ControlInput) -> ModelState:
     """With what is added to the wanted temperature while the reading swings."""
-    share = min(1.0, max(0.0, dt_s / RIDDEN_S))
+    share = min(1.0, state.read_s / RIDDEN_S)
     now_c = _wanted(inputs, state.time_s)
     swings = p.coloured_c2_s > 0.0 and state.swing_c >= RIDDEN_C
     is_near = abs(now_c - state.nodes.temp_c) <= min(RIDDEN_NEAR_C, RIDDEN_SWINGS * state.swing_c)
-    swinging_s, ridden_c = state.swinging_s + dt_s if swings and is_near else 0.0, state.ridden_c
+    swinging_s, ridden_c = state.swinging_s + state.read_s if swings and is_near else 0.0, state.ridden_c
     if not swings:
         ridden_c -= share * ridden_c
     elif swinging_s >= RIDDEN_AFTER_S:
-        ridden_c = min(RIDDEN_MAX_C, max(-RIDDEN_MAX_C, ridden_c + share * (now_c - state.read_c)))
+        ridden_c = min(
+            RIDDEN_MAX_C, max(-RIDDEN_MAX_C, ridden_c + (now_c * state.read_s - state.read_cs) / RIDDEN_S)
+        )
     return state._replace(swinging_s=swinging_s, ridden_c=ridden_c)
 
 
@@ -211,7 +213,6 @@ def model_step(
 ) -> tuple[ControlOutput, ModelState]:
     """One step with the measurements up to `time_s`; the output is meant from apply_s on."""
     samples = _samples(p, state, inputs, time_s)
-    before_s = state.time_s
     state = observe(p, state, samples, inputs.flow_mm3_s, inputs.fan)
     apply_s = inputs.apply_s if inputs.apply_s == inputs.apply_s else time_s + p.delay_s
     own = inputs.pending is None
@@ -219,7 +220,7 @@ def model_step(
         off = Planned(apply_s, 0.0)
         sent = _remembered(state, time_s, off) if own else ()
         return ControlOutput(0.0, 0.0, 0.0, 0.0, 0.0, 0.0), state._replace(output=0.0, sent=sent)
-    state = _ridden(p, state, inputs, state.time_s - before_s)
+    state = _ridden(p, state, inputs)
     inputs = _shifted(inputs, state.ridden_c)
     future = _Future(p, state, inputs, state.time_s)
     future.follow(state.sent if inputs.pending is None else inputs.pending, samples[-1].output, apply_s)

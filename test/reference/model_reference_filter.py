@@ -43,6 +43,7 @@ TAKEN_C, TAKEN_GAIN = (
     0.2,
 )  # 1 sigma of nodes, share of the gain's doubt after taking over from another law
 SLANT_WALK_C, SLANT_USUAL_S = 0.3, 0.2  # how the reading's slant walks in a second; memory of the usual drive
+SLANT_GAIN = 0.05  # the slant is learned once the gain is known so well
 COLOURED_GAP_S, SWING_S, SWING_SHARE, SWING_KEEP_S, SWING_DOUBT_C = 0.02, 0.006, 0.25, 1.0, 5.0
 GAIN_SHARE, COLOURED_JUMP_C = 0.25, 12.0  # with coloured errors
 SECOND_MARGIN_C = 20.0  # the second mass lies between air and the hottest node, give or take this
@@ -73,7 +74,9 @@ class ModelState(NamedTuple):
     half_c: float = 0.0  # peak of the present half wave
     before_c: float = 0.0  # size of the one before
     swinging_s: float = 0.0  # for so long the reading has swung
-    read_c: float = 0.0  # newest reading
+    read_to_s: float = 0.0  # end of the newest piece with a measurement
+    read_s: float = 0.0  # of the newest samples: time since those before
+    read_cs: float = 0.0  # ... reading times time
     ridden_c: float = 0.0  # added to the wanted temperature while the reading swings
     slant_c: float = 0.0  # what full drive by itself adds to the reading
     usual: float = 0.0  # share of full drive at which the reading is taken for the truth
@@ -147,7 +150,7 @@ def begin(p: ModelParameters, temp_c: float, time_s: float, before: ModelState |
     sent = before.sent if before is not None else ()
     usual = output / p.output_high
     return ModelState(
-        time_s, nodes, 0.0, gain, tuple(rows), 0.0, time_s, output, usual=usual, sent=sent, read_c=temp_c
+        time_s, nodes, 0.0, gain, tuple(rows), 0.0, time_s, output, usual=usual, sent=sent, read_to_s=time_s
     )
 
 
@@ -424,6 +427,7 @@ def observe(
     fan: Schedule = IDLE,
 ) -> ModelState:
     """The state after these samples, in order of time."""
+    state = state._replace(read_s=0.0, read_cs=0.0)
     if not samples:
         return state
     if not state.known or samples[-1].end_s - state.measured_s > p.gap_s:
@@ -435,6 +439,16 @@ def observe(
     for first in range(0, len(samples), TOGETHER_MAX):
         state = _observe_piece(p, state, samples[first : first + TOGETHER_MAX], flow, fan)
     return state
+
+
+def _learning(
+    p: ModelParameters, places: Layout, state: ModelState, rows: list[list[float]], run: _Run
+) -> int:
+    """So many places learn."""
+    if p.coloured_c2_s and run.output < GAIN_SHARE * p.output_high:
+        return places.gain
+    is_known = rows[places.gain][places.gain] <= (SLANT_GAIN * state.gain) ** 2
+    return places.slant if places.slant >= 0 and not is_known else places.size
 
 
 def _observe_piece(
@@ -455,18 +469,18 @@ def _observe_piece(
     spread = _spread_of(places, rows, run)
     column = _column(rows, _looking(places, run))
     gains = [value / spread for value in column]
-    kept = [row[places.gain :] for row in rows[places.gain :]]
+    learns = _learning(p, places, state, rows, run)
+    kept = [row[learns:] for row in rows[learns:]]
     rows = [[v - k * c for v, c in zip(row, column, strict=True)] for row, k in zip(rows, gains, strict=True)]
-    if p.coloured_c2_s and run.output < GAIN_SHARE * p.output_high:
-        for row, known in zip(rows[places.gain :], kept, strict=True):
-            row[places.gain :] = known
-        gains[places.gain :] = [0.0] * len(kept)
+    for row, known in zip(rows[learns:], kept, strict=True):
+        row[learns:] = known
+    gains[learns:] = [0.0] * len(kept)
     by_c = run.innovation_c
     gain = min(GAIN_MAX, max(GAIN_MIN, state.gain + gains[places.gain] * by_c))
     max_w = p.disturbance_max_w
     disturbance_w = min(max_w, max(-max_w, state.disturbance_w + gains[places.disturbance] * by_c))
     nodes = _moved(p, places, run.nodes, gains, by_c)
-    slant_c, usual = 0.0, state.usual
+    slant_c, usual, since_s = 0.0, state.usual, run.time_s - state.read_to_s
     if places.slant >= 0:
         slant_c = state.slant_c + gains[places.slant] * by_c
         dt_s = run.time_s - state.time_s
@@ -488,7 +502,9 @@ def _observe_piece(
         lean,
         *swing,
         state.swinging_s,
-        run.nodes.sensor_c + by_c,
+        run.time_s,
+        state.read_s + since_s,
+        state.read_cs + since_s * (run.nodes.sensor_c + by_c),
         state.ridden_c,
         slant_c,
         usual,

@@ -121,7 +121,7 @@ class Chip:
         self.constants: dict[str, Any] = dict(parser.get_constants())
         self.callbacks: list[Callable[[], None]] = []
         self.oids = 0
-        self.batch = False
+        self.batch = printer.get_start_args().get("debugoutput") is not None
         printer.register_event_handler("klippy:connect", self.configure)
 
     def configure(self) -> None:
@@ -166,6 +166,20 @@ class Chip:
     def register_response(self, callback: Any, name: str, oid: int | None = None) -> None:
         assert self.parser.lookup_response(name) is not None
         self.handlers[name, oid] = callback
+
+    def let_wait(self, msgformat: str, oid: int, callback: Callable[[bytes], None]) -> None:
+        """`report()` hands these on as their bytes from after the oid."""
+        response = self.parser.lookup_command(msgformat)
+        start = len(response.id_bytes) + len(msgproto.encode_vlq(oid))
+
+        def hand_on(params: dict[str, Any]) -> None:
+            known = {"oid": oid, **params}
+            callback(response.encode([known[name] for name in response.names])[start:])
+
+        self.handlers[response.name, oid] = hand_on
+
+    def require_connected(self) -> None:
+        pass
 
     def request_move_queue_slot(self) -> None:
         pass

@@ -134,7 +134,7 @@ def test_ctrl_c_ends_the_demo_with_one_sentence(tmp_path: Path) -> None:
     [
         (
             ("fault=4", "fault_code=300"),
-            ("Induction coil signal stands still", "'nozzle': its last reading", "amplifier"),
+            ("Induction heater 'nozzle'", "or the signal stands still", "amplifier"),
         ),
         (("fault=2",), ("Induction heater 'nozzle'", "the coil's signal", "sensing lead open")),
         (("fault=5",), ("Induction heater 'nozzle'", "the coil's signal", "sensing lead open")),

@@ -55,14 +55,14 @@ def test_a_bed_that_does_not_warm_its_sensor_ends_the_run(
 def test_a_bed_with_a_dead_sensor_is_not_calibrated(
     simulate: Simulate, tmp_path: Path, command: str, fault: int, words: str
 ) -> None:
-    lines = f"G4 P3000\n{command} HEATER=heater_bed TARGET=60 WAIT=1\nG4 P1000\n"
+    lines = f"G4 P1900\n{command} HEATER=heater_bed TARGET=60 WAIT=1\nG4 P1000\n"
     status, text, _ = play(simulate, tmp_path, lines, f"[simulator load bed]\nfault: {fault}\n")
     assert status == 2 and "save_config: set" not in text
     assert words in text and "'heater_bed' reads" in text, text[-800:]
 
 
 def test_a_pid_run_of_the_nozzle_can_be_ended_and_run_again(simulate: Simulate, tmp_path: Path) -> None:
-    lines = "PID_CALIBRATE HEATER=extruder TARGET=220 WAIT=0\nG4 P2500\nABORT\nG4 P500\n"
+    lines = "PID_CALIBRATE HEATER=extruder TARGET=220 WAIT=0\nG4 P1400\nABORT\nG4 P500\n"
     status, text, power = play(simulate, tmp_path, lines * 2 + "G4 P500\n")
     assert status == 0, text[-600:]
     assert text.count("PID_CALIBRATE ended: ended by ABORT. Nothing was changed.") == 2
@@ -220,7 +220,7 @@ def test_a_target_is_refused_while_the_nozzle_is_calibrated_and_turning_it_off_e
     simulate: Simulate, tmp_path: Path, command: str
 ) -> None:
     more = "[delayed_gcode early]\ninitial_duration: 3\ngcode:\n  M104 S200\n"
-    lines = f"{command} WAIT=0\n" + "G4 P500\n" * 16 + "M104 S0\nG4 P1000\n"
+    lines = f"{command} WAIT=0\n" + "G4 P500\n" * 13 + "M104 S0\nG4 P1000\n"
     status, text, power = play(simulate, tmp_path, lines, more)
     assert status == 2, text[-600:]  # the refused one
     assert "delayed_gcode early: Heater 'extruder' is being calibrated; ABORT ends that" in text

@@ -58,10 +58,15 @@ class Board(threading.Thread):
         self.start()
 
     def run(self) -> None:
+        poll = select.poll()
+        poll.register(self.fd, select.POLLIN)
         while not self.stopping:
             try:
-                if select.select([self.fd], [], [], 0.02)[0]:
+                events = poll.poll(20)
+                if any(event & select.POLLIN for _, event in events):
                     self.mcu.receive(os.read(self.fd, 4096), time.monotonic())
+                elif events:  # nobody at the other end
+                    time.sleep(0.01)
             except OSError:
                 time.sleep(0.01)  # nobody has opened the other end yet, or it is closed again
 

@@ -6,10 +6,14 @@
 #define RTO_MIN_S 0.025
 #define RTO_MAX_S 5.0
 #define RTO_START_S 0.1 // before the first measurement
+// Once the round trip is measured, a first second of silence is not doubled beyond this: a line that was cut for less is
+// used again this soon after. Motion is planned for less than a second (BUFFER_FULL_S of the toolhead).
+#define RTO_BACKOFF_S 0.05
+#define RTO_BACKOFFS 20
 
 struct rtoclock {
     double srtt_s, rttvar_s, rto_s;
-    int has_sample;
+    int has_sample, backoffs; // in a row
 };
 
 static inline double
@@ -38,6 +42,7 @@ rtoclock_sample(struct rtoclock *r, double rtt_s)
         r->srtt_s += (rtt_s - r->srtt_s) / 8.0;
     }
     r->rto_s = rto_clamp(r->srtt_s + 4.0 * r->rttvar_s);
+    r->backoffs = 0;
 }
 
 // Something new was acknowledged, though nothing can be measured by it: the link is alive, the doubling has done its
@@ -45,15 +50,19 @@ rtoclock_sample(struct rtoclock *r, double rtt_s)
 static inline void
 rtoclock_progress(struct rtoclock *r)
 {
+    r->backoffs = 0;
     if (r->has_sample)
         r->rto_s = rto_clamp(r->srtt_s + 4.0 * r->rttvar_s);
 }
 
-// The timer expired. Section 5.5.
+// The timer expired. Section 5.5, but see RTO_BACKOFF_S.
 static inline void
 rtoclock_backoff(struct rtoclock *r)
 {
-    r->rto_s = rto_clamp(2.0 * r->rto_s);
+    double doubled_s = 2.0 * r->rto_s;
+    if (r->has_sample && r->backoffs++ < RTO_BACKOFFS && doubled_s > RTO_BACKOFF_S)
+        doubled_s = r->rto_s > RTO_BACKOFF_S ? r->rto_s : RTO_BACKOFF_S;
+    r->rto_s = rto_clamp(doubled_s);
 }
 
 #endif

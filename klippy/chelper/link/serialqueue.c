@@ -47,7 +47,7 @@ start_over(struct serialqueue *sq, int file_mode)
     sq->active = NULL;
     sq_drop_received(sq);
     sq->batch_id_len = sq->batch_max = 0;
-    sq->patient_id_len = sq->patient = 0;
+    sq->patient_id_len = 0;
     memset(&sq->draft, 0, sizeof(sq->draft));
     sq->file.start = sq->file.end = 0;
     sq->file_mode = file_mode;

@@ -59,10 +59,12 @@ int serialqueue_pull(struct serialqueue *sq, struct pull_message *out, int max);
 // Messages that begin with these bytes (their id, 1..4 of them) wait for serialqueue_pull_batch, apart from the others,
 // until there are batch_max of them or the oldest is patience_s old. batch_max 0: none waits. id_len 0: no batches.
 void serialqueue_set_batch(struct serialqueue *sq, const uint8_t *id, int id_len, double patience_s, int batch_max);
-// Messages that begin with these bytes alone wake nobody: they come with the next that do. id_len 0: there are none.
+// Messages that begin with these bytes wake nobody and wait for serialqueue_pull_patient. id_len 0: there are none.
 void serialqueue_set_patient(struct serialqueue *sq, const uint8_t *id, int id_len);
 // Takes the waiting batch, in order, if it is due by now; returns how many messages.
 int serialqueue_pull_batch(struct serialqueue *sq, struct pull_message *out, int max, double now);
+// The oldest of them, each behind its length in one byte; returns how many bytes.
+int serialqueue_pull_patient(struct serialqueue *sq, uint8_t *out, int max);
 // Host time `conv_time` is MCU clock `conv_clock`, and the MCU does `freq` ticks a second of host time.
 // freq 0 (the start): clocks unknown, everything is sent at once.
 void serialqueue_set_clock_est(struct serialqueue *sq, double freq, double conv_time, uint64_t conv_clock);

@@ -106,12 +106,12 @@ struct serialqueue {
     // receiving
     uint8_t rx[4 * MSGBLOCK_MAX];
     int rx_len;
-    struct rx_list received, batch; // for serialqueue_pull, serialqueue_pull_batch
+    struct rx_list received, batch, patient; // for serialqueue_pull, serialqueue_pull_batch, serialqueue_pull_patient
     uint8_t batch_id[4];
     int batch_id_len, batch_max;
     double batch_patience_s;
     uint8_t patient_id[4];
-    int patient_id_len, patient; // of the received messages, so many wake nobody
+    int patient_id_len;
     struct file_buffer file;
     struct serialqueue_stats stats;
 };

@@ -16,8 +16,9 @@ deliver(struct serialqueue *sq, const struct pull_message *message)
     struct rx_node *node = sq_checked_alloc(NULL, sizeof(*node));
     node->message = *message;
     node->next = NULL;
-    struct rx_list *list = begins_with(message, sq->batch_id, sq->batch_id_len) ? &sq->batch : &sq->received;
-    sq->patient += begins_with(message, sq->patient_id, sq->patient_id_len);
+    struct rx_list *list = begins_with(message, sq->batch_id, sq->batch_id_len)       ? &sq->batch
+                           : begins_with(message, sq->patient_id, sq->patient_id_len) ? &sq->patient
+                                                                                      : &sq->received;
     if (list->first)
         list->last->next = node;
     else
@@ -185,7 +186,7 @@ serialqueue_receive(struct serialqueue *sq, const uint8_t *data, int len, double
         len -= part;
         parse_rx(sq, now);
     }
-    int waiting = sq->received.count - sq->patient + (batch_due(sq) <= now ? sq->batch.count : 0);
+    int waiting = sq->received.count + (batch_due(sq) <= now ? sq->batch.count : 0);
     pthread_mutex_unlock(&sq->lock);
     return waiting;
 }
@@ -214,7 +215,7 @@ double
 serialqueue_host_due(struct serialqueue *sq)
 {
     pthread_mutex_lock(&sq->lock);
-    double due = sq->received.count > sq->patient ? 0.0 : batch_due(sq);
+    double due = sq->received.count ? 0.0 : batch_due(sq);
     pthread_mutex_unlock(&sq->lock);
     return due;
 }
@@ -238,7 +239,6 @@ serialqueue_pull(struct serialqueue *sq, struct pull_message *out, int max)
 {
     pthread_mutex_lock(&sq->lock);
     int count = pull(&sq->received, out, max);
-    sq->patient = 0; // what is left is looked at soon
     pthread_mutex_unlock(&sq->lock);
     return count;
 }
@@ -250,6 +250,25 @@ serialqueue_pull_batch(struct serialqueue *sq, struct pull_message *out, int max
     int count = batch_due(sq) <= now ? pull(&sq->batch, out, max) : 0;
     pthread_mutex_unlock(&sq->lock);
     return count;
+}
+
+int
+serialqueue_pull_patient(struct serialqueue *sq, uint8_t *out, int max)
+{
+    int used = 0;
+    pthread_mutex_lock(&sq->lock);
+    struct rx_list *list = &sq->patient;
+    while (list->first && used + 1 + list->first->message.len <= max) {
+        struct rx_node *node = list->first;
+        list->first = node->next;
+        out[used++] = (uint8_t)node->message.len;
+        memcpy(out + used, node->message.data, (size_t)node->message.len);
+        used += node->message.len;
+        list->count--;
+        free(node);
+    }
+    pthread_mutex_unlock(&sq->lock);
+    return used;
 }
 
 static void
@@ -267,7 +286,7 @@ void
 sq_drop_received(struct serialqueue *sq)
 {
     drop(&sq->received);
-    sq->patient = 0;
+    drop(&sq->patient);
     drop(&sq->batch);
     sq->rx_len = 0;
 }

@@ -222,19 +222,6 @@ lookahead_plan(struct lookahead *la, int lazy)
     return count;
 }
 
-double
-lookahead_duration(struct lookahead *la)
-{
-    double until_review_s = la->until_review_s, sum_s = 0.;
-    int count = lookahead_plan(la, 0);
-    la->until_review_s = until_review_s;
-    for (int i = 0; i < count; i++) {
-        const struct lookahead_move *m = lookahead_move_at(la, la->first + i);
-        sum_s += m->accel_t + m->cruise_t + m->decel_t;
-    }
-    return sum_s;
-}
-
 void
 lookahead_drop(struct lookahead *la, int count)
 {

@@ -40,8 +40,6 @@ void lookahead_reset(struct lookahead *la);
 int lookahead_add(struct lookahead *la, const struct lookahead_move *move, double extruder_v2);
 /* Fix the speeds of moves at the front of the row, all of them unless lazy; returns how many. */
 int lookahead_plan(struct lookahead *la, int lazy);
-/* How long the moves of the row take if no more come (s); nothing is fixed. */
-double lookahead_duration(struct lookahead *la);
 /* Let go of the first `count` moves. */
 void lookahead_drop(struct lookahead *la, int count);
 /* Hand the first `count` (planned) moves to the motion queues and let go of them. *filament_pos is where the

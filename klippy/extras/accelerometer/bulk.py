@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from msgproto import decode_vlq
 from roles import Printer
 
 from . import messages
@@ -63,23 +64,23 @@ class SampleClock:
 
 
 class BulkReader:
-    """One sensor's messages between start and stop. `take(data, first, line)` gets whole messages in order."""
+    """One sensor's messages between start and stop. Messages come whole and in order."""
 
     def __init__(self, mcu: Any, oid: int, samples_per_message: int, sample_bytes: int) -> None:
         self._mcu = mcu
         self._per_message, self._sample_bytes = samples_per_message, sample_bytes
         self._oid = oid
-        self._messages: list[Params] = []
+        self._messages: list[bytes] = []  # from the sequence on
         self._status: Any = None
         self.lost_messages = self.overflows = 0
         self._next_sequence = 0  # 64 bits
         self._clock = SampleClock(1.0)
-        mcu.register_response(self._messages.append, "sensor_bulk_data", oid)
 
-    def build(self, chip: str, cmd_queue: Any) -> None:
-        """Called when the MCU's commands are known."""
-        self._status = messages.status(self._mcu, chip, self._oid, cmd_queue)
-        self._mcu.let_wait(messages.DATA)  # asking for the status fetches them
+    def build(self, status: Any) -> None:
+        """Called when the MCU's commands are known; `status` is the query of how far the reading is."""
+        self._status = status
+        # asking for the status fetches them
+        self._mcu.let_wait(messages.DATA, self._oid, self._messages.append)
 
     def start(self, rate_hz: float) -> None:
         """The firmware has begun anew."""
@@ -109,25 +110,38 @@ class BulkReader:
         return float(self._mcu.clock_to_print_time(first_clock + number * ticks))
 
     def take(self, sample: Callable[[bytes, float], None] | None, raw: Sequence[RawHandler] = ()) -> None:
-        """Each sample that has come, with its print time; `raw` gets whole messages: first sample's number, bytes."""
+        """Each sample that has come, with its print time; `raw` gets runs without a gap: number of the first, bytes."""
         messages, self._messages[:] = list(self._messages), []
-        if not messages:
+        run: list[bytes] = []
+        first = self._next_sequence
+        for message in messages:
+            sequence, at = decode_vlq(message, 0)
+            gap = (sequence - self._next_sequence) & 0xFFFF
+            if gap:
+                self._take_run(first, run, sample, raw)
+                run, first = [], self._next_sequence + gap
+                self.lost_messages += gap
+            run.append(message[at + 1 :])  # behind its length
+            self._next_sequence += gap + 1
+        self._take_run(first, run, sample, raw)
+
+    def _take_run(
+        self,
+        sequence: int,
+        run: list[bytes],
+        sample: Callable[[bytes, float], None] | None,
+        raw: Sequence[RawHandler],
+    ) -> None:
+        if not run:
+            return
+        number, size, data = sequence * self._per_message, self._sample_bytes, b"".join(run)
+        for handler in raw:
+            handler(number, data)
+        if sample is None:
             return
         first_clock, ticks = self._clock.line()
-        for params in messages:
-            gap = (params["sequence"] - self._next_sequence) & 0xFFFF
-            self.lost_messages += gap
-            number = (self._next_sequence + gap) * self._per_message
-            self._next_sequence += gap + 1
-            data = params["data"]
-            for handler in raw:
-                handler(number, data)
-            if sample is None:
-                continue
-            for place in range(len(data) // self._sample_bytes):
-                at = place * self._sample_bytes
-                clock = first_clock + (number + place) * ticks
-                sample(data[at : at + self._sample_bytes], self._mcu.clock_to_print_time(clock))
+        for place, at in enumerate(range(0, len(data), size), number):
+            sample(data[at : at + size], self._mcu.clock_to_print_time(first_clock + place * ticks))
 
 
 class Batches:

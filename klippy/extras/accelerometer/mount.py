@@ -10,13 +10,13 @@ import logging
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 from roles import Printer
 from vibration import mount_witness
 from vibration.band_meter import BandMeter, SampleFormat, design
 
-WINDOW_S = 0.05
+WINDOW_S = 0.1
 PERIOD_S = 1.0  # between looks at the samples
 SETTLE_LAGS = 6.0  # of the mount, until the filters have forgotten a gap
 RATE_CHANGE = 0.002  # of the chip's clock, until the filters are designed anew
@@ -29,6 +29,7 @@ UP_S = 3.0  # mean of the acceleration
 START_S = 1.0  # after ready: clients are connected and see what is wrong
 RATE_MIN = 2.5  # samples a second over the end of the band
 HARMONICS = (1, 2, 3)  # of a motor's steps
+SPEED_CHANGE_MAX_MM_S = 30.0  # of a motor, from a window to the next: more shakes the whole machine
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +39,18 @@ class Motion:
     time_s: float
     steps: tuple[int, ...]
     fed_mm3: float
+
+
+class SeenWindow(NamedTuple):
+    """What mount_band.c said of a window."""
+
+    first: int
+    power: float
+    clipped: int
+    same: int
+    failures: int
+    settled: int
+    mean: tuple[float, float, float]
 
 
 class MountVibration:
@@ -65,8 +78,10 @@ class MountVibration:
         self.sensor: Any = None
         self._meter: Any = None
         self._rate_hz = 0.0
-        self._motors: list[tuple[Any, float]] = []  # with full steps a step
-        self._waiting: list[tuple[int, float, int, int, int, int, tuple[float, ...]]] = []
+        self._motors: list[Any] = []
+        self._speeds: list[float] = []  # of the window before, mm/s
+        self._waiting: list[SeenWindow] = []
+        self._bands: list[tuple[float, float]] = []  # steps a second that shake the mount in its band
         self._before: Motion | None = None
         self._seen_s = 0.0
         self._up = [0.0, 0.0, 0.0]
@@ -90,7 +105,7 @@ class MountVibration:
     def start(self) -> None:
         """The printer is ready."""
         kinematics = self.printer.lookup_object("toolhead").get_kinematics()
-        self._motors = [(motor, 1.0) for motor in kinematics.get_steppers()]
+        self._motors = kinematics.get_steppers()
         reactor = self.printer.get_reactor()
         reactor.register_callback(self._begin, reactor.monotonic() + START_S)
 
@@ -109,15 +124,23 @@ class MountVibration:
         )
         self._design(rate)
         try:
-            self.sensor.add_raw_client(self._take_message, self._on_batch, PERIOD_S)
+            self.sensor.add_raw_client(self._take_samples, self._on_batch, PERIOD_S)
         except self.printer.command_error as e:
             self._fail(f"no answer: {e}")
 
     def _design(self, rate_hz: float) -> None:
         p = self.parameters
         self._rate_hz = rate_hz
-        notches = [(hz, 0.2 * hz) for hz in self._notches if abs(hz - p.frequency_hz) > 0.5 * p.width_hz]
+        shaper = self.printer.lookup_object("input_shaper", None)
+        frame = [axis.frequency_hz for axis in shaper.axes if axis.frequency_hz] if shaper is not None else []
+        notches = [
+            (hz, 0.2 * hz) for hz in [*self._notches, *frame] if abs(hz - p.frequency_hz) > 0.5 * p.width_hz
+        ]
         self._meter.set_sections(design(p.frequency_hz, p.width_hz, notches[:6], rate_hz))
+        wide_hz = 0.75 * p.width_hz
+        self._bands = [
+            ((p.frequency_hz - wide_hz) / times, (p.frequency_hz + wide_hz) / times) for times in HARMONICS
+        ]
 
     def apply(self, parameters: mount_witness.MountParameters) -> None:
         """Another mount, from the next sample on."""
@@ -127,43 +150,42 @@ class MountVibration:
 
     # --- samples ---
 
-    def _take_message(self, first: int, data: bytes) -> None:
+    def _take_samples(self, first: int, data: bytes) -> None:
         for w in self._meter.take(first, data):
+            x, y, z = w.mean
             self._waiting.append(
-                (
-                    w.first,
-                    w.power,
-                    w.clipped,
-                    w.same,
-                    w.failures,
-                    w.settled,
-                    (w.mean[0], w.mean[1], w.mean[2]),
-                )
+                SeenWindow(w.first, w.power, w.clipped, w.same, w.failures, w.settled, (x, y, z))
             )
 
     def _on_batch(self, batch: dict[str, Any]) -> bool:
-        waiting, self._waiting = self._waiting, []
+        windows, self._waiting = self._waiting, []
+        self._lost += batch["overflows"]
+        if not windows:
+            return True
         rate_hz = self.sensor.rate_hz()
         if abs(rate_hz / self._rate_hz - 1.0) > RATE_CHANGE:
             self._design(rate_hz)
-        self._lost += batch["overflows"]
         samples = round(WINDOW_S * self.sensor.rate)
-        for first, power, clipped, same, failures, settled, mean in waiting:
-            self._look_up(mean)
-            fault = self._find_fault(clipped / samples, same, failures)
-            if fault != self.fault:
-                self._fail(fault) if fault else self._recover()
-            if fault is None:
-                end_s = self.sensor.time_of(first + samples)
-                self._add(end_s, power if settled else math.nan)
+        self._look_up(
+            [sum(means) / len(windows) for means in zip(*(w.mean for w in windows), strict=True)],
+            len(windows),
+        )
+        fault = self._find_fault(windows, samples)
+        if fault != self.fault:
+            self._fail(fault) if fault else self._recover()
+        if fault is None:
+            begin_s = self.sensor.time_of(samples)
+            for w in windows:
+                self._add(begin_s + w.first / rate_hz, w.power if w.settled and not w.clipped else math.nan)
         return True
 
-    def _find_fault(self, clipped: float, same: int, failures: int) -> str | None:
-        if failures:
+    def _find_fault(self, windows: Sequence[SeenWindow], samples: int) -> str | None:
+        """Of a second or so."""
+        if any(w.failures for w in windows):
             return "unplugged: it gives no samples. Check its power and its wires"
-        if clipped > CLIPPED_MAX:
+        if sum(w.clipped for w in windows) > CLIPPED_MAX * samples * len(windows):
             return "saturated: its samples reach the end of its range. Check that it is fixed, and its wires"
-        if same >= FROZEN_SAMPLES:
+        if max(w.same for w in windows) >= FROZEN_SAMPLES:
             return "frozen: its samples do not change. Check its power and its wires"
         if self._seen_s >= UP_S and max(map(abs, self._up)) > 0.5 * GRAVITY_M_S2:
             along = max(range(3), key=lambda axis: abs(self._up[axis]))
@@ -187,24 +209,18 @@ class MountVibration:
 
     def _add(self, end_s: float, power: float) -> None:
         """A window that ended at a print time."""
-        motion = Motion(
-            end_s, tuple(motor.get_past_mcu_position(end_s) for motor, _ in self._motors), self.fed_mm3(end_s)
-        )
+        steps = tuple([motor.get_past_mcu_position(end_s) for motor in self._motors])
+        motion = Motion(end_s, steps, self.fed_mm3(end_s))
         before, self._before = self._before, motion
         if before is None or not 0.5 * WINDOW_S < end_s - before.time_s < 2.0 * WINDOW_S:
             return
-        lasts_s = end_s - before.time_s
-        speeds = [abs(b - a) / lasts_s for a, b in zip(before.steps, motion.steps, strict=True)]
         if math.isnan(power):
             return
+        lasts_s = end_s - before.time_s
+        speeds = [abs(b - a) / lasts_s for a, b in zip(before.steps, motion.steps, strict=True)]
+        is_disturbed = self._accelerates(before, motion) or self._is_in_band(speeds)
         window = mount_witness.MountWindow(
-            end_s,
-            lasts_s,
-            power,
-            motion.fed_mm3 / lasts_s,
-            self.temp_c(),
-            self._is_in_band(speeds),
-            any(speeds),
+            end_s, lasts_s, power, motion.fed_mm3 / lasts_s, self.temp_c(), is_disturbed, any(speeds)
         )
         if self.recording is not None:
             self.recording.append(window)
@@ -213,14 +229,22 @@ class MountVibration:
 
     def _is_in_band(self, speeds: Sequence[float]) -> bool:
         """Do a motor's steps fall in the mount's band?"""
-        wide_hz = 0.75 * self.parameters.width_hz
-        low, high = self.parameters.frequency_hz - wide_hz, self.parameters.frequency_hz + wide_hz
-        return any(low < times * speed < high for speed in speeds for times in HARMONICS)
+        return any(low < speed < high for low, high in self._bands for speed in speeds if speed > 0.0)
 
-    def _look_up(self, mean: Sequence[float]) -> None:
+    def _accelerates(self, before: Motion, motion: Motion) -> bool:
+        """Does a motor's speed change much from the window before?"""
+        last, lasts_s = self._speeds, motion.time_s - before.time_s
+        self._speeds = [
+            (b - a) * motor.get_step_dist() / lasts_s
+            for a, b, motor in zip(before.steps, motion.steps, self._motors, strict=True)
+        ]
+        return any(abs(b - a) > SPEED_CHANGE_MAX_MM_S for a, b in zip(last, self._speeds, strict=False))
+
+    def _look_up(self, mean: Sequence[float], windows: int) -> None:
         """Where is gravity? Motion is no acceleration in the mean of some seconds."""
         scale = self.sensor.chip.mm_s2_per_count * 1e-3
-        self._seen_s += WINDOW_S
-        share = WINDOW_S / min(self._seen_s, UP_S)
+        lasts_s = windows * WINDOW_S
+        self._seen_s += lasts_s
+        share = min(1.0, lasts_s / min(self._seen_s, UP_S))
         for place, axis in enumerate(self.sensor.axes):
             self._up[place] += share * (math.copysign(scale, axis) * mean[abs(axis) - 1] - self._up[place])

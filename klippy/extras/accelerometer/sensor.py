@@ -111,7 +111,7 @@ class Accelerometer:
         messages.configure(mcu, chip.command, self._oid, bus_oid, bus_type, kind)
         queue = self._device.get_command_queue()
         self._query = messages.query(mcu, chip.command, queue)
-        self._bulk.build(chip.command, queue)
+        self._bulk.build(messages.status(mcu, chip.command, self._oid, queue))
 
     def _of_enumeration(self, name: str, value: Any) -> Any:
         """The firmware's spelling of a choice."""

@@ -142,11 +142,11 @@ class MeshShape:
             for column in reversed(columns) if row % 2 else columns:
                 place = self._point(row, column)
                 if self._is_on_bed(place):
-                    cells.append(Cell(row, column, self._around(place, faulty)))
+                    cells.append(Cell(row, column, self._around(place, faulty, -1.0 if row % 2 else 1.0)))
         return Layout(self, tuple(cells), reference)
 
-    def _around(self, place: Place, faulty: Sequence[Region]) -> tuple[Place, ...]:
-        """The place itself, or those at the edge of the faulty region it is in."""
+    def _around(self, place: Place, faulty: Sequence[Region], way: float) -> tuple[Place, ...]:
+        """The place itself, or those at the edge of the faulty region it is in, in the way of its row along x."""
         region = next((r for r in faulty if r.holds(place)), None)
         if region is None:
             return (place,)
@@ -155,7 +155,7 @@ class MeshShape:
             raise MeshError(
                 f"the faulty region about {place[0]:.1f}, {place[1]:.1f} leaves no place to probe"
             )
-        return tuple(dict.fromkeys(places))
+        return tuple(sorted(dict.fromkeys(places), key=lambda edge: (way * edge[0], edge[1])))
 
     # -- what was found --
 

@@ -166,10 +166,11 @@ class Heater:
         self._run = run
 
     def release(self) -> None:
-        """The law decides again, heater off."""
+        """The law decides again, heater off: after the run's last duty and before the next report's. The MCU gets an
+        update no sooner than the time of the one before; two for the same time would come too late."""
         self._run = None
         self._target_c = 0.0
-        self._apply(self._read_s, 0.0, 0.0)
+        self._apply(self._read_s + 0.5 * self.sensor.get_report_time_delta(), 0.0, 0.0)
 
     @property
     def in_calibration(self) -> bool:

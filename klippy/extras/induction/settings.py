@@ -113,7 +113,7 @@ def read_unit(config: ConfigWrapper) -> UnitSettings:
 
 def read_tests(config: ConfigWrapper, front: features.FeatureParameters) -> TestSettings:
     """The board's tests of its signal; all of them are off with an interval of 0."""
-    interval_s = config.getfloat("signal_test_interval", 0.010, minval=0.0, maxval=0.1)
+    interval_s = config.getfloat("signal_test_interval", 0.0084, minval=0.0, maxval=0.1)
     if 0.0 < interval_s < TEST_INTERVAL_MIN_S:
         raise config.error(
             f"Option 'signal_test_interval' in section '{config.get_name()}'"
@@ -275,6 +275,7 @@ def _melt(config: ConfigWrapper) -> melt_exchange.MeltExchange:
         ua_w_k=config.getfloat("melt_exchange", default.ua_w_k, above=0.0, maxval=1.0),
         heat_mj_m3k=config.getfloat("melt_heat", default.heat_mj_m3k, above=0.1, maxval=20.0),
         inlet_c=config.getfloat("melt_inlet_temp", default.inlet_c, minval=-50.0, maxval=150.0),
+        tip_k_w=config.getfloat("melt_tip", default.tip_k_w, minval=0.0, maxval=50.0),
     )
 
 

@@ -9,7 +9,9 @@ on. A gain 10 % off reads 25 degC wrong at 250 degC.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 from thermal.sensing.features import FeatureParameters
@@ -17,7 +19,7 @@ from thermal.sensing.features import FeatureParameters
 GAIN_UNITS_DEG = 20.136  # Oskolkov 2021, Table 1
 GAIN_RANGE = 3.0  # what an amplifier may be built with, either way
 MEASURED_TOLERANCE = 0.15  # of a gain that was measured: parts age and warm
-LEARNED_TOLERANCE = 0.10  # of what this board has learned since it was started
+LEARNED_TOLERANCE = 0.08  # of what this board has learned since it was started
 SLACK_LSB = 1.0  # three sigma of 16 samples with 1 LSB of noise, and a beat of 5 LSB
 OFF_UNITS, OFF_LSB = 10.0, 6.0  # no current: this far from the zero, whichever is more
 JUMP_UNITS, JUMP_LSB = 15.0, 4.0  # from block to block, likewise
@@ -25,6 +27,7 @@ UNITS_PER_C = 0.85  # the laws' slope at the smallest drive, the steepest
 RISE_C_S = 2000.0  # 300 W into 0.33 g of steel
 FALL_C_S = 20.0
 RATE_SAMPLES = 64  # of src/signal_test.h
+STILL_BLOCKS = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +55,18 @@ def moved_lsb(front: FeatureParameters, frequency_hz: float, gain_units_deg: flo
 def off_lsb(front: FeatureParameters) -> float:
     """Without current the signal is no farther from its zero."""
     return max(OFF_UNITS / front.units_per_lsb, OFF_LSB)
+
+
+def seen_cause(blocks: Sequence[Any], front: FeatureParameters) -> str:
+    """What the last blocks before a trip show of its cause, "" if nothing."""
+    last = [block for block in blocks if block.phase_ticks][-STILL_BLOCKS:]
+    if last and abs(last[-1].mean_raw - front.adc_zero_raw) <= off_lsb(front):
+        return "the coil's signal was that of no current: coil, bridge, its supply or sensing lead open"
+    if len(last) == STILL_BLOCKS and {code for b in last for code in (b.min_raw, b.max_raw)} == {
+        last[0].min_raw
+    }:
+        return "the coil's signal stands still"
+    return ""
 
 
 def signal_limits(

@@ -15,9 +15,8 @@ from roles import Printer
 from .. import manual_probe
 from .series import Series
 
-# PROBE_CALIBRATE brings the nozzle to where the probe was, this far above the trigger, at this speed.
+# PROBE_CALIBRATE brings the nozzle to where the probe was, this far above the trigger, at the speed of [probe].
 CALIBRATE_LIFT_MM = 5.0
-CALIBRATE_TRAVEL_MM_S = 50.0
 ACCURACY_SAMPLES = 10
 
 
@@ -113,7 +112,7 @@ class ProbeCommands:
         x, y, probed_mm = self._probe_once(gcmd)
         offset_x, offset_y = self.probe.get_offsets()[:2]
         toolhead.manual_move([None, None, probed_mm + CALIBRATE_LIFT_MM], lift_speed)
-        toolhead.manual_move([x + offset_x, y + offset_y], CALIBRATE_TRAVEL_MM_S)
+        toolhead.manual_move([x + offset_x, y + offset_y], self.probe.get_probe_params()["probe_speed"])
 
         def finalize(place: Sequence[float] | None) -> None:
             if place is not None:

@@ -90,7 +90,7 @@ class ProbePointsHelper:
                 f"METHOD={method} needs a probe that measures without touching, such as [probe_eddy_current]; use "
                 "METHOD=automatic"
             )
-        if method not in ("automatic", "manual", *SCANS):
+        if method not in ("automatic", "manual", "tap", *SCANS) or (method == "tap" and not can_scan(probe)):
             raise gcmd.error(f"METHOD is '{method}'; it can be automatic, manual, scan or rapid_scan")
         self.horizontal_move_z = gcmd.get_float("HORIZONTAL_MOVE_Z", self.default_horizontal_move_z)
         self._require_homed(gcmd)

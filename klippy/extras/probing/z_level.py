@@ -3,7 +3,8 @@ quad_gantry_level, which differ in what the heights at the motors are.
 
 A motor that is turned on by d without the coordinates knowing makes the gap there larger by d: what was probed at h is
 then probed at h - d. So every motor goes up by its height above the lowest one, which moves nothing towards the bed,
-and the coordinates are then shifted so that the mean of what was probed stays what it was.
+and the coordinates are then shifted: quad_gantry_level keeps the mean height at the motors, after z_tilt the bed that
+the probe has found is z = 0, whatever an endstop said.
 """
 
 from __future__ import annotations
@@ -29,13 +30,19 @@ class ZLevel:
     """A levelling command with its retries."""
 
     def __init__(
-        self, config: ConfigWrapper, motors: int, heights: HeightsAtMotors, max_adjust: float | None = None
+        self,
+        config: ConfigWrapper,
+        motors: int,
+        heights: HeightsAtMotors,
+        max_adjust: float | None = None,
+        bed_is_zero: bool = False,
     ) -> None:
         self.printer = config.get_printer()
         self.name = config.get_name()
         self._count = motors
         self._heights = heights
         self._max_adjust = max_adjust
+        self._bed_is_zero = bed_is_zero
         self._default_retries = config.getint("retries", 0, minval=0)
         self._default_tolerance = config.getfloat("retry_tolerance", 0.0, minval=0.0)
         self.points = ProbePointsHelper(config, self._finish_probing)
@@ -88,25 +95,22 @@ class ZLevel:
         self._gcmd.respond_info(
             f"Retries: {self._tries}/{self._retries} Probed points range: {spread:.6f} tolerance: {self._tolerance:.6f}"
         )
-        if self._retries and spread <= self._tolerance:
-            self.applied = True
-            return "done"
         if self._last_range is not None and spread > self._last_range + self._tolerance:
             raise self._gcmd.error(
                 "Retries aborting: Probed points range is increasing. Possibly the Z motors are in another order than "
                 "their places in the config, or the tolerance is too low."
             )
-        if self._tries and self._tries >= self._retries:
-            raise self._gcmd.error("Too many retries")
-        self._adjust(self._heights(of_probe), sum(found) / len(found))
-        self._tries, self._last_range = self._tries + 1, spread
-        if self._retries:
+        self._adjust(self._heights(of_probe), offsets[2] if self._bed_is_zero else None)
+        if self._retries and spread > self._tolerance:
+            if self._tries >= self._retries:
+                raise self._gcmd.error("Too many retries")
+            self._tries, self._last_range = self._tries + 1, spread
             return "retry"
         self.applied = True
         return "done"
 
-    def _adjust(self, heights: list[float], mean: float) -> None:
-        """Turn the motors so that what was probed at `heights` above each is level, and is probed at `mean`."""
+    def _adjust(self, heights: list[float], after: float | None) -> None:
+        """Turn the motors so that what was probed at `heights` is level, and probed at `after`; None: their mean."""
         lowest = min(heights)
         middle = sum(heights) / len(heights)
         if self._max_adjust is not None:
@@ -126,7 +130,7 @@ class ZLevel:
         self._turn([h - lowest for h in heights])
         toolhead = self.printer.lookup_object("toolhead")
         place = toolhead.get_position()
-        place[2] += mean - lowest
+        place[2] += (middle if after is None else after) - lowest
         toolhead.set_position(place)
 
     def _turn(self, ways: Sequence[float]) -> None:

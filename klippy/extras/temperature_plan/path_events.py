@@ -16,7 +16,7 @@ from thermal.plan.session import Session
 
 from .settings import Settings
 
-AHEAD_S = 2.4  # of motion: 2 s with their times, the rest is queued
+AHEAD_S = 2.0  # motion that a plan knows
 
 
 class PathEvents:

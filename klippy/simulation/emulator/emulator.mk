@@ -7,9 +7,9 @@ EMULATOR_DIR     := klippy/simulation/emulator
 EMULATOR_OUT     := $(OUT)/emulator
 EMULATOR_INCLUDES := -Isrc/simulator -Iklippy/simulation/world
 EMULATOR_CFLAGS  := -std=gnu11 -O2 -g -fPIC -fvisibility=hidden -Wall -Wextra -Werror $(EMULATOR_INCLUDES)
-UNICORN          ?= $(firstword $(wildcard $(CURDIR)/.venv/lib/python3*/site-packages/unicorn))
-UNICORN_CFLAGS   := -isystem $(UNICORN)/include
-UNICORN_LIBS     := $(UNICORN)/lib/libunicorn.so.2 -Wl,-rpath,$(UNICORN)/lib
+UNICORN          ?= $(firstword $(shell ls -d $(CURDIR)/.venv/lib/python3*/site-packages/unicorn 2>/dev/null))
+UNICORN_CFLAGS    = -isystem $(UNICORN)/include
+UNICORN_LIBS      = $(UNICORN)/lib/libunicorn.so.2 -Wl,-rpath,$(UNICORN)/lib
 
 EMULATOR_CORTEX_SOURCES    := $(wildcard $(EMULATOR_DIR)/*.c)
 EMULATOR_STM32F334_SOURCES := $(EMULATOR_CORTEX_SOURCES) $(wildcard $(EMULATOR_DIR)/stm32f334/*.c)

@@ -39,10 +39,18 @@ static double draw(struct mount *m)
     return m->rows.sign[i] * (m->rows.a[i] + m->rows.b[i]);
 }
 
-void mount_step(struct mount *m, double base_mm, double base_rate, double step_s)
+void mount_set_step(struct mount *m, double step_s)
 {
-    double w = 2.0 / step_s * sin(PI * m->frequency_hz * step_s); /* so that the step's own error cancels */
-    double noise = m->force > 0.0 ? m->force * MM_PER_M / sqrt(step_s) * draw(m) : 0.0;
-    m->rate += step_s * (w * w * (base_mm - m->x) + w / m->quality * (base_rate - m->rate) + noise);
-    m->x += step_s * m->rate;
+    double w = frame_stepped_w(m->frequency_hz, step_s);
+    m->step_s = step_s;
+    m->spring = step_s * w * w;
+    m->drag = step_s * w / m->quality;
+    m->push = MM_PER_M * sqrt(step_s);
+}
+
+void mount_step(struct mount *m, double base_mm, double base_rate)
+{
+    double noise = m->force > 0.0 ? m->push * m->force * draw(m) : 0.0;
+    m->rate += m->spring * (base_mm - m->x) + m->drag * (base_rate - m->rate) + noise;
+    m->x += m->step_s * m->rate;
 }

@@ -22,6 +22,7 @@ struct mount {
     double amplitude_m_s2, exponent, flow_exponent, motion_share;
     double force; /* rms of f in steps of a second, m/s^2 s^0.5 */
     double x, rate;    /* mm, mm/s */
+    double step_s, spring, drag, push; /* a step, and what it adds to the rate */
     struct noise_source noise;
     struct noise_rows rows;
     int left; /* of those rows */
@@ -30,7 +31,9 @@ struct mount {
 void mount_init(struct mount *m, double place_mm, uint64_t seed);
 /* What the nozzle does now. */
 void mount_follow(struct mount *m, const struct plant *p);
-/* step_s with the mount's base at base_mm. */
-void mount_step(struct mount *m, double base_mm, double base_rate, double step_s);
+/* From now on steps of step_s. */
+void mount_set_step(struct mount *m, double step_s);
+/* A step with the mount's base at base_mm. */
+void mount_step(struct mount *m, double base_mm, double base_rate);
 
 #endif

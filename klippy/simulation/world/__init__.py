@@ -60,6 +60,7 @@ def get_world_ffi() -> tuple[Any, Any]:
 
 
 # As enum accel_kind and enum world_accelerometer_fault count them.
+_GAUGES = ("hx711", "hx717", "ads1220", "ads131m02", "ads131m04", "ldc1612")
 _ACCELEROMETERS = ("adxl345", "lis2dw", "lis3dh", "mpu9250", "icm20948", "bmi160")
 _ACCELEROMETER_FAULTS = ("none", "unplugged", "frozen", "saturated")
 _PRESETS = {"nozzle": ("reference", "strong", "real"), "load": ("hotend", "bed")}
@@ -221,6 +222,18 @@ class World:
         for name, value in bed.items():
             setattr(options.bed, name, value)
         return self._index(self.lib.world_add_probe(self.pointer, options))
+
+    def add_gauge(self, kind: str, probe: int, pins: Mapping[str, Pin], values: Mapping[str, float]) -> int:
+        """`kind`: name of the chip; `pins` and `values`: fields of struct world_gauge_options. Returns its index."""
+        options = self.ffi.new("struct world_gauge_options *", {"probe": probe, **values})
+        options.kind = _GAUGES.index(kind)
+        for name in ("ready", "clock", "select", "temperature"):
+            setattr(options, name, self.pin(pins.get(name, Pin())))
+        return self._index(self.lib.world_add_gauge(self.pointer, options))
+
+    def coil_temperature(self, gauge: int) -> float:
+        """Of a gauge's coil, degC."""
+        return float(self.lib.world_coil_temperature(self.pointer, gauge))
 
     def add_frame(
         self, frequency_hz: tuple[float, float], damping_ratio: tuple[float, float], motor_hz: float

@@ -188,6 +188,7 @@ void machine_pin_write(struct machine *m, int mcu, uint32_t number, uint8_t valu
     pin->level = value;
     if (pin->role == PIN_STEP) {
         frame_advance(m, now_s);
+        gauges_advance(m, now_s);
         step_pin_changed(m, mcu, pin);
     } else if (pin->role == PIN_DUTY)
         duty_set(&m->duties[pin->target], value, now_s);
@@ -197,6 +198,10 @@ void machine_pin_write(struct machine *m, int mcu, uint32_t number, uint8_t valu
         switch_edge(&m->nozzles[pin->target].supply_switch, value, now_s);
     else if (pin->role == PIN_SELECT)
         accelerometer_select(&m->accelerometers[pin->target], value);
+    else if (pin->role == PIN_GAUGE_CLOCK)
+        gauge_clock(m, pin->target, value, now_s);
+    else if (pin->role == PIN_GAUGE_SELECT && !value)
+        gauge_chip_select(&m->gauges[pin->target].chip);
     else if (pin->role == PIN_PANEL)
         panel_pin_changed(m, &m->panels[pin->target], mcu, number, value);
 }
@@ -215,6 +220,8 @@ uint8_t machine_pin_read(struct machine *m, int mcu, uint32_t number, double now
     const struct machine_pin *pin = &m->pins[mcu][number];
     if (pin->role == PIN_PROBE)
         return probe_level(m, &m->probes[pin->target], now_s);
+    if (pin->role == PIN_GAUGE)
+        return gauge_level(m, pin->target, now_s);
     return pin->role == PIN_SWITCH ? switch_level(&m->axes[pin->target]) : pin->level;
 }
 
@@ -243,13 +250,15 @@ static uint16_t supply_code(struct nozzle *n)
 
 uint16_t machine_adc_read(struct machine *m, int mcu, uint32_t number, double now_s)
 {
-    (void)now_s; /* a load is at most one tick behind: far below its lag */
+    /* a load is at most one tick behind: far below its lag */
     if (number == SIM_PIN_TEMPERATURE)
         return chip_sensor_code(m->chip_temp_c[mcu]);
     if (number < MACHINE_PINS && m->pins[mcu][number].role == PIN_REFERENCE)
         return reference_code(&m->references[m->pins[mcu][number].target]);
     if (number < MACHINE_PINS && m->pins[mcu][number].role == PIN_SUPPLY)
         return supply_code(&m->nozzles[m->pins[mcu][number].target]);
+    if (number < MACHINE_PINS && m->pins[mcu][number].role == PIN_COIL_SENSOR)
+        return gauge_temperature_code(m, m->pins[mcu][number].target, now_s);
     if (number >= MACHINE_PINS || m->pins[mcu][number].role != PIN_THERMISTOR)
         return ADC_OPEN;
     uint16_t code;

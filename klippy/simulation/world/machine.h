@@ -5,6 +5,7 @@
  *   fan pin ──► mean duty ──► fan speed ───┼──► nozzle (struct plant) ◄── bridge phase,  ──► ADC samples
  *   heater pin ──► mean duty ──────────────┴──► load (struct thermal_load) ──► thermistor pin
  *   axes ──► place of the probe ──► bed's surface ──► probe pin; control pin ──► a BLTouch's pin
+ *                                              └────► force, or frequency of a coil ──► chip on pins, SPI or I2C (machine_gauge.c)
  *   bridge supply, divider ──► vdc_pin;  enable pin ──► switch in that supply
  *   a thermocouple on the nozzle's skin, for calibrating: gain and lag, amplifier ──► reference pin
  *
@@ -17,6 +18,7 @@
 #include <stdint.h>
 #include "accel_chip.h"
 #include "frame.h"
+#include "gauge_chip.h"
 #include "mount.h"
 #include "plant.h"
 #include "thermal_load.h"
@@ -32,6 +34,7 @@ enum {
     MACHINE_REFERENCES = 4,
     MACHINE_PROBES = 4,
     MACHINE_ACCELEROMETERS = 4,
+    MACHINE_GAUGES = 4,
     MACHINE_PANELS = 2,
     MACHINE_PANEL_EVENTS = 1 << 16,
     NOZZLE_PROFILES = 16,
@@ -40,7 +43,8 @@ enum {
 };
 
 enum pin_role { PIN_UNUSED, PIN_STEP, PIN_DUTY, PIN_SWITCH, PIN_THERMISTOR, PIN_REFERENCE, PIN_PROBE, PIN_CONTROL,
-                PIN_SUPPLY, PIN_ENABLE, PIN_SELECT, PIN_PANEL };
+                PIN_SUPPLY, PIN_ENABLE, PIN_SELECT, PIN_PANEL, PIN_GAUGE,
+                PIN_GAUGE_CLOCK, PIN_GAUGE_SELECT, PIN_COIL_SENSOR };
 
 struct machine_pin {
     uint8_t role;   /* enum pin_role */
@@ -131,7 +135,16 @@ struct accelerometer {
     struct accel_chip chip;
     uint32_t noise; /* state of its generator */
     int fault;      /* enum accel_fault */
-    double next_s, last_s, last_rate[FRAME_AXES], last_mount_rate, frozen[3];
+    double rate_hz; /* of its registers, at the last tick */
+    double next_s, last_rate[FRAME_AXES + 1], frozen[3];
+};
+
+/* A probe that measures. `sum`: integral of the signal since the last conversion, up to time_s. */
+struct gauge {
+    struct world_gauge_options options;
+    struct gauge_chip chip;
+    uint32_t noise; /* state of its generator */
+    double start_s, time_s, next_s, sum;
 };
 
 /* A display: what its chip has been sent and nobody has read yet, a ring. */
@@ -161,6 +174,7 @@ struct machine {
     struct reference references[MACHINE_REFERENCES];
     struct probe probes[MACHINE_PROBES];
     struct accelerometer accelerometers[MACHINE_ACCELEROMETERS];
+    struct gauge gauges[MACHINE_GAUGES];
     struct panel panels[MACHINE_PANELS];
     struct frame_axis frame[FRAME_AXES];
     int frame_of[FRAME_AXES]; /* indices of axes X and Y */
@@ -168,8 +182,9 @@ struct machine {
     struct mount mount;
     int has_mount, mount_nozzle, mount_axis; /* axis: 0 to 2 */
     double frame_s, frame_step_s; /* up to when it has been advanced */
+    double frame_rates[FRAME_AXES + 1]; /* of its axes and of the mount, a step before */
     int axis_count, duty_count, fan_count, nozzle_count, load_count, reference_count, probe_count;
-    int accelerometer_count, panel_count;
+    int accelerometer_count, panel_count, gauge_count;
     int nozzle_of_mcu[MACHINE_MCUS]; /* index, -1 */
     double chip_temp_c[MACHINE_MCUS];
 };
@@ -183,6 +198,7 @@ int machine_add_probe(struct machine *m, const struct world_probe_options *optio
 int machine_add_frame(struct machine *m, const struct world_frame *options, double now_s);
 int machine_add_mount(struct machine *m, const struct world_mount *options, uint64_t seed);
 int machine_add_accelerometer(struct machine *m, const struct world_accelerometer_options *options, uint32_t seed);
+int machine_add_gauge(struct machine *m, const struct world_gauge_options *options, uint32_t seed, double now_s);
 int machine_add_panel(struct machine *m, const struct world_panel_options *options);
 int machine_add_duty(struct machine *m, struct world_pin pin, double now_s);
 int machine_add_fan(struct machine *m, struct world_pin pin, double spin_up_s, double now_s);
@@ -206,6 +222,15 @@ void machine_tick(struct machine *m, double now_s, double tick_s);
 int machine_set_input(struct machine *m, struct world_pin pin, int level);
 uint32_t machine_read_panel(struct machine *m, int panel, uint16_t *out, uint32_t capacity);
 
+double probe_gap_mm(const struct machine *m, const struct probe *p, double dx_mm, double dy_mm);
+void gauges_advance(struct machine *m, double now_s);
+double gauge_coil_c(const struct gauge *g, double now_s);
+uint8_t gauge_level(struct machine *m, int index, double now_s);
+void gauge_clock(struct machine *m, int index, uint8_t level, double now_s);
+uint16_t gauge_temperature_code(const struct machine *m, int index, double now_s);
+int gauges_spi(struct machine *m, int mcu, uint8_t *data, uint32_t len, double now_s);
+int gauges_i2c(struct machine *m, int mcu, uint8_t address, const uint8_t *write, uint32_t write_len, uint8_t *read,
+               uint32_t read_len, double now_s);
 void panel_pin_changed(const struct machine *m, struct panel *p, int mcu, uint32_t number, uint8_t value);
 void panels_spi(struct machine *m, int mcu, const uint8_t *data, uint32_t len);
 int panels_i2c(struct machine *m, int mcu, uint8_t address, const uint8_t *write, uint32_t write_len);

@@ -16,6 +16,15 @@ static const double FRAME_SLOW_RATE_HZ = 1000.0;
 static const double BEYOND_ANY_RANGE_M_S2 = 1e4;
 enum { I2C_DONE = 0, I2C_NO_DEVICE = 3 }; /* of src/board/i2c_status.h */
 
+static void set_step(struct machine *m, double step_s)
+{
+    m->frame_step_s = step_s;
+    for (int i = 0; i < FRAME_AXES; i++)
+        frame_axis_set_step(&m->frame[i], step_s);
+    if (m->has_mount)
+        mount_set_step(&m->mount, step_s);
+}
+
 int machine_add_frame(struct machine *m, const struct world_frame *o, double now_s)
 {
     static const int roles[FRAME_AXES] = { WORLD_AXIS_X, WORLD_AXIS_Y };
@@ -31,7 +40,7 @@ int machine_add_frame(struct machine *m, const struct world_frame *o, double now
     }
     m->has_frame = 1;
     m->frame_s = now_s;
-    m->frame_step_s = FRAME_STEP_S;
+    set_step(m, FRAME_STEP_S);
     return 0;
 }
 
@@ -51,21 +60,23 @@ int machine_add_mount(struct machine *m, const struct world_mount *o, uint64_t s
     m->has_mount = 1;
     m->mount_nozzle = o->nozzle;
     m->mount_axis = o->axis;
+    set_step(m, m->frame_step_s);
     return 0;
 }
 
-/* Slow sensors need no fine steps. */
-static double step_for(const struct machine *m)
-{
-    for (int i = 0; i < m->accelerometer_count; i++)
-        if (accel_chip_rate(&m->accelerometers[i].chip) > FRAME_SLOW_RATE_HZ)
-            return FRAME_STEP_S;
-    return FRAME_SLOW_STEP_S;
-}
-
+/* The chips' rates; slow ones need no fine steps. */
 void mount_tick(struct machine *m)
 {
-    m->frame_step_s = step_for(m);
+    if (!m->has_frame)
+        return;
+    double step_s = FRAME_SLOW_STEP_S;
+    for (int i = 0; i < m->accelerometer_count; i++) {
+        m->accelerometers[i].rate_hz = accel_chip_rate(&m->accelerometers[i].chip);
+        if (m->accelerometers[i].rate_hz > FRAME_SLOW_RATE_HZ)
+            step_s = FRAME_STEP_S;
+    }
+    if (step_s != m->frame_step_s)
+        set_step(m, step_s);
     if (m->has_mount)
         mount_follow(&m->mount, &m->nozzles[m->mount_nozzle].plant);
 }
@@ -105,16 +116,23 @@ static double draw(struct accelerometer *a)
     return sum * 1.7320508075688772;
 }
 
-static void take_sample(struct machine *m, struct accelerometer *a, double now_s, double rate)
+/* Speeds of the frame's axes and of the mount (mm/s) at a time in the step that ends at frame_s. */
+static void speeds_at(const struct machine *m, double time_s, double out[FRAME_AXES + 1])
 {
-    double along[3] = { 0.0, 0.0, GRAVITY_M_S2 }, seen[3];
-    for (int i = 0; i < FRAME_AXES; i++) {
-        along[i] = (m->frame[i].x_rate - a->last_rate[i]) / (now_s - a->last_s) * M_PER_MM;
-        a->last_rate[i] = m->frame[i].x_rate;
+    double left = (m->frame_s - time_s) / m->frame_step_s;
+    for (int i = 0; i <= FRAME_AXES; i++) {
+        double now = i < FRAME_AXES ? m->frame[i].x_rate : m->mount.rate;
+        out[i] = now - left * (now - m->frame_rates[i]);
     }
-    along[m->mount_axis] += (m->mount.rate - a->last_mount_rate) / (now_s - a->last_s) * M_PER_MM;
-    a->last_mount_rate = m->mount.rate;
-    a->last_s = now_s;
+}
+
+static void take_sample(struct machine *m, struct accelerometer *a, double rate)
+{
+    double along[3] = { 0.0, 0.0, GRAVITY_M_S2 }, seen[3], speeds[FRAME_AXES + 1];
+    speeds_at(m, a->next_s, speeds);
+    for (int i = 0; i <= FRAME_AXES; i++)
+        along[i < FRAME_AXES ? i : m->mount_axis] += (speeds[i] - a->last_rate[i]) * rate * M_PER_MM;
+    memcpy(a->last_rate, speeds, sizeof speeds);
     double noise = a->options.noise_ug * 1e-6 * GRAVITY_M_S2 * sqrt(0.5 * rate);
     for (int i = 0; i < 3; i++) {
         int axis = a->options.orientation[i];
@@ -128,25 +146,22 @@ static void take_sample(struct machine *m, struct accelerometer *a, double now_s
     accel_chip_sample(&a->chip, seen);
 }
 
-static void sample_if_due(struct machine *m, struct accelerometer *a, double now_s)
+static void sample_if_due(struct machine *m, struct accelerometer *a)
 {
-    double rate = accel_chip_rate(&a->chip);
+    double rate = a->rate_hz;
     if (rate <= 0.0) {
         a->next_s = 0.0;
         return;
     }
     rate *= 1.0 + a->options.rate_error;
     if (a->next_s == 0.0) { /* just switched on */
-        a->next_s = now_s + 1.0 / rate;
-        a->last_s = now_s;
-        for (int i = 0; i < FRAME_AXES; i++)
-            a->last_rate[i] = m->frame[i].x_rate;
-        a->last_mount_rate = m->mount.rate;
+        a->next_s = m->frame_s + 1.0 / rate;
+        speeds_at(m, m->frame_s, a->last_rate);
     }
-    if (now_s < a->next_s)
+    if (m->frame_s < a->next_s)
         return;
+    take_sample(m, a, rate);
     a->next_s += 1.0 / rate;
-    take_sample(m, a, now_s, rate);
 }
 
 void frame_advance(struct machine *m, double now_s)
@@ -155,13 +170,15 @@ void frame_advance(struct machine *m, double now_s)
         return;
     while (m->frame_s + m->frame_step_s <= now_s) {
         m->frame_s += m->frame_step_s;
-        for (int i = 0; i < FRAME_AXES; i++)
-            frame_axis_step(&m->frame[i], axis_position_mm(&m->axes[m->frame_of[i]]), m->frame_step_s);
+        for (int i = 0; i < FRAME_AXES; i++) {
+            m->frame_rates[i] = m->frame[i].x_rate;
+            frame_axis_step(&m->frame[i], axis_position_mm(&m->axes[m->frame_of[i]]));
+        }
+        m->frame_rates[FRAME_AXES] = m->mount.rate;
         if (m->has_mount)
-            mount_step(&m->mount, mount_base_mm(m), m->mount.motion_share * (m->frame[0].x_rate + m->frame[1].x_rate),
-                       m->frame_step_s);
+            mount_step(&m->mount, mount_base_mm(m), m->mount.motion_share * (m->frame[0].x_rate + m->frame[1].x_rate));
         for (int i = 0; i < m->accelerometer_count; i++)
-            sample_if_due(m, &m->accelerometers[i], m->frame_s);
+            sample_if_due(m, &m->accelerometers[i]);
     }
 }
 
@@ -182,6 +199,8 @@ void accelerometer_select(struct accelerometer *a, uint8_t level)
 void machine_spi_exchange(struct machine *m, int mcu, uint8_t *data, uint32_t len, double now_s)
 {
     panels_spi(m, mcu, data, len);
+    if (gauges_spi(m, mcu, data, len, now_s))
+        return;
     struct accelerometer *selected = NULL;
     for (int i = 0; i < m->accelerometer_count; i++)
         if (is_selected(m, &m->accelerometers[i], mcu))
@@ -206,6 +225,8 @@ uint8_t machine_i2c_exchange(struct machine *m, int mcu, uint8_t address, const 
         accel_chip_i2c(&a->chip, write, write_len, read, read_len);
         return I2C_DONE;
     }
+    if (gauges_i2c(m, mcu, address, write, write_len, read, read_len, now_s))
+        return I2C_DONE;
     if (panels_i2c(m, mcu, address, write, write_len))
         return I2C_DONE;
     memset(read, 0xff, read_len);

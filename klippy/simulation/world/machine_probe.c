@@ -12,7 +12,7 @@ static const double DOWN_S = 647e-6, TOUCH_MODE_S = 1163e-6, UP_S = 1472e-6, SEL
 int machine_add_probe(struct machine *m, const struct world_probe_options *o, uint32_t seed)
 {
     const struct world_pin pins[] = { o->pin, o->control };
-    if (m->probe_count == MACHINE_PROBES || o->pin.mcu < 0 || o->z_count < 1 || o->z_count > WORLD_PROBE_MOTORS
+    if (m->probe_count == MACHINE_PROBES || o->z_count < 1 || o->z_count > WORLD_PROBE_MOTORS
         || o->x_axis < 0 || o->x_axis >= m->axis_count || o->y_axis < 0 || o->y_axis >= m->axis_count)
         return -1;
     for (int i = 0; i < o->z_count; i++)
@@ -37,12 +37,13 @@ double bed_height_mm(const struct world_bed *b, double x, double y)
     return b->height_mm + b->tilt_x * x + b->tilt_y * y + bump;
 }
 
-/* What is between nozzle and bed where the probe is. Each Z motor counts by its share of the plane through them all. */
-static double gap_mm(const struct machine *m, const struct probe *p)
+/* Height of the nozzle above the bed at dx, dy from the nozzle. Each Z motor counts by its share of the plane through them
+ * all. */
+double probe_gap_mm(const struct machine *m, const struct probe *p, double dx_mm, double dy_mm)
 {
     const struct world_probe_options *o = &p->options;
-    double x = axis_position_mm(&m->axes[o->x_axis]) + o->x_offset_mm;
-    double y = axis_position_mm(&m->axes[o->y_axis]) + o->y_offset_mm;
+    double x = axis_position_mm(&m->axes[o->x_axis]) + dx_mm;
+    double y = axis_position_mm(&m->axes[o->y_axis]) + dy_mm;
     double z = 0.0;
     for (int i = 0; i < o->z_count; i++) {
         const double *w = o->z_shares[i];
@@ -65,7 +66,8 @@ static double draw(uint32_t *state)
 /* Each approach has an error of its own. */
 static int is_touching(const struct machine *m, struct probe *p)
 {
-    int touching = gap_mm(m, p) <= p->options.trigger_mm + p->error_mm;
+    const struct world_probe_options *o = &p->options;
+    int touching = probe_gap_mm(m, p, o->x_offset_mm, o->y_offset_mm) <= o->trigger_mm + p->error_mm;
     if (p->touched && !touching)
         p->error_mm = p->options.noise_mm * draw(&p->noise);
     p->touched = touching;

@@ -133,6 +133,18 @@ int world_add_probe(struct world *w, const struct world_probe_options *options)
     return index >= 0 ? index : world_fail(w, "probe: too many, no such axis, or a pin out of range");
 }
 
+int world_add_gauge(struct world *w, const struct world_gauge_options *options)
+{
+    int index = machine_add_gauge(&w->machine, options, (uint32_t)world_new_seed(w), w->now_s);
+    return index >= 0 ? index : world_fail(w, "gauge: too many, no such probe, or a pin out of range");
+}
+
+double world_coil_temperature(const struct world *w, int gauge)
+{
+    const struct machine *m = &w->machine;
+    return gauge >= 0 && gauge < m->gauge_count ? gauge_coil_c(&m->gauges[gauge], w->now_s) : NAN;
+}
+
 int world_add_frame(struct world *w, const struct world_frame *options)
 {
     if (machine_add_frame(&w->machine, options, w->now_s))

@@ -55,12 +55,27 @@ struct world_bed {
 /* A switch that closes where nozzle and bed, below the probe, are trigger_mm apart. z_shares: of each Z motor's place in the
  * height at x, y: [0] + [1] x + [2] y. With a control pin it is a BLTouch; `stuck`: its pin does not come out. */
 struct world_probe_options {
-    struct world_pin pin, control;
+    struct world_pin pin, control; /* pin: none if a gauge measures instead */
     int x_axis, y_axis, z_count, stuck;
     int z_axes[4];
     double z_shares[4][3];
     double x_offset_mm, y_offset_mm, trigger_mm, noise_mm;
     struct world_bed bed;
+};
+
+/* A probe that measures: a load cell under the nozzle of probe `probe`, or a coil there. Frequencies, coupling and drifts of
+ * the coil: machine_gauge.c. */
+struct world_gauge_options {
+    int kind; /* enum gauge_kind */
+    int probe;
+    struct world_pin ready, clock, select, temperature; /* HX71x: DOUT, SCLK */
+    int i2c_mcu, i2c_address;
+    double clock_hz, rate_hz, rate_error;
+    double noise; /* standard deviation of a conversion, g or Hz */
+    double counts_per_g, stiffness_g_mm, tare_g, drift_g_s;
+    double free_hz, coupling, decay_mm, coil_mm; /* coil_mm: height of the coil above the nozzle's tip */
+    double coil_c, coil_c_per_s, coil_end_c;
+    double drift_per_k, drift_per_k2, drift_per_k3, drift_near_per_k;
 };
 
 /* Ringing of the frame along X and Y: natural frequency (0: rigid) and damping of the masses, lag of the motors. */
@@ -187,6 +202,9 @@ int world_add_mount(struct world *w, const struct world_mount *options);
 int world_add_accelerometer(struct world *w, const struct world_accelerometer_options *options);
 /* May be set at any time. */
 int world_set_accelerometer_fault(struct world *w, int accelerometer, int fault);
+int world_add_gauge(struct world *w, const struct world_gauge_options *options);
+/* Temperature of a gauge's coil now. */
+double world_coil_temperature(const struct world *w, int gauge);
 int world_add_panel(struct world *w, const struct world_panel_options *options);
 /* Events since the last call, the oldest first; returns how many. -1 if more have come in between than are kept. */
 int world_read_panel(struct world *w, int panel, uint16_t *out, uint32_t capacity);

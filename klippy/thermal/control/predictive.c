@@ -228,16 +228,16 @@ decide(const struct model_params *p, const struct model_state *s, const struct m
 // While the reading swings, an output that is cut at zero moves the mean of the estimate and of the nozzle: it heats faster
 // than it cools. The mean of the reading moves with that of the nozzle. What it is off by is added to what is wanted.
 static void
-ride(const struct model_params *p, struct model_state *s, const struct model_inputs *in, double dt_s)
+ride(const struct model_params *p, struct model_state *s, const struct model_inputs *in)
 {
-    double share = lesser(1.0, greater(0.0, dt_s / RIDDEN_S)), now_c = wanted_c(in, s->time_s);
+    double now_c = wanted_c(in, s->time_s), share = lesser(1.0, s->read_s / RIDDEN_S);
     int swings = p->coloured_c2_s && s->swing_c >= RIDDEN_C;
     int is_near = fabs(now_c - s->nodes.temp_c) <= lesser(RIDDEN_NEAR_C, RIDDEN_SWINGS * s->swing_c);
-    s->swinging_s = swings && is_near ? s->swinging_s + dt_s : 0.0;
+    s->swinging_s = swings && is_near ? s->swinging_s + s->read_s : 0.0;
     if (!swings)
         s->ridden_c -= share * s->ridden_c;
     else if (s->swinging_s >= RIDDEN_AFTER_S)
-        s->ridden_c = bounded(s->ridden_c + share * (now_c - s->read_c), RIDDEN_MAX_C);
+        s->ridden_c = bounded(s->ridden_c + (now_c * s->read_s - s->read_cs) / RIDDEN_S, RIDDEN_MAX_C);
 }
 
 void
@@ -253,12 +253,11 @@ model_step(const struct model_params *p, const struct model_state *before, const
     }
     if (after != before)
         *after = *before;
-    double before_s = after->time_s;
     model_observe(p, after, samples, count, in->flow, in->fan);
     double apply_s = in->apply_s == in->apply_s ? in->apply_s : in->time_s + p->delay_s;
     *out = (struct model_output){.predicted_c = NAN};
     if (after->time_s == after->time_s && in->reference_c > 0.0) {
-        ride(p, after, in, after->time_s - before_s);
+        ride(p, after, in);
         decide(p, after, in, samples[count - 1].output, apply_s, out);
     }
     remember(after, in, apply_s, out->value);

@@ -99,8 +99,7 @@ model_begin(const struct model_params *p, struct model_state *s, double temp_c, 
     s->size = at.size;
     s->nodes_known = at.nodes;
     s->nodes = model_at_rest(p, temp_c);
-    s->read_c = temp_c;
-    s->time_s = s->measured_s = time_s;
+    s->time_s = s->measured_s = s->read_to_s = time_s;
     s->gain = gain;
     s->disturbance_w = s->innovation_c = s->driven = s->offset_c = s->offset_output = s->lean = s->slant_c = 0.0;
     s->swing_c = s->swinging_s = s->half_c = s->before_c = s->ridden_c = 0.0;
@@ -366,28 +365,41 @@ move(const struct model_params *p, const struct model_places *at, struct model_n
     n->bore_c += step_c;
 }
 
+// So many places learn from this innovation; gain and slant are the last.
+static int
+learning(const struct model_params *p, const struct model_places *at, const struct model_state *s, const struct run *run)
+{
+    if (p->coloured_c2_s && run->output < GAIN_SHARE * p->output_high)
+        return at->gain;
+    int is_known = s->covariance[at->gain][at->gain] <= square(SLANT_GAIN * s->gain);
+    return at->slant >= 0 && !is_known ? at->slant : at->size;
+}
+
 static void
 update(const struct model_params *p, const struct model_places *at, struct model_state *s, const struct run *run)
 {
     double by_c = run->innovation_c, read_c = s->nodes.sensor_c + by_c, column[MODEL_PLACES] = {0}, gains[MODEL_PLACES] = {0};
     double variance = innovation_variance(s, at, run);
-    int learns = !p->coloured_c2_s || run->output >= GAIN_SHARE * p->output_high;
+    int learns = learning(p, at, s, run);
     for (int i = 0; i < at->size; i++) {
         column[i] = with_reading(s, at, run, i);
         gains[i] = column[i] / variance;
     }
     for (int i = 0; i < at->size; i++)
         for (int j = 0; j < at->size; j++)
-            if (learns || i < at->gain || j < at->gain)
+            if (i < learns || j < learns)
                 s->covariance[i][j] -= gains[i] * column[j];
-    for (int i = at->gain; i < at->size && !learns; i++)
+    for (int i = learns; i < at->size; i++)
         gains[i] = 0.0;
     s->gain = lesser(GAIN_MAX, greater(GAIN_MIN, s->gain + gains[at->gain] * by_c));
     s->disturbance_w = bounded(s->disturbance_w + gains[at->disturbance] * by_c, p->disturbance_max_w);
     s->slant_c += at->slant >= 0 ? gains[at->slant] * by_c : 0.0;
     move(p, at, &s->nodes, gains, by_c);
     s->innovation_c = by_c;
-    s->read_c = read_c;
+    double since_s = run->time_s - s->read_to_s;
+    s->read_to_s = run->time_s;
+    s->read_s += since_s;
+    s->read_cs += read_c * since_s;
     s->measured_s = run->measured_s;
     s->driven = run->driven;
     s->offset_c = run->offset_c;
@@ -455,6 +467,7 @@ void
 model_observe(const struct model_params *p, struct model_state *s, const struct model_sample *samples, int count,
               const struct model_line *flow, const struct model_line *fan)
 {
+    s->read_s = s->read_cs = 0.0;
     if (!count)
         return;
     struct model_places at = model_layout(p);

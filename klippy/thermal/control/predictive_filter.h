@@ -34,6 +34,7 @@
 // where the reading is taken for the truth, follows within this time.
 #define SLANT_WALK_C 0.3
 #define SLANT_USUAL_S 0.2
+#define SLANT_GAIN 0.05 // it is learned once the drive's gain is known so well: before, a wrong gain passes for a slant
 // Coloured errors of the reading (coloured_c2_s): a sample counts for the time since the one before, up to a limit.
 #define COLOURED_GAP_S 0.02
 // Innovations that swing to and fro by `swing_c` are vibration or interference: they add a density of swing_c^2 times
@@ -70,7 +71,8 @@ struct model_state {
     struct model_nodes nodes;
     double disturbance_w, gain;
     double innovation_c;        // newest: measured minus expected
-    double read_c;              // newest: what was measured
+    double read_to_s;           // end of the newest piece with a measurement
+    double read_s, read_cs;     // of the newest samples: time since those before, reading times time
     double measured_s;             // newest measurement
     double output;              // newest output decided
     double driven;              // output in force at the newest measurement

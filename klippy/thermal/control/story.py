@@ -51,7 +51,7 @@ class Story:
             yield f"command: from {command.time_s:.4f} s {command.phase_ticks} ticks ({command.power_w:.1f} W)"
         for planned in state.horizon[:COMMANDS]:
             yield f"plan: from {planned.time_s:.4f} s {planned.value:.1f} W"
-        for block in self._blocks():
+        for block in self.blocks():
             reading = (
                 f"{block.temp_c:.2f} C +-{block.sigma_c:.2f}" if not block.fault else REASONS[block.fault]
             )
@@ -60,7 +60,8 @@ class Story:
                 f" min {block.min_raw} max {block.max_raw}: {reading}"
             )
 
-    def _blocks(self) -> list[Any]:
+    def blocks(self) -> list[Any]:
+        """The newest last."""
         found: list[Any] = []
         for message in reversed(self._messages):
             count = len(message) // BLOCK_SIZE

@@ -23,7 +23,7 @@ function say(text, isError = false) {
   line.textContent = text;
   line.className = isError ? "error" : "";
   at("log").append(line);
-  line.scrollIntoView({ block: "nearest" });
+  at("log").scrollTop = at("log").scrollHeight; // not the page: the emergency stop stays in view
 }
 
 const run = (method, params) => call(method, params).catch((error) => say(error.message, true));
@@ -76,6 +76,8 @@ function show() {
     const heater = status[name];
     if (!heater || heater.temperature === undefined) continue;
     const row = at(`row-${name}`) || heaterRow(name);
+    const source = heater.temperature_source || "measured"; // an induction nozzle says where it comes from
+    row.cells[0].textContent = HEATERS[name] + (source === "measured" ? "" : `, ${source}`);
     row.querySelector(".temp").textContent = heater.temperature.toFixed(1);
     row.querySelector(".target").textContent = heater.target.toFixed(0);
     row.querySelector(".power").textContent = (100 * (heater.power || 0)).toFixed(0);

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import json
 import shutil
 import subprocess
@@ -66,21 +67,34 @@ class Browser:
         self.connection = connection
         self._last = 0
 
-    async def evaluate(self, script: str) -> Any:
-        """Value of an expression in the page."""
+    async def call(self, method: str, **params: Any) -> dict[str, Any]:
+        """Answer to a command of the protocol."""
         self._last += 1
-        params = {"expression": script, "returnByValue": True}
         await self.connection.write_message(
-            json.dumps({"id": self._last, "method": "Runtime.evaluate", "params": params})
+            json.dumps({"id": self._last, "method": method, "params": params})
         )
         while True:
             text = await self.connection.read_message()
             assert text is not None, "the browser has gone"
             answer = json.loads(text)
             if answer.get("id") == self._last:
-                result = answer["result"]
-                assert "exceptionDetails" not in result, result
-                return result["result"].get("value")
+                result: dict[str, Any] = answer["result"]
+                return result
+
+    async def evaluate(self, script: str) -> Any:
+        """Value of an expression in the page."""
+        result = await self.call("Runtime.evaluate", expression=script, returnByValue=True)
+        assert "exceptionDetails" not in result, result
+        return result["result"].get("value")
+
+    async def picture(self, path: Path, width_px: int, height_px: int) -> None:
+        """The page on a screen of this size, which it must fit in width."""
+        size = {"width": width_px, "height": height_px, "deviceScaleFactor": 1, "mobile": width_px < 600}
+        await self.call("Emulation.setDeviceMetricsOverride", **size)
+        await asyncio.sleep(0.3)
+        assert await self.evaluate("document.documentElement.scrollWidth") <= width_px
+        shot = await self.call("Page.captureScreenshot", format="png")
+        path.write_bytes(base64.b64decode(shot["data"]))
 
     async def wait(self, condition: str, limit_s: float = 40.0) -> None:
         """Until an expression is true in the page."""
@@ -95,7 +109,7 @@ class Browser:
         await self.evaluate(f"document.querySelector({json.dumps(selector)}).click()")
 
 
-async def day(browser: Browser) -> None:
+async def day(browser: Browser, folder: Path) -> None:
     """What a person does."""
     text = 'document.getElementById("{}").textContent'.format
     temperature = "Number(document.querySelector('#row-extruder .temp').textContent)"
@@ -109,6 +123,8 @@ async def day(browser: Browser) -> None:
 
     await browser.click("#files button")
     await browser.wait(f'{text("print")} === "printing" && parseFloat({text("progress")}) > 1')
+    await browser.picture(folder / "dashboard.png", 900, 800)
+    await browser.picture(folder / "phone.png", 390, 844)
     await browser.click("#pause")
     await browser.wait(f'{text("print")} === "paused"')
     await browser.wait(f"{temperature} < 200")  # the macro cools
@@ -148,7 +164,7 @@ def test_heat_print_pause_cancel_and_emergency_stop_in_a_browser(
 
     async def drive() -> None:
         connection = await websocket_connect(printer.wait("the browser", target))
-        await day(Browser(connection))
+        await day(Browser(connection), tmp_path)
         connection.close()
 
     try:

@@ -10,8 +10,10 @@ import pytest
 
 from configtext import ConfigError
 from extras.heater import tuning as heater_tuning
+from extras.induction.signal_limits import seen_cause
 from heater_fakes import CommandError, FakeCommand, FakePrinter
 from nozzle_rig import CONFIG, LOADERS, deliver, machine, nozzle
+from thermal.sensing.features import FeatureParameters
 
 
 def test_extruder_uses_the_induction_heater_under_its_own_name() -> None:
@@ -121,8 +123,8 @@ def test_the_units_own_tests_are_configured_unless_turned_off() -> None:
     off, _ = nozzle("signal_test_interval: 0")
     assert off.mcu.config == printer.mcu.config[:-1]
     assert printer.mcu.config[-1] == (
-        "config_induction_test oid=3 moved_low=451 moved_high=4060 off_low=246 off_high=266 interval=1200"
-        " phase=2012 jump=240 rise=15 fall=1 tolerance=26 slack=16"
+        "config_induction_test oid=3 moved_low=451 moved_high=4060 off_low=246 off_high=266 interval=1008"
+        " phase=2012 jump=240 rise=15 fall=1 tolerance=20 slack=16"
     )
 
 
@@ -324,6 +326,23 @@ def test_a_stop_by_the_board_s_guard_names_the_heater_and_its_last_reading() -> 
         == explain(object(), "Induction coil signal stands still")
         == ""
     )
+
+
+@pytest.mark.parametrize(
+    ("raw", "wide", "says"),
+    [
+        (258.0, 2, "no current: coil, bridge, its supply or sensing lead open"),
+        (440.0, 0, "stands still"),
+        (440.0, 1, ""),
+    ],
+)
+def test_the_last_driven_blocks_show_the_cause_of_a_trip(raw: float, wide: int, says: str) -> None:
+    front = FeatureParameters()
+    driven = SimpleNamespace(phase_ticks=2012, mean_raw=raw, min_raw=int(raw) - wide, max_raw=int(raw) + wide)
+    idle = SimpleNamespace(phase_ticks=0, mean_raw=256.0, min_raw=256, max_raw=256)
+    seen = seen_cause([driven] * 4 + [idle] * 4, front)
+    assert says in seen and bool(says) == bool(seen)
+    assert seen_cause([idle] * 8, front) == ""
 
 
 def test_too_hot_shuts_the_printer_down_and_nothing_more_is_sent() -> None:

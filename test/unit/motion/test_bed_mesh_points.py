@@ -39,6 +39,18 @@ def test_a_faulty_region_is_probed_at_its_edges() -> None:
     assert rows[0] == [0, 1, 3, 5, 6]
 
 
+def test_edges_are_probed_in_the_way_of_their_row() -> None:
+    """As Klipper does: along x, of two of the same x the lower first; the second row runs from right to left."""
+    for row, middle in ((0, 2), (1, 7)):
+        x, y = SHAPE.plan().places()[middle]
+        layout = SHAPE.plan([Region((x - 9.0, y - 5.0), (x + 8.0, y + 4.0))])
+        (cell,) = [c for c in layout.cells if c.row == row and len(c.places) > 1]
+        left, right = (x - 9.0, y), (x + 8.0, y)
+        first, last = (left, right) if row == 0 else (right, left)
+        edges = [first, (x, y - 5.0), (x, y + 4.0), last]
+        assert list(cell.places) == [e for e in edges if SHAPE.holds(e)]
+
+
 def test_a_region_that_covers_the_mesh_is_refused() -> None:
     with pytest.raises(MeshError, match="leaves no place"):
         SHAPE.plan([Region((0, 0), (300, 300))])

@@ -17,9 +17,14 @@ class FakePrinter:
         return self.objects.get(name, default)
 
 
+def looking_ahead(part_fan: Any) -> FlowAhead:
+    printer: Any = FakePrinter(fan=part_fan)
+    return FlowAhead(printer, "extruder")
+
+
 def test_a_fan_that_is_to_change_after_queued_moves_has_its_speed_from_then_on() -> None:
     fan = SimpleNamespace(changes=deque([(10.0, 0.3)]))
-    ahead = FlowAhead(FakePrinter(fan=SimpleNamespace(fan=fan)), "extruder")  # type: ignore[arg-type]
+    ahead = looking_ahead(SimpleNamespace(fan=fan))
     assert ahead.look(12.0)
     fan.changes.append((15.5, 1.0))
     assert ahead.look(12.0 + 2.0 * LOOK_S)
@@ -27,6 +32,6 @@ def test_a_fan_that_is_to_change_after_queued_moves_has_its_speed_from_then_on()
 
 
 def test_a_fan_that_does_not_say_when_is_left_out() -> None:
-    ahead = FlowAhead(FakePrinter(fan=SimpleNamespace()), "extruder")  # type: ignore[arg-type]
+    ahead = looking_ahead(SimpleNamespace())
     assert ahead.look(1.0)
     assert ahead.fan.at(2.0) == 0.0

@@ -190,7 +190,7 @@ def signal_claims() -> Iterator[str]:
         return int(re.findall(rf"\b{name} = (\d+)", header + board)[0])
 
     interval_s, length = option("signal_test_interval"), constant("SIGNAL_TEST_LEN")
-    yield f"The next three come every `signal_test_interval` ({interval_s:.3f} s)."
+    yield f"The next three come every `signal_test_interval` ({interval_s:g} s)."
     off, ticks = constant("SIGNAL_TEST_OFF_LEN"), constant("SYNC_ADC_MOVE_TICKS")
     assert signal_limits.SLACK_LSB == 1.0
     moved = signal_limits.GAIN_UNITS_DEG * 360.0 * ticks / 72e6 / PERIOD_S
@@ -205,8 +205,11 @@ def signal_claims() -> Iterator[str]:
     yield f"{heating} bridge is off for {off} samples ({1e3 * off * PERIOD_S:.1g} ms)."
     yield f"The last {length} must be within {signal_limits.OFF_UNITS:g} units of `adc_zero`"
     assert (constant("SIGNAL_TEST_BAD"), constant("SIGNAL_JUMP_BLOCKS")) == (2, 3)
+    assert constant("SIGNAL_IDLE_BLOCKS") == 4
+    yield "of an idle nozzle too, must show the same: four bad ones in a row trip"
     yield f"at the same drive by more than {signal_limits.JUMP_UNITS:g} units, three blocks in a row"
-    yield f"drive the limit is {signal_limits.JUMP_UNITS * (1.0 + PHASE_MAX_TICKS / 2**15):.0f} units"
+    ripple = PHASE_MAX_TICKS / 2**15 + (PHASE_MAX_TICKS - 2**15) / 2**12
+    yield f"drive the limit is {signal_limits.JUMP_UNITS * (1.0 + ripple):.0f} units"
     samples = 2.0 * interval_s / PERIOD_S
     lost = (length + off + option("settle_samples")) / samples
     yield f"The tests cost {100 * lost:.1f} % of the samples and the bridge {100 * off / samples:.0f} % of its time."

@@ -424,6 +424,28 @@ def test_the_layers_path_is_drawn_in_the_colours_of_its_temperature(page: str, t
     assert len(np.unique(shots["temp"][rows, columns].round(2), axis=0)) > 10, "a ramp of colours"
 
 
+LAYOUT = """<script>
+addEventListener("load", () => setTimeout(() => {
+  const top = (id) => document.getElementById(id).getBoundingClientRect().top;
+  const places = ["first-chart", "figures", "charts", "layers"].map(top);
+  document.title = JSON.stringify([innerWidth, document.documentElement.scrollWidth, ...places]);
+}, 300));
+</script></body>"""
+
+
+@pytest.mark.browser
+def test_on_a_phone_the_figures_follow_the_first_chart_and_nothing_is_wider_than_the_screen(
+    page: str, tmp_path: Path
+) -> None:
+    dom = browse(page.replace("</body>", LAYOUT), tmp_path, "--dump-dom", "--window-size=390,844")
+    (title,) = re.findall(r"<title>(.*?)</title>", dom)
+    screen_px, page_px, first_px, figures_px, charts_px, layers_px = json.loads(title)
+    assert page_px <= screen_px <= 500
+    assert first_px < 300 and figures_px < 844, "one screen shows the first chart, and the figures begin"
+    assert first_px < figures_px < charts_px < layers_px
+    assert charts_px - figures_px < 1.2 * 844, "two columns of them"
+
+
 DRAG = """<script>
 addEventListener("load", () => setTimeout(() => {
   const over = document.querySelector(".u-over"), box = over.getBoundingClientRect();

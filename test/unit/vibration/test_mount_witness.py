@@ -105,7 +105,11 @@ class Mount:
         while self.time_s < begin_s + seconds:
             self.time_s += 0.25
             planned = flow * (1.0 + 0.3 * math.sin(self.time_s / 3.0))
-            amplitude = 0.5 * (0.4 / hole_mm) ** 3.7 * (share * planned / 5.0) ** self.flow_exponent
+            amplitude = (
+                0.5
+                * (0.4 / hole_mm) ** (0.95 * self.p.exponent)
+                * (share * planned / 5.0) ** self.flow_exponent
+            )
             power = 0.5 * amplitude**2 * self.random.gammavariate(weight, 1.0 / weight) + 1e-6
             before = self.state.is_narrowed, self.state.is_lost
             mount_witness.observe(self.p, self.state, MountWindow(self.time_s, 0.25, power, planned, 230.0))
@@ -122,6 +126,7 @@ def test_a_tenth_of_the_diameter_is_found_within_ten_seconds(flow_exponent: floa
         assert mount.run(120.0) is None
         found_s = mount.run(10.0, hole_mm=0.36)
         assert found_s is not None and mount.state.is_narrowed and not mount.state.is_lost
+        assert mount.run(10.0, hole_mm=0.36) is None  # a diameter takes ten seconds
         assert 0.4 * math.exp(mount.state.log_diameter) == pytest.approx(0.36, rel=0.05)
         assert mount.run(30.0) is not None and not mount.state.is_narrowed
 

@@ -31,7 +31,7 @@
   }
 
   function plot(box, height, options, values) {
-    const made = new uPlot({ width: box.clientWidth, height, padding: [8, 14, 0, 0], ...options }, values, box);
+    const made = new uPlot({ width: box.clientWidth, height, padding: [8, 24, 0, 0], ...options }, values, box);
     plots.push({ made, box, height });
     return made;
   }

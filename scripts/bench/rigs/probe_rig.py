@@ -10,7 +10,7 @@ from typing import Any
 
 from simulation.runner import RunOptions, Simulation
 
-ROOT = Path(__file__).resolve().parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 CONFIG = ROOT / "config" / "sim-probe.cfg"
 STEP_MM = 8.0 / (200 * 16)  # of a Z motor
 PROBED = re.compile(r"probe at (-?[\d.]+),(-?[\d.]+) is z=(-?[\d.]+)")
@@ -23,9 +23,12 @@ class _Listening(Simulation):
     def __init__(self, options: RunOptions) -> None:
         super().__init__(options)
         self.console: list[str] = []
+        self.probing_times: list[float] = []
 
     def _on_output(self, text: str) -> None:
         self.console.append(text)
+        if PROBED.search(text):
+            self.probing_times.append(self.reactor.monotonic())
         super()._on_output(text)
 
 
@@ -37,6 +40,12 @@ class Probed:
     reason: str
     console: list[str]
     simulation: Any
+
+    @property
+    def times(self) -> list[float]:
+        """Of the reactor, of every trigger."""
+        times: list[float] = self.simulation.probing_times
+        return times
 
     @property
     def text(self) -> str:
