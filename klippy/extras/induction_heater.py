@@ -240,7 +240,8 @@ class InductionHeater:
 
     def _send(self, commands: list[PhaseCommand], now_s: float) -> None:
         # a calibration heats to where it must
-        self.unit.set_ceiling(self.loop.state.target_c if self._run is None else math.inf)
+        state = self.loop.state
+        self.unit.set_ceiling(state.target_c if self._run is None else math.inf, state.drift.applied_c)
         if commands:
             self.unit.queue_plan(commands)
             if self._view is not None:

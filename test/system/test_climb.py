@@ -17,7 +17,7 @@ CLIMB = f"M104 S{TARGET_C:.0f}\nTEMPERATURE_WAIT SENSOR=extruder MINIMUM=248\nG4
 def climb(simulate: Simulate, *settings: str) -> tuple[float, float, float]:
     """(highest true temperature, mean over the last second, seconds from 30 to 245 degC)."""
     run = simulate(CLIMB, settings=[f"simulator nozzle nozzle.{text}" for text in settings])
-    assert run.status in (0, 2), run.stderr  # a warning of the nozzle is an error line
+    assert run.status == 0, run.stderr
     times_s, true_c = run.column("t_s"), run.column("true_c")
     start_s = next(t for t, c in zip(times_s, true_c, strict=True) if c > 30.0)
     there_s = next((t for t, c in zip(times_s, true_c, strict=True) if c > 235.0), float("inf"))
@@ -56,7 +56,7 @@ def test_a_supply_nobody_measures_moves_the_peak_by_less_than_three_degrees(
     assert abs(held_c - TARGET_C) < 1.0
 
 
-@pytest.mark.parametrize("factor", [1.0005, 0.9995, 1.001, 0.999, 1.002])
+@pytest.mark.parametrize("factor", [1.0005, 0.9995, 1.001, 0.999, 1.002, 0.998])
 def test_a_capacitor_off_by_a_warm_afternoon_is_found_by_the_zero_at_rest(
     simulate: Simulate, factor: float
 ) -> None:

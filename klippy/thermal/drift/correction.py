@@ -197,10 +197,7 @@ def follow(m: DriftMemory, dt_s: float, below_c: float) -> float:
 
 def corrected(estimator: EstimatorParameters, applied_c: float) -> EstimatorParameters:
     """With the law that is in use."""
-    law = estimator.law
-    if not applied_c or not isinstance(law, TankLaw):
-        return estimator
-    return replace(estimator, law=replace(law, delta=law.delta + applied_c))
+    return replace(estimator, law=estimator.law.drifted(applied_c)) if applied_c else estimator
 
 
 def warning(m: DriftMemory) -> str:

@@ -141,7 +141,7 @@ def added_c(
 ) -> float:
     """What the reading at the phase `strong` is above that at `weak` (ticks), by the law corrected by `applied_c`,
     where the tank is off by `x`."""
-    used = replace(law, delta=law.delta + applied_c)
+    used = law.drifted(applied_c)
     tank = replace(law, delta=law.delta + x[DRIFT], w=law.w * (1.0 + x[COPPER]))
     volts = supply * (1.0 + x[SUPPLY]) / (1.0 + x[COPPER])
     high, low = (used.invert(tank.error(temp_c, phase, volts), phase, supply)[0] for phase in (strong, weak))

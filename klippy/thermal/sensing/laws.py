@@ -67,6 +67,10 @@ class Law:
         value = lib.sensing_rezeroed(law, temp_c, error, phase_ticks, supply)
         return replace(self, **{self.DRIFTING: value})  # type: ignore[type-var]
 
+    def drifted(self, drift_c: float) -> Self:
+        """This law for a thermometer whose reading at the sensing phase is off by `drift_c`; of the tank only."""
+        return self
+
 
 @lru_cache(maxsize=64)
 def packed(law: Law) -> tuple[Any, Any]:
@@ -183,6 +187,9 @@ class TankLaw(Law):
     m: float = 1.06507
     residual_units: float = 1.03
     table: LawTable | None = None
+
+    def drifted(self, drift_c: float) -> Self:
+        return replace(self, delta=self.delta + drift_c) if drift_c else self
 
 
 # By the name the config and the fits use.
