@@ -27,7 +27,8 @@ from .mcu import TestSettings, UnitSettings
 
 LOOK_SAMPLES, LONG_LOOK_SAMPLES = 16, 64
 HOLD_LOOK_S = 1.0  # a strong look out of a hold: 21 mJ ...
-HOLD_LOOK_K = 0.05  # ... which warm the reference nozzle by so much
+HOLD_LOOK_K = 0.05  # ... which warms the reference nozzle by so much ...
+HOLD_LOOK_MIN_TICKS = 28000  # ... and a weaker one shows nothing
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
 # 20 % of the square of the phase, half of full power: no nozzle is held with that.
 CEILING_PHASE_TICKS = 20125
@@ -156,7 +157,7 @@ def _drive(
     )
     pulse_s = timing.block_s + timing.settle_s + SETTLE_MARGIN_SAMPLES / unit.frequency_hz
     look_s, long_look_s = look_times_s(unit)
-    hold_w = HOLD_LOOK_K * heat.at_25c_j_k / look_s if look_s else 0.0
+    hold_ticks = round(law.phase_ticks(HOLD_LOOK_K * heat.at_25c_j_k / look_s)) if look_s else 0
     return actuator.ActuatorParameters(
         law,
         pulse_s,
@@ -166,8 +167,8 @@ def _drive(
         look_s=look_s,
         watch_interval_s=timing.control_s,
         long_look_s=long_look_s,
-        hold_look_s=HOLD_LOOK_S,
-        hold_look_ticks=(round(law.phase_ticks(hold_w)),),
+        hold_look_s=HOLD_LOOK_S if hold_ticks > HOLD_LOOK_MIN_TICKS else 0.0,
+        hold_look_ticks=(hold_ticks,),
     )
 
 
@@ -299,8 +300,13 @@ def _drift(
 ) -> drift_observer.DriftParameters:
     """What may be wrong by how much; a measured supply is known better."""
     default = drift_observer.DriftParameters(room_c=loss.ambient_c, power_max_w=power_max_w)
-    if isinstance(law, laws.TankLaw) and law.table is not None:
-        default = replace(default, law_c=max(default.law_c, 2.0 * law.table.error_c[-1]))
+    if isinstance(law, laws.TankLaw):
+        # A zero at the room's temperature shows the law's own error there, too.
+        phase = block_temperature.SENSING_PHASE_TICKS
+        _, c_per_unit = law.invert(law.error(loss.ambient_c, phase), phase)
+        cold_c = math.hypot(default.ambient_c, law.residual_units * c_per_unit)
+        table_c = 2.0 * law.table.error_c[-1] if law.table is not None else 0.0
+        default = replace(default, ambient_c=cold_c, law_c=max(default.law_c, table_c))
     is_measured = config.get("vdc_pin", None, note_valid=False) is not None
     return replace(default, supply=0.003) if is_measured else default
 

@@ -78,7 +78,6 @@ class DriftCorrection:
         added_c = drift_observer.added_c(law, after_c, off, temp_c, full, low, p.estimator.supply)
         moved_c = before_c - after_c
         self.chain.correct(drift.corrected(p.estimator, after_c), moved_c, added_c)
-        m.looked_c = self.chain.state.drive.full_c  # no news
         memory = self.state.law
         if isinstance(memory, predictive.ModelState) and not math.isnan(memory.raw.time_s):
             nodes = memory.raw.nodes

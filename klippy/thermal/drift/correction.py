@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from thermal.drift import observer
 from thermal.drift.observer import DriftParameters, DriftState
@@ -30,7 +31,6 @@ ZERO_EACH_S = 60.0
 WAIT_S, WAIT_C = 3.0, 2.5
 GLANCE_SIGMA_C = 1.0
 LOOKS_EACH_S = 0.1
-LEVER_MIN = 0.3  # of full drive, in drive_offset.h's shape
 LOOKS_SIGMA_C = 8.0  # k in more doubt says nothing
 WAY_C = 20.0  # farther from the target than this is the way to it
 WAY_C_S, NEAR_C_S = 20.0, 0.2  # the correction moves so fast ...
@@ -51,8 +51,7 @@ class DriftMemory:
     zeroed_s: float = -math.inf
     judged_s: float = -math.inf  # newest reading at rest that has been asked
     since_s: float = math.nan  # target on, or off
-    looked_c: float = 0.0  # k when it was last asked
-    looked_s: float = -math.inf
+    looked_s: float = -math.inf  # newest look that has been asked
     balanced_s: float = -math.inf
     is_on: bool = False
     is_calibrated: bool = False  # just now: nothing has drifted yet
@@ -148,27 +147,23 @@ def is_detuned(m: DriftMemory, low_c: float) -> bool:
 
 
 def note_looks(
-    m: DriftMemory, estimator: EstimatorParameters, drive: object, temp_c: float, phase_max: float
+    m: DriftMemory, estimator: EstimatorParameters, d: Any, temp_c: float, phase_max: float
 ) -> None:
-    """k of the looks, when it has learned something. `drive`: C's struct drive_offset."""
-    d: object = drive
-    full_c, variance, strong = d.full_c, d.variance, d.strong  # type: ignore[attr-defined]
-    if strong < LEVER_MIN:
-        strong = 1.0  # the looks out of a hold are at full drive
-    if full_c == m.looked_c or m.time_s - m.looked_s < LOOKS_EACH_S:
+    """k of the looks, when it has learned something. `d`: C's struct drive_offset."""
+    if d.look_s - m.looked_s < LOOKS_EACH_S or not isinstance(estimator.law, TankLaw):
         return
-    if not isinstance(estimator.law, TankLaw) or variance > LOOKS_SIGMA_C**2:
+    m.looked_s = d.look_s
+    if d.variance > LOOKS_SIGMA_C**2:
         return
-    m.looked_c, m.looked_s = full_c, m.time_s
     observer.looks(
         m.state,
         estimator.law,
         m.applied_c,
-        full_c * strong,
-        math.sqrt(variance) * strong,
+        d.full_c * d.look,
+        math.sqrt(d.variance) * d.look,
         temp_c=temp_c,
-        lever=strong,
-        strong=phase_max * strong ** (1.0 / LEVER_EXPONENT),
+        lever=d.look,
+        strong=phase_max * d.look ** (1.0 / LEVER_EXPONENT),
         weak=SENSING_PHASE_TICKS,
         supply=estimator.supply,
     )

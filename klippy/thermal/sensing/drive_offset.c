@@ -16,6 +16,7 @@
 #define GAP_S 0.006         // longer after the block before, too little is known of what happened between
 #define RISE_DOUBT 0.15     // of the temperature's own change between the two blocks
 #define SHAPE_DOUBT 0.15    // of the correction, between drives
+#define LOOK_MIN 0.25       // a step of h that says much of k
 #define RIPPLE_S 0.02       // memory of how readings at one drive differ from block to block
 #define RIPPLE_MIN 0.25     // ... from this h on
 #define RIPPLE_MIN_C 4.0    // differences below this are noise
@@ -24,7 +25,7 @@
 void
 drive_offset_reset(struct drive_offset *s)
 {
-    *s = (struct drive_offset){.variance = START_C * START_C, .time_s = NAN};
+    *s = (struct drive_offset){.variance = START_C * START_C, .time_s = NAN, .look_s = -INFINITY};
 }
 
 // The temperature's own change between the two blocks' centres.
@@ -66,6 +67,10 @@ learn(struct drive_offset *s, const struct coil_block *b, double step, double ri
     double gain = s->variance * step / spread;
     s->full_c += gain * off_c;
     s->variance -= gain * step * s->variance;
+    if (fabs(step) > LOOK_MIN) {
+        s->look = fmax(s->lever, s->lever + step);
+        s->look_s = b->centre_s;
+    }
 }
 
 void

@@ -21,6 +21,7 @@ struct drive_offset {
     double reading_c, temp_c, noise_c;  // its reading, and corrected
     double lever;                   // its h
     double strong, strong_s;        // h of the newest strong drive and its centre
+    double look, look_s;            // h of the strong drive beside the newest look that says much of k, and when
     double heat_w, half_s;          // its heat and half its duration
 };
 
