@@ -11,7 +11,7 @@ from thermal.control import pid as pid_control
 from thermal.drift import observer as drift_observer
 from thermal.models import heat_loss, melt_exchange
 from thermal.models.drive_law import DriveLaw
-from thermal.records import ParameterError
+from thermal.records import PHASE_MAX_TICKS, ParameterError
 from thermal.sensing import (
     block_temperature,
     features,
@@ -29,6 +29,7 @@ LOOK_SAMPLES, LONG_LOOK_SAMPLES = 16, 64
 HOLD_LOOK_S = 1.0  # a strong look out of a hold: 21 mJ ...
 HOLD_LOOK_K = 0.05  # ... which warms the reference nozzle by so much ...
 HOLD_LOOK_MIN_TICKS = 28000  # ... and a weaker one shows nothing
+WORKING_C = 220.0  # where a law's error at strong drive is judged
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
 # 20 % of the square of the phase, half of full power: no nozzle is held with that.
 CEILING_PHASE_TICKS = 20125
@@ -301,12 +302,21 @@ def _drift(
     """What may be wrong by how much; a measured supply is known better."""
     default = drift_observer.DriftParameters(room_c=loss.ambient_c, power_max_w=power_max_w)
     if isinstance(law, laws.TankLaw):
-        # A zero at the room's temperature shows the law's own error there, too.
-        phase = block_temperature.SENSING_PHASE_TICKS
-        _, c_per_unit = law.invert(law.error(loss.ambient_c, phase), phase)
-        cold_c = math.hypot(default.ambient_c, law.residual_units * c_per_unit)
-        table_c = 2.0 * law.table.error_c[-1] if law.table is not None else 0.0
-        default = replace(default, ambient_c=cold_c, law_c=max(default.law_c, table_c))
+        # A zero at the room's temperature shows the law's own error there, too, and looks that at strong drive.
+        cold_c, strong_c = (
+            law.residual_units * law.invert(law.error(temp_c, phase), phase)[1]
+            for temp_c, phase in (
+                (loss.ambient_c, block_temperature.SENSING_PHASE_TICKS),
+                (WORKING_C, PHASE_MAX_TICKS),
+            )
+        )
+        if law.table is not None:
+            strong_c = 2.0 * law.table.error_c[-1]
+        default = replace(
+            default,
+            ambient_c=math.hypot(default.ambient_c, cold_c),
+            law_c=max(default.law_c, strong_c),
+        )
     is_measured = config.get("vdc_pin", None, note_valid=False) is not None
     return replace(default, supply=0.003) if is_measured else default
 

@@ -60,7 +60,9 @@ class DriftCorrection:
         """Ten times a second; `heat_j` put in since the last time."""
         p, state, m = self.parameters, self.state, self.state.drift
         drift.advance(self.known, m, news.time_s, heat_j)
-        drift.note_looks(m, p.estimator, self.chain.state.drive, news.temp_c, p.front.phase_max_ticks)
+        drift.note_looks(
+            self.known, m, p.estimator, self.chain.state.drive, news.temp_c, p.front.phase_max_ticks
+        )
         drift.note_balance(m, state.heat_balance.drift_c)
         self.chain.set_doubt(m.state.sigma_c)
         if m.is_on:

@@ -147,7 +147,12 @@ def is_detuned(m: DriftMemory, low_c: float) -> bool:
 
 
 def note_looks(
-    m: DriftMemory, estimator: EstimatorParameters, d: Any, temp_c: float, phase_max: float
+    p: DriftParameters,
+    m: DriftMemory,
+    estimator: EstimatorParameters,
+    d: Any,
+    temp_c: float,
+    phase_max: float,
 ) -> None:
     """k of the looks, when it has learned something. `d`: C's struct drive_offset."""
     if d.look_s - m.looked_s < LOOKS_EACH_S or not isinstance(estimator.law, TankLaw):
@@ -156,6 +161,7 @@ def note_looks(
     if d.variance > LOOKS_SIGMA_C**2:
         return
     observer.looks(
+        p,
         m.state,
         estimator.law,
         m.applied_c,

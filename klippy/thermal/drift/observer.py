@@ -29,6 +29,7 @@ COUNT = 7
 GATE_SIGMA = 4.0  # farther off than this: the state is wrong, not the witness
 STEP_C, STEP_SHARE = 1.0, 0.002  # for derivatives of k
 COIL_S = 20.0  # the coil cools within this time
+LAW_C, LAW_LEVER = 60.0, 0.5  # the law's error is another one this far off, in temperature and drive
 SCATTER_SHARE = 0.3  # a look's share in the mean square of what scatters
 
 
@@ -77,7 +78,8 @@ class DriftState:
     x: list[float] = field(default_factory=lambda: [0.0] * COUNT)
     p: list[list[float]] = field(default_factory=lambda: [[0.0] * COUNT for _ in range(COUNT)])
     coil_j: float = 0.0  # heat that the coil has not lost yet, as share of the nozzle's
-    looked_c: float = math.nan  # what was left of the newest look
+    looked_c: float = math.nan  # what was left of the newest look ...
+    looked_at: tuple[float, float] = (math.nan, math.nan)  # ... and its temperature and lever
     scatter_c2: float = 100.0  # mean square of its changes
 
     @property
@@ -148,7 +150,22 @@ def added_c(
     return high - low
 
 
+def _move_law(parameters: DriftParameters, state: DriftState, temp_c: float, lever: float) -> None:
+    """The law's error is a smooth function of temperature and drive: elsewhere little of what was found remains."""
+    before_c, before = state.looked_at
+    state.looked_at = temp_c, lever
+    if math.isnan(before_c):
+        return
+    keep = math.exp(-abs(temp_c - before_c) / LAW_C - abs(lever - before) / LAW_LEVER)
+    state.x[LAW] *= keep
+    for i in range(COUNT):
+        state.p[i][LAW] *= keep
+        state.p[LAW][i] *= keep
+    state.p[LAW][LAW] += (1.0 - keep * keep) * parameters.law_c**2
+
+
 def looks(
+    parameters: DriftParameters,
     state: DriftState,
     law: TankLaw,
     applied_c: float,
@@ -166,6 +183,7 @@ def looks(
     Looks that scatter by more than `sigma_c` (ripple of the supply) are worth less: the mean square of what was not
     expected from one to the next says by how much.
     """
+    _move_law(parameters, state, temp_c, lever)
     before = list(state.x)
     tank = list(state.x)
     tank[COPPER] += state.x[WARMTH] * state.coil_j

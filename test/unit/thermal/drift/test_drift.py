@@ -30,6 +30,7 @@ def climbed(drift_c: float, supply: float, cold_sigma_c: float) -> observer.Drif
     observer.cold_zero(state, drift_c, cold_sigma_c)
     for temp_c in range(30, 260, 10):
         observer.looks(
+            DriftParameters(),
             state,
             LAW,
             0.0,
@@ -70,7 +71,19 @@ def test_a_repeated_zero_does_not_average_the_room_away() -> None:
 def test_a_look_that_fits_nothing_is_the_laws_and_leaves_the_zero_alone() -> None:
     state = climbed(0.0, 0.0, 1.0)
     sigma_c = state.sigma_c
-    observer.looks(state, LAW, 0.0, 250.0, 1.0, temp_c=250.0, lever=1.0, strong=FULL, weak=WEAK, supply=1.0)
+    observer.looks(
+        DriftParameters(),
+        state,
+        LAW,
+        0.0,
+        250.0,
+        1.0,
+        temp_c=250.0,
+        lever=1.0,
+        strong=FULL,
+        weak=WEAK,
+        supply=1.0,
+    )
     assert abs(state.drift_c) < sigma_c
 
 
