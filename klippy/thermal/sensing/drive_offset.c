@@ -16,7 +16,7 @@
 #define RISE_DOUBT 0.15     // of the temperature's own change between the two blocks
 #define SHAPE_DOUBT 0.15    // of the correction, between drives
 #define GATE_SIGMA 5.0      // a reading farther off is a disturbance, or k has jumped: the next step decides
-#define SWING_SHARE 0.1     // of a block in the mean square of k's jumps between blocks at one drive
+#define JUMP_SHARE 0.1      // of a block in the mean square of k's jumps between blocks at one drive
 
 void
 drive_offset_reset(struct drive_offset *s)
@@ -63,7 +63,7 @@ note_swing(struct drive_offset *s, const struct coil_block *b, double h, double 
     if (off_c * off_c > GATE_SIGMA * GATE_SIGMA * (noise_between(s, b, rise_c) + h * h * walk))
         s->swing = fmax(s->swing, moved);
     else if (s->swing)
-        s->swing += SWING_SHARE * (moved - s->swing);
+        s->swing += JUMP_SHARE * (moved - s->swing);
 }
 
 void
