@@ -51,7 +51,7 @@ class Changer:
         self.gcode.run_script_from_command("SAVE_VARIABLE VARIABLE=tool VALUE=4")
         key, handlers = self.gcode.mux_commands["SET_FAN_SPEED"]
         heater = toolhead.get_extruder().get_heater()
-        gcmd.respond_info("changed at %s servo %.3f %.3f kept %s by %s %s knows %s %s extrudes from %.0f target %.0f" % (
+        gcmd.respond_info("changed at %s servo %.3f %.3f kept %s by %s %s knows %s %s extrudes at %.0f set %.0f" % (
             toolhead.get_position()[:3], middle, self.servo.get_status(0)["value"], self.kept, key, sorted(handlers),
             "T4" in self.gcode.ready_gcode_handlers, self.gcode.gcode_help["CHANGE"], heater.min_extrude_temp,
             heater.target_temp))
@@ -136,7 +136,7 @@ def test_plugins_that_change_tools_and_look_into_drivers(tmp_path: Path, dropped
     # the pulse of half the angle is 1.5 ms, the longest 2 ms, of 20 ms
     assert "changed at [20.0, 21.0, 6.0] servo 0.075 0.100" in log
     assert "kept {'at_connect': [1, 2], 'tool': 4} by FAN ['part'] knows True Change the tool" in log
-    assert "extrudes from 170 target 0" in log
+    assert "extrudes at 170 set 0" in log
     assert "selected T4: {'LANE': '2', 'HOW': 'with care'}" in log
     assert "tbl 1 of mask 18000, cartesian, mesh 10.0 4: (50.0, 50.0) then (30.0, 40.0), 12 points" in log
     assert "known error: not so" in log
