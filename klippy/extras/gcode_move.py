@@ -55,8 +55,22 @@ class _Modes:
     )
 
 
+def _mode(name: str) -> property:
+    """A field of the modes under its own name, for plugins."""
+    return property(
+        lambda move: getattr(move.modes, name), lambda move, value: setattr(move.modes, name, value)
+    )
+
+
 class GCodeMove:
     """Printer object 'gcode_move'."""
+
+    base_position = _mode("base_position")
+    homing_position = _mode("homing_position")
+    absolute_coord = _mode("absolute_coord")
+    absolute_extrude = _mode("absolute_extrude")
+    speed_factor = _mode("speed_factor")
+    extrude_factor = _mode("extrude_factor")
 
     def __init__(self, printer: Printer) -> None:
         self.printer = printer

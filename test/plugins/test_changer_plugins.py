@@ -44,6 +44,12 @@ class Changer:
             {**self.template.create_template_context(), "tool": {"params": {"hook": 2}}, "dropoff_tool": None})
         fan = self.printer.lookup_object("fan_generic part")
         self.gcode.run_script_from_command("SET_FAN_SPEED FAN='%s' SPEED=0.5" % fan.fan_name)
+        home = self.printer.lookup_object("safe_z_home")
+        self.gcode_move.base_position[0] += 1.5
+        self.gcode_move.absolute_coord = False
+        self.gcode.run_script_from_command("G1 Y2")
+        gcmd.respond_info("gcode at %s, z homed at %.0f %.0f" % (
+            tuple(self.gcode_move.get_status()["gcode_position"][:3]), home.home_x_pos, home.home_y_pos))
         time = toolhead.get_last_move_time()
         self.servo._set_pwm(time, self.servo._get_pwm_from_angle(self.servo.max_angle / 2))
         middle = self.servo.get_status(0)["value"]
@@ -107,6 +113,8 @@ run_current: 0.8
 sense_resistor: 0.110
 driver_TBL: 1
 [looker]
+[safe_z_home]
+home_xy_position: 60, 70
 [bed_mesh]
 mesh_min: 10, 20
 mesh_max: 100, 100
@@ -134,7 +142,8 @@ def test_plugins_that_change_tools_and_look_into_drivers(tmp_path: Path, dropped
     assert status == 0, log[-3000:]
     assert "Traceback" not in log
     # the pulse of half the angle is 1.5 ms, the longest 2 ms, of 20 ms
-    assert "changed at [20.0, 21.0, 6.0] servo 0.075 0.100" in log
+    assert "gcode at (18.5, 23.0, 6.0), z homed at 60 70" in log
+    assert "changed at [20.0, 23.0, 6.0] servo 0.075 0.100" in log
     assert "kept {'at_connect': [1, 2], 'tool': 4} by FAN ['part'] knows True Change the tool" in log
     assert "extrudes at 170 set 0" in log
     assert "selected T4: {'LANE': '2', 'HOW': 'with care'}" in log
