@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
-from .config import Profile
+from .config import MeshOptions, Profile
+from .points import Layout, MeshShape
 
-if TYPE_CHECKING:
-    from . import BedMesh
+
+class Mesh(Protocol):
+    """[bed_mesh] itself."""
+
+    shape: MeshShape
+    options: MeshOptions
+
+    def plan(self, shape: MeshShape) -> Layout: ...
 
 
 class CalibrationNames:
     """`bmc` and its `probe_mgr` in one."""
 
-    def __init__(self, mesh: BedMesh) -> None:
+    def __init__(self, mesh: Mesh) -> None:
         self._mesh = mesh
         self.mesh_config = Profile(mesh.shape, ()).mesh_params()  # a plugin's own mesh starts from this
         self.probe_mgr = self
