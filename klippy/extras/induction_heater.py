@@ -426,6 +426,20 @@ class InductionHeater:
         return not self.batch and not is_near and not self.loop.is_settled()
 
     @property
+    def target_temp(self) -> float:
+        """The user's own: a macro that saves it in a pause must not save what a plan wants at that moment."""
+        if self._view is not None:
+            return self._view.run.target_c
+        if self.planner is not None and self.planner.is_on_path():
+            return self.planner.user_target_c()
+        return self.loop.state.target_c
+
+    @property
+    def min_extrude_temp(self) -> float:
+        """min_extrude_c by the name other heaters have."""
+        return self.min_extrude_c
+
+    @property
     def can_extrude(self) -> bool:
         is_measured = self._view is None and self.shown.source == MEASURED
         return self.batch or (is_measured and self.shown.temp_c >= self.min_extrude_c)
@@ -445,17 +459,11 @@ class InductionHeater:
         return self.loop.state.request.power_w, self.loop.state.commanded.phase_ticks
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
-        """The usual heater fields; `power` is the share of max_power_w.
-
-        `target` is the user's own: a macro that saves it in a pause must not save what a plan wants at that moment.
-        """
-        state = self.loop.state
-        planned = self.planner is not None and self.planner.is_on_path()
-        target_c = self.planner.user_target_c() if self.planner is not None and planned else state.target_c
+        """The usual heater fields; `power` is the share of max_power_w."""
         return {
             "temperature": round(self.shown.temp_c, 2),
             "temperature_source": self.shown.source,
-            "target": self._view.run.target_c if self._view is not None else target_c,
+            "target": self.target_temp,
             "power": round(self._given()[0] / self.parameters.control.power_max_w, 4),
         }
 

@@ -122,10 +122,6 @@ def is_induction(heater: Any) -> bool:
     return not isinstance(heater, Heater)
 
 
-def min_extrude_c(heater: Any) -> float:
-    return float((heater if is_induction(heater) else heater.settings).min_extrude_c)
-
-
 def refuse_in_calibration(heater: Any) -> None:
     """A run in the law's place is no tuning to keep, and another law there would leave it waiting for ever."""
     if heater.in_calibration:

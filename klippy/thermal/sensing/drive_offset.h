@@ -8,6 +8,9 @@
 //
 // Between the centres of two blocks the temperature changes by the heat balance; the rest of a step is k's.
 //
+// A supply with ripple moves k from block to block, and looks may keep step with it. Blocks at one strong drive show how far:
+// that is added to the doubt about k and about each block, so strong drives count for little.
+//
 // The actuator puts short looks at the sensing phase into a strong drive, so that there are steps.
 
 struct coil_block;
