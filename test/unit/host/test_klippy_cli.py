@@ -9,6 +9,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from simulation import world as world_module
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -78,6 +80,14 @@ def test_a_python_without_the_packages_is_reported_how_to_get_them() -> None:
     answer = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
     assert answer.returncode == 2
     assert answer.stderr.count("\n") == 1 and "run `make setup`" in answer.stderr
+
+
+@pytest.mark.parametrize("program", ["simulate", "demo", "study", "console", "check_config"])
+def test_a_program_without_its_packages_names_one_and_how_to_get_it(program: str) -> None:
+    command = [sys.executable, "-S", str(ROOT / "scripts" / f"{program}.py"), "x", "y"]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert answer.returncode == 2
+    assert answer.stderr.count("\n") == 1 and "is missing; `make setup` installs it" in answer.stderr
 
 
 def read_until(fd: int, wanted: bytes, limit_s: float = 20.0) -> bytes:
