@@ -15,6 +15,8 @@ from typing import Any
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 _BAD_USE = 2
 
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_DFL)  # Ctrl-C while modules are loaded: no traceback
 try:
     import queuelogger
     import util
@@ -37,6 +39,8 @@ APP_NAME = "Ferrite"  # plugins know the host by it
 
 _RESTART_DELAY_S = 0.5  # lets clients see the socket vanish
 _EXIT_ERROR = 255
+_INTERRUPTED = "interrupted"  # batch mode, before the end of its file
+_EXIT_STATUS = {"error_exit": _EXIT_ERROR, _INTERRUPTED: 130}
 
 
 def parse_arguments(argv: list[str]) -> argparse.Namespace:
@@ -132,10 +136,11 @@ def serve(start_args: dict[str, Any], listener: queuelogger.QueueListener | None
 
 def _exit_on_signal(printer: Printer) -> None:
     """The first SIGTERM or SIGINT ends the run in good order, the second at once."""
+    result = _INTERRUPTED if "debuginput" in printer.get_start_args() else "exit"
 
     def handler(number: int, frame: object) -> None:
         signal.signal(number, signal.default_int_handler)
-        printer.get_reactor().register_async_callback(lambda eventtime: printer.request_exit("exit"))
+        printer.get_reactor().register_async_callback(lambda eventtime: printer.request_exit(result))
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, handler)
@@ -170,11 +175,13 @@ def main(argv: list[str] | None = None) -> int:
     try:
         result = serve(start_args, listener)
     except KeyboardInterrupt:
-        result = "exit"
+        result = _INTERRUPTED if options.debuginput else "exit"
     finally:
         if listener is not None:
             listener.stop()
-    return _EXIT_ERROR if result == "error_exit" else 0
+    if result == _INTERRUPTED:
+        print(f"klippy.py: interrupted before the end of {options.debuginput}", file=sys.stderr)
+    return _EXIT_STATUS.get(result, 0)
 
 
 if __name__ == "__main__":

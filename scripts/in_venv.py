@@ -32,7 +32,7 @@ def _enter() -> None:
     # not an installed command, not a test that imports a program
     if Path(__file__).resolve().parent not in Path(sys.argv[0]).resolve().parents:
         return
-    if sys.prefix == sys.base_prefix and PYTHON.exists():
+    if sys.prefix == sys.base_prefix and PYTHON.exists() and Path(sys.executable) != PYTHON:
         os.execv(PYTHON, [str(PYTHON), *sys.orig_argv[1:]])
     sys.excepthook = _explain
 

@@ -211,9 +211,10 @@ UNIT
 unit "$name" "Ferrite, 3D printer host" network.target \
   "\"$root/.venv/bin/python\" \"$root/klippy/klippy.py\" \"$data/config/printer.cfg\" -l \"$data/logs/klippy.log\" -a \"$data/comms/klippy.sock\" -I \"$data/comms/klippy.serial\"" \
   $'LimitRTPRIO=1\nLimitMEMLOCK=infinity\n'
-[ "$moonraker" = no ] || unit "moonraker$suffix" "Moonraker, API server of a 3D printer" "network-online.target $name.service" \
+online=$'network-online.target\nWants=network-online.target'
+[ "$moonraker" = no ] || unit "moonraker$suffix" "Moonraker, API server of a 3D printer" "$name.service $online" \
   "\"$root/.moonraker/bin/moonraker\" -d \"$data\""
-[ "$front_end" = none ] || unit "front-end$suffix" "Web front end of a 3D printer" network-online.target \
+[ "$front_end" = none ] || unit "front-end$suffix" "Web front end of a 3D printer" "$online" \
   "/usr/bin/python3 \"$root/klippy/webhooks/front_end.py\" \"$pages\" --port $port --moonraker $moonraker_port" \
   $'AmbientCapabilities=CAP_NET_BIND_SERVICE\n'
 

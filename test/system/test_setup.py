@@ -5,13 +5,17 @@ Each runs in a copy of the checkout's scripts with a PATH of the test's own: apt
 
 from __future__ import annotations
 
+import configparser
 import hashlib
 import os
+import shlex
 import shutil
 import subprocess
 from pathlib import Path
 
 import pytest
+
+import build_deb
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -281,6 +285,35 @@ def test_install_sets_up_host_moonraker_and_front_end_as_services(anna_with_all:
     ):
         assert text in conf
     assert os.access(data / "config" / "printer.cfg", os.R_OK)
+
+
+def test_systemd_takes_the_units_of_the_installer_and_of_the_package(
+    anna_with_all: Computer, tmp_path: Path
+) -> None:
+    anna_with_all.program("id", ID.format(uid=1000).replace("anna", "root"))  # a user of this computer
+    assert anna_with_all.run("install.sh").returncode == 0
+    units = sorted((anna_with_all.home / "printer_data" / "systemd").iterdir())
+    start = tmp_path / "start"
+    start.touch(mode=0o755)
+    units.append(tmp_path / "ferrite@root.service")
+    units[-1].write_text(build_deb.UNIT.replace("/usr/lib/ferrite/start", str(start)))
+    known = {
+        "Unit": {"description", "documentation", "after", "wants"},
+        "Service": {"user", "execstart", "restart", "restartsec", "limitrtprio", "limitmemlock", "ambientcapabilities"},
+        "Install": {"wantedby"},
+    }  # fmt: skip
+    for unit in units:
+        parser = configparser.ConfigParser(interpolation=None)
+        parser.read_string(unit.read_text())
+        assert set(parser.sections()) == set(known), unit.name
+        for section, options in known.items():
+            assert set(parser[section]) <= options, unit.name
+        program = shlex.split(parser["Service"]["ExecStart"])[0]
+        assert os.access(program, os.X_OK), f"{unit.name}: {program}"
+    if shutil.which("systemd-analyze"):
+        command = ["systemd-analyze", "verify", *map(str, units)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        assert (done.returncode, done.stderr) == (0, ""), done.stderr
 
 
 def test_install_asks_for_the_group_of_serial_ports(anna_with_all: Computer) -> None:

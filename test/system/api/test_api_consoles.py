@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -64,6 +66,39 @@ def test_no_board_is_reported_in_a_line(tmp_path: Path) -> None:
     done = run("gcode_console.py", tmp_path / "none.sock")
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "no host at" in done.stderr
+
+
+def test_a_terminal_without_a_name_is_a_terminal(tmp_path: Path) -> None:
+    """TERM is not set; the console is typed into and shows a progress bar all the same."""
+    environment = {name: value for name, value in os.environ.items() if name != "TERM"}
+    (tmp_path / "part.gcode").write_text("G4 P2000\n")
+    config = str(ROOT / "config" / "sim-induction.cfg")
+    for script, shown in (
+        (["simulate.py", config, str(tmp_path / "part.gcode")], b"simulated in"),
+        (["console.py", str(tmp_path / "tty")], b"Ctrl-C ends the program"),
+    ):
+        keyboard, terminal = os.openpty()
+        command = [sys.executable, str(ROOT / "scripts" / script[0]), *script[1:]]
+        program = subprocess.Popen(command, env=environment, stdin=terminal, stdout=terminal, stderr=terminal)
+        os.close(terminal)
+        said = read_terminal(keyboard, shown)
+        if script[0] == "console.py":  # waits for a board
+            program.send_signal(signal.SIGINT)
+        said += read_terminal(keyboard, b"never")
+        assert b"Traceback" not in said and shown in said, said
+        os.close(keyboard)
+        assert program.wait(20) in (0, 130)
+
+
+def read_terminal(keyboard: int, wanted: bytes) -> bytes:
+    """What a program shows until it shows this, or ends."""
+    said = b""
+    while wanted not in said:
+        try:
+            said += os.read(keyboard, 4096)
+        except OSError:  # nobody has the terminal open any more
+            break
+    return said
 
 
 # --- gcode_console.py and log_extract.py ---

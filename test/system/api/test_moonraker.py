@@ -74,6 +74,10 @@ def check_connection(printer: SimulatedPrinter) -> None:
     assert set(endstops) == {"stepper_x", "stepper_y", "stepper_z"}
     assert set(endstops.values()) <= {"open", "TRIGGERED"}
     assert "PAUSE" in printer.call("/printer/gcode/help")
+    # Mainsail refuses targets above max_temp, and scales its chart by it
+    extruder = printer.query("configfile")["settings"]["extruder"]
+    assert (extruder["min_temp"], extruder["max_temp"]) == (0.0, 320.0)
+    assert {"control", "sensor_type", "min_extrude_temp"} <= extruder.keys()
 
 
 def console(printer: SimulatedPrinter) -> list[str]:
@@ -91,6 +95,23 @@ def check_console(printer: SimulatedPrinter) -> None:
     assert printer.gcode("NO_SUCH_COMMAND") == "ok"
     printer.wait("error in the console", lambda: any(text.startswith("!! ") for text in console(printer)))
     printer.wait("unknown command", lambda: '// Unknown command:"NO_SUCH_COMMAND"' in console(printer))
+
+
+def check_calibration(printer: SimulatedPrinter) -> None:
+    """Hot and under power is what every front end shows, on its chart too; a dialog ends the run."""
+    printer.gcode("INDUCTION_CALIBRATE REFERENCE=reference")
+    printer.wait("the nozzle to heat", lambda: printer.query("extruder")["temperature"] > 80.0)
+    shown, nozzle = printer.query("extruder"), printer.query("induction_heater nozzle")
+    assert nozzle["calibrating"] and nozzle["temperature_source"] == "reference"
+    assert shown["power"] > 0.05 and nozzle["power_w"] > 5.0 and shown["target"] == 310.0
+    assert shown["temperature"] <= printer.query("temperature_sensor reference")["temperature"] + 1.0
+    printer.wait(
+        "the chart", lambda: max(printer.call("/server/temperature_store")["extruder"]["temperatures"]) > 80.0
+    )
+    (button,) = [text for text in console(printer) if text.startswith("// action:prompt_footer_button ")]
+    printer.gcode(button.split("|")[1])
+    printer.wait("the end of the run", lambda: not printer.query("induction_heater nozzle")["calibrating"])
+    assert printer.query("extruder")["target"] == 0.0
 
 
 def check_temperatures(printer: SimulatedPrinter) -> None:
@@ -165,18 +186,25 @@ def check_pause_resume_cancel(printer: SimulatedPrinter) -> None:
 
 
 def check_cancel_while_heating(printer: SimulatedPrinter) -> None:
-    """A bed takes minutes; neither a pause nor a cancel waits for it (to 0.2 s: test_gcode_waits)."""
-    printer.upload("cold bed.gcode", "M190 S110\nG28\n", start=True)
-    for path, state in (("pause", "paused"), ("resume", "printing"), ("cancel", "cancelled")):
-        printer.wait("the bed to heat", lambda: printer.query("heater_bed")["target"] == 110.0)
-        begin = time.monotonic()
-        printer.post(f"/printer/print/{path}")
-        printer.wait_state(state)
-        assert time.monotonic() - begin < 5.0
-    assert printer.query("heater_bed")["target"] == 0.0
-    assert printer.query("heater_bed")["temperature"] < 100.0
-    job = printer.wait("history", lambda: finished_job(printer, "cold bed.gcode"))
-    assert job["status"] == "cancelled"
+    """A bed takes minutes; neither a pause nor a cancel waits for it."""
+    took_s: dict[str, list[float]] = {"pause": [], "resume": [], "cancel": []}
+    states = ("paused", "printing", "cancelled")
+    for _ in range(3):
+        printer.upload("cold bed.gcode", "M190 S110\nG28\n", start=True)
+        for (path, times), state in zip(took_s.items(), states, strict=True):
+            printer.wait("the bed to heat", lambda: printer.query("heater_bed")["target"] == 110.0)
+            begin = time.monotonic()
+            printer.post(f"/printer/print/{path}")
+            assert printer.query("print_stats")["state"] == state
+            times.append(time.monotonic() - begin)
+        assert printer.query("heater_bed")["target"] == 0.0
+        assert printer.query("heater_bed")["temperature"] < 100.0
+        job = printer.wait("history", lambda: finished_job(printer, "cold bed.gcode"))
+        assert job["status"] == "cancelled"
+    print(took_s)
+    # of three, since other programs share the computer
+    assert min(took_s["pause"]) < 0.2 and min(took_s["cancel"]) < 0.2, took_s
+    assert max(map(max, took_s.values())) < 5.0, took_s
 
 
 def check_emergency_stop(printer: SimulatedPrinter) -> None:
@@ -185,6 +213,13 @@ def check_emergency_stop(printer: SimulatedPrinter) -> None:
     assert printer.post("/printer/emergency_stop") == "ok"
     printer.wait("shutdown", lambda: printer.call("/server/info")["klippy_state"] == "shutdown")
     message = printer.call("/printer/info")["state_message"]
+    shown, nozzle = printer.query("extruder"), printer.query("induction_heater nozzle")
+    assert shown["power"] == 0.0 and nozzle["power_w"] == 0.0 and nozzle["phase"] == 0
+    assert nozzle["temperature_source"] == "modelled"
+    assert shown["temperature"] > printer.query("temperature_sensor reference")["temperature"] - 1.0
+    printer.wait(
+        "the chart", lambda: printer.call("/server/temperature_store")["extruder"]["powers"][-1] == 0.0
+    )
     assert "Shutdown due to webhooks request" in message
     assert "FIRMWARE_RESTART" in message
     with pytest.raises(HttpError) as refused:
@@ -233,6 +268,7 @@ def check_logs(printer: SimulatedPrinter) -> None:
 STEPS: tuple[Callable[[SimulatedPrinter], None], ...] = (
     check_connection,
     check_console,
+    check_calibration,
     check_temperatures,
     check_print,
     check_pause_resume_cancel,

@@ -127,16 +127,17 @@ def check_save_config(printer: SimulatedPrinter, config: Path) -> str:
 def check_bad_requests(printer: SimulatedPrinter) -> None:
     """As a broken front end would send them; the printer does not notice."""
     pid = printer.host_pid()
-    for path, status in (
-        ("/printer/no/such/endpoint", 404),
-        ("/printer/print/start?filename=" + urllib.parse.quote("../config/printer.cfg"), 400),
-        ("/printer/print/start", 400),
-        ("/printer/gcode/script?script=" + urllib.parse.quote("G1 X1e999"), 400),
-        ("/printer/gcode/script?script=" + urllib.parse.quote("M104 Sabc"), 400),
+    for path, status, words in (
+        ("/printer/no/such/endpoint", 404, "Not Found"),
+        ("/printer/print/start?filename=" + urllib.parse.quote("../config/printer.cfg"), 400, "printer.cfg"),
+        ("/printer/print/start", 400, "filename"),
+        ("/printer/gcode/script?script=" + urllib.parse.quote("G1 X1e999"), 400, "Must home"),
+        ("/printer/gcode/script?script=" + urllib.parse.quote("M104 Sabc"), 400, "M104 Sabc"),
     ):
         with pytest.raises(HttpError) as refused:
             printer.post(path)
         assert refused.value.status == status, path
+        assert words in refused.value.message, path
     with pytest.raises(HttpError):
         printer.upload("../../config/evil.gcode", "M117 out")
     assert not list(printer.data.parent.rglob("evil*"))

@@ -9,6 +9,8 @@ import sys
 import time
 from pathlib import Path
 
+import pytest
+
 from simulation import world as world_module
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -80,6 +82,14 @@ def test_a_python_without_the_packages_is_reported_how_to_get_them() -> None:
     assert answer.stderr.count("\n") == 1 and "run `make setup`" in answer.stderr
 
 
+@pytest.mark.parametrize("program", ["simulate", "demo", "study", "console", "check_config"])
+def test_a_program_without_its_packages_names_one_and_how_to_get_it(program: str) -> None:
+    command = [sys.executable, "-S", str(ROOT / "scripts" / f"{program}.py"), "x", "y"]
+    answer = subprocess.run(command, capture_output=True, text=True, timeout=30, check=False)
+    assert answer.returncode == 2
+    assert answer.stderr.count("\n") == 1 and "is missing; `make setup` installs it" in answer.stderr
+
+
 def read_until(fd: int, wanted: bytes, limit_s: float = 20.0) -> bytes:
     """What comes from the terminal until `wanted` was seen."""
     got = b""
@@ -144,3 +154,34 @@ def test_a_host_that_waits_for_its_board_says_so_and_how_to_end_it(tmp_path: Pat
     finally:
         program.kill()
         program.communicate()
+
+
+def test_ctrl_c_in_batch_mode_says_that_the_file_was_not_run_to_its_end(tmp_path: Path) -> None:
+    world_module.build()
+    source, out = tmp_path / "in.gcode", tmp_path / "out"
+    source.write_text("G28\n" + "G1 X10 F6000\nG1 X100\n" * 200_000)
+    config = ROOT / "config" / "example-cartesian.cfg"
+    command = [*PROGRAM, config, "-i", source, "-o", out, "-d", world_module.MCU_DICTIONARY]
+    program = subprocess.Popen([str(word) for word in command], stderr=subprocess.PIPE, text=True)
+    try:
+        end = time.monotonic() + 20.0
+        while not out.exists() or out.stat().st_size < 100_000:
+            assert time.monotonic() < end
+            time.sleep(0.02)
+        program.send_signal(signal.SIGINT)
+        assert program.communicate(timeout=10)[1] == f"klippy.py: interrupted before the end of {source}\n"
+        assert program.returncode == 130
+    finally:
+        program.kill()
+
+
+def test_ctrl_c_while_modules_are_loaded_leaves_no_traceback(tmp_path: Path) -> None:
+    (tmp_path / "greenlet.py").write_text("import time\nprint('loading', flush=True)\ntime.sleep(20)\n")
+    program = subprocess.Popen(
+        [*PROGRAM, "none.cfg"], env={**os.environ, "PYTHONPATH": str(tmp_path)},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert program.stdout is not None and program.stdout.readline() == "loading\n"
+    program.send_signal(signal.SIGINT)
+    assert program.communicate(timeout=10)[1] == ""
+    assert program.returncode == -signal.SIGINT
