@@ -30,6 +30,7 @@ GATE_SIGMA = 4.0  # farther off than this: the state is wrong, not the witness
 STEP_C, STEP_SHARE = 1.0, 0.002  # for derivatives of k
 COIL_S = 20.0  # the coil cools within this time
 LAW_C, LAW_LEVER = 60.0, 0.5  # the law's error is another one this far off, in temperature and drive
+LAW_SAME = 0.1  # nearer than this share of those it is the same: noise of a hold does not count
 SCATTER_SHARE = 0.3  # a look's share in the mean square of what scatters
 
 
@@ -79,7 +80,7 @@ class DriftState:
     p: list[list[float]] = field(default_factory=lambda: [[0.0] * COUNT for _ in range(COUNT)])
     coil_j: float = 0.0  # heat that the coil has not lost yet, as share of the nozzle's
     looked_c: float = math.nan  # what was left of the newest look ...
-    looked_at: tuple[float, float] = (math.nan, math.nan)  # ... and its temperature and lever
+    looked_at: tuple[float, float] = (math.nan, math.nan)  # ... and about its temperature and lever
     scatter_c2: float = 100.0  # mean square of its changes
 
     @property
@@ -153,10 +154,13 @@ def added_c(
 def _move_law(parameters: DriftParameters, state: DriftState, temp_c: float, lever: float) -> None:
     """The law's error is a smooth function of temperature and drive: elsewhere little of what was found remains."""
     before_c, before = state.looked_at
-    state.looked_at = temp_c, lever
-    if math.isnan(before_c):
+    away = abs(temp_c - before_c) / LAW_C + abs(lever - before) / LAW_LEVER
+    if away < LAW_SAME:
         return
-    keep = math.exp(-abs(temp_c - before_c) / LAW_C - abs(lever - before) / LAW_LEVER)
+    state.looked_at = temp_c, lever
+    if math.isnan(away):
+        return
+    keep = math.exp(-away)
     state.x[LAW] *= keep
     for i in range(COUNT):
         state.p[i][LAW] *= keep
