@@ -62,6 +62,14 @@ def test_a_signal_that_jumps_is_no_reason_to_heat(simulate: Simulate) -> None:
     assert record["peak_above_target_c"] < 5.0
 
 
+def test_commands_that_are_not_the_law_s_are_stopped_before_the_nozzle_is_too_hot(simulate: Simulate) -> None:
+    settings = ["simulator nozzle nozzle.preset=strong", "induction_heater nozzle.power_full_w=282"]
+    run = simulate(HOLD, settings=settings, more=["--fault", "command_stuck:45000@6"])
+    record = run.summary["injected"][0]
+    assert "more than any command asks for" in record["detected_by"]
+    assert record["peak_above_target_c"] < 25.0
+
+
 def test_a_fault_may_stand_in_the_config_and_be_combined(simulate: Simulate) -> None:
     run = simulate(
         HOLD, settings=["simulator.fault=sense_offset:-3@4 emi:1,37@5"], more=["--fault", "blob@6"]

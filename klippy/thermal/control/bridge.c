@@ -64,6 +64,19 @@ timeline_at(const struct timeline *t, double time_s)
     return NULL;
 }
 
+double
+timeline_strongest_w(const struct timeline *t, double from_s, double until_s)
+{
+    double strongest_w = 0.0;
+    for (const struct phase_command *c = t->commands + t->count - 1; c >= t->commands; c--) {
+        if (c->time_s < until_s)
+            strongest_w = greater(strongest_w, c->power_w);
+        if (c->time_s <= from_s)
+            return strongest_w;
+    }
+    return NAN;
+}
+
 int
 timeline_pending(const struct timeline *t, double after_s, double until_s, struct model_planned *out)
 {

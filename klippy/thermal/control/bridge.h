@@ -99,6 +99,8 @@ const struct phase_command *timeline_last_before(const struct timeline *t, doubl
 int timeline_is_on_from(const struct timeline *t, double time_s);
 // NULL: none begins at this time.
 const struct phase_command *timeline_at(const struct timeline *t, double time_s);
+// Of the commands in force between the two times; NaN: they are not known.
+double timeline_strongest_w(const struct timeline *t, double from_s, double until_s);
 int timeline_pending(const struct timeline *t, double after_s, double until_s, struct model_planned *out);
 int timeline_differs(const struct timeline *t, const struct model_planned *plan, int count, double by_w);
 double timeline_edge(const struct timeline *t, const struct bridge_timing *timing, double earliest_s);

@@ -55,6 +55,8 @@ __all__ = [
 FAN_W_K = 0.02  # max of what a part fan takes
 HELD_BATCH_S = 0.020
 PLANNED_BATCH_S = 0.010  # a measurement comes this often while material flows
+AROUND_S = 0.010  # a command is no farther from the time it was meant for
+DRIVE_SHARE = 0.02  # of full power: a drive is known so well
 BALANCE_S = 0.1  # ten times a second is enough for a balance over half a minute
 
 # (block, its filtered estimate or None, print time of its arrival)
@@ -115,6 +117,7 @@ class InductionLoop:
             before, state.estimate = state.estimate, news
             state.latency_s = now_s - news.time_s
             self._note_settled(news)
+            self._watch_drive(news)
             self._note_balance(news)
         if self._drift is not None:
             self._drift.on_blocks(blocks, now_s)
@@ -147,6 +150,17 @@ class InductionLoop:
         temp_c, target_c, seen = state.estimate.temp_c, state.target_c, chain.watch
         supervision.watch_reading(p.supervise, state.supervise, seen, chain.witness, temp_c, target_c, p.loss)
         return supervision.watch(p.supervise, state.supervise, seen, now_s, temp_c, target_c, fraction)
+
+    def _watch_drive(self, news: TempEstimate) -> None:
+        """What the blocks say of the drive, against what was sent."""
+        p, state = self._parameters, self.state
+        if news.time_s - AROUND_S < state.resumed_s:
+            return
+        asked_w = state.bridge.strongest_w(news.time_s - AROUND_S, news.time_s + AROUND_S)
+        over_w = p.actuator.law.power_w(news.phase_ticks) - asked_w - DRIVE_SHARE * p.control.power_max_w
+        supervision.watch_drive(
+            p.supervise, state.supervise, news.time_s, over_w, p.filter.heat.at(news.temp_c)
+        )
 
     # Targets and parameters
 
@@ -206,6 +220,7 @@ class InductionLoop:
     def resume(self, now_s: float) -> None:
         """A calibration had the bridge: nothing remembered of the nozzle is valid."""
         self.start(now_s)
+        self.state.resumed_s = now_s
         self.restart_filter()
         self.state.estimate = NOT_MEASURED
         self.state.bridge.note([PhaseCommand(now_s, 0, 0.0)], now_s)

@@ -116,6 +116,7 @@ class LoopState:
     bridge: Bridge = field(default_factory=Bridge)  # commands sent, and what the actuator owes
     horizon: tuple[Planned, ...] = ()  # what the law means to do after its request
     decided_s: float = -math.inf  # last control step
+    resumed_s: float = -math.inf  # commands before it were a calibration's
     lapse_s: float = 0.0  # longest time without control or blocks since somebody set this to 0
     settled_s: float = math.inf  # since when the estimate has been near the target
     arriving: bool = False  # near the target, power limited

@@ -99,6 +99,10 @@ class Bridge:
         """When the command in force just before `time_s` began."""
         return float(self._lib.timeline_last_before(self._line, time_s).time_s)
 
+    def strongest_w(self, from_s: float, until_s: float) -> float:
+        """The strongest command in force between the two; NaN: not known."""
+        return float(self._lib.timeline_strongest_w(self._line, from_s, until_s))
+
     def is_on_from(self, time_s: float) -> bool:
         """Is the bridge on at `time_s` or later, if nothing more is sent?"""
         return bool(self._lib.timeline_is_on_from(self._line, time_s))

@@ -54,6 +54,7 @@ class SuperviseParameters:
     warming_s: float = 2.0  # with the heater off the nozzle may in this time ...
     warming_c: float = 15.0  # ... not warm by this much
     above_target_c: float = 25.0  # room above the target or the way down to it: 5 LSB of interference take 21
+    unasked_c: float = 8.0  # heat beyond all commands may warm the nozzle by this much: a command may be late
     slack_c: float = 15.0  # of the heat witness: 5 LSB of interference are 12 C from peak to peak
     calibrated: bool = True  # else temperatures say nothing: only silence is a fault
 
@@ -72,6 +73,8 @@ class SuperviseState:
     demand_from_c: float = math.nan
     off_s: float = math.inf  # start of the present window with the heater off
     off_from_c: float = math.nan
+    unasked_s: float = math.inf  # newest block that was driven harder than any command asked for ...
+    unasked_j: float = 0.0  # ... and the heat of all in a row
     limit_w: float = math.inf  # power held back while the reading is in doubt
 
 
@@ -79,7 +82,7 @@ def start(state: SuperviseState, seen: Any, time_s: float) -> None:
     """Supervision begins (or begins anew after a pause of the whole machine). `seen`: see watch()."""
     seen.last_block_s = seen.last_valid_s = time_s
     seen.beyond = 0
-    state.demand_s = state.off_s = math.inf
+    state.demand_s = state.off_s = state.unasked_s = math.inf
 
 
 def _limit(parameters: SuperviseParameters, temp_c: float) -> str:
@@ -201,6 +204,25 @@ def watch_reading(
     elif not state.fault:
         state.fault = _doubt(parameters, state, seen, witness, temp_c, loss)
     return state.fault
+
+
+def watch_drive(
+    parameters: SuperviseParameters, state: SuperviseState, time_s: float, over_w: float, heat_j_k: float
+) -> None:
+    """For each reading, before watch(). `over_w`: its drive less the strongest command; NaN: not known."""
+    if not over_w > 0.0:
+        state.unasked_s = math.inf
+        return
+    if state.unasked_s == math.inf:
+        state.unasked_j = 0.0
+    else:
+        state.unasked_j += over_w * (time_s - state.unasked_s)
+    state.unasked_s = time_s
+    if state.unasked_j > parameters.unasked_c * heat_j_k and not state.fault:
+        state.fault = (
+            f"the bridge is driven with {over_w:.0f} W more than any command asks for: what the host decides does not"
+            " reach it"
+        )
 
 
 def watch_host(parameters: SuperviseParameters, state: SuperviseState, late_s: float) -> None:

@@ -18,7 +18,7 @@ from extras.induction import settings, signal_limits
 from heater_fakes import CommandError, FakePrinter
 from induction_rig import PERIOD_S, Plant, Rig, default_parameters, true_law
 from thermal.control import nozzle_model
-from thermal.control.loop import LoopParameters
+from thermal.control.loop import AROUND_S, LoopParameters
 from thermal.records import PHASE_MAX_TICKS
 from thermal.sensing import guard_limits, heat_balance_monitor, laws
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
@@ -162,6 +162,8 @@ def supervision_claims() -> Iterator[str]:
     yield f"half of full power or more is requested {p.demand_c:g} °C or more below the target"
     yield f"does not warm by {p.gain_c:g} °C (no nozzle, broken coil, no supply) | {p.gain_s:g} s |"
     yield f"the nozzle is more than {p.above_target_c:g} °C above its target"
+    around_ms = 1e3 * AROUND_S
+    yield f"than any command within {around_ms:g} ms asks for | heat for {p.unasked_c:g} °C |"
     yield f"(bridge stuck on) | {p.warming_c:g} °C within {p.warming_s:g} s |"
 
 

@@ -260,3 +260,25 @@ def test_a_host_that_slept_for_longer_than_a_silence_may_last_is_named_itself() 
     assert state.fault == "no control for 1.3 s: the computer was too busy, or the host program was stopped"
     supervision.watch_host(parameters, state, 4.0)
     assert "1.3 s" in state.fault, "the first fault stays"
+
+
+@pytest.mark.parametrize(("over_w", "after_s"), [(80.0, 0.04), (250.0, 0.015), (10.0, 0.32)])
+def test_a_drive_beyond_all_commands_is_a_fault_once_it_may_warm_by_eight_degrees(
+    over_w: float, after_s: float
+) -> None:
+    watched = Watched()
+    for n in range(400):
+        time_s = n * 0.005
+        supervision.watch_drive(watched.parameters, watched.state, time_s, over_w, 0.4)
+        if watched.state.fault:
+            break
+    assert time_s == pytest.approx(after_s, abs=0.0051)
+    assert f"driven with {over_w:.0f} W more than any command" in watched.state.fault
+
+
+def test_a_late_command_or_one_that_is_not_known_is_no_drive_beyond_commands() -> None:
+    watched = Watched()
+    for n in range(400):
+        over_w = 250.0 if n % 3 else (math.nan, -1.0)[n % 2]
+        supervision.watch_drive(watched.parameters, watched.state, n * 0.005, over_w, 0.4)
+    assert not watched.state.fault

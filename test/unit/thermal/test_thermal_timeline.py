@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from bridge_rig import differs
@@ -49,3 +51,27 @@ def test_a_line_of_commands_knows_whether_it_leaves_the_bridge_on(from_s: float,
     sent = Bridge()
     sent.note([PhaseCommand(1.0, 0, 0.0), PhaseCommand(1.02, 2012, 1.5), PhaseCommand(1.05, 0, 0.0)], 0.99)
     assert sent.is_on_from(from_s) == on
+
+
+@pytest.mark.parametrize(
+    ("from_s", "until_s", "strongest_w"),
+    [
+        (1.00, 1.01, 5.0),
+        (1.00, 1.02, 5.0),
+        (1.01, 1.03, 9.0),
+        (1.04, 1.06, 9.0),
+        (1.05, 1.06, 7.0),
+        (2.0, 2.1, 7.0),
+    ],
+)
+def test_the_strongest_command_near_a_time_is_known(
+    from_s: float, until_s: float, strongest_w: float
+) -> None:
+    assert line().strongest_w(from_s, until_s) == strongest_w
+
+
+def test_commands_forgotten_are_not_known() -> None:
+    sent = line()
+    sent.note([PhaseCommand(3.0, 1000, 6.0)], 2.99)
+    assert math.isnan(sent.strongest_w(1.0, 1.04))
+    assert sent.strongest_w(1.06, 3.1) == 7.0
