@@ -32,7 +32,7 @@ NOTHING = "there is no print to resume"
 PA_FLOW_MM_S = 15.0  # pressure advance moves the filament by that much times its seconds [assumed peak]
 SETTLE_POLL_S, SETTLE_S = 0.25, 5.0  # of motors that still run when a crashed host comes back
 RESET = "spontaneous restart"  # what a board's end is called that has reset itself
-RESET_MARGIN_S = 0.1  # of the time of a reset
+MARGIN_S = 0.1  # of the times of a reset: shapers move the head that much sooner or later than the path
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,9 @@ class PrintRecovery:
             tuple[float, dict[str, Any]]
         ] = []  # checkpoints not carried out yet, with their times
         self._done: dict[str, Any] | None = None  # the newest that has been
-        self._certain: list[tuple[float, dict[str, Any]]] = []  # those since the board's last answer, and the one before
+        self._certain: list[
+            tuple[float, dict[str, Any]]
+        ] = []  # those since the board's last answer, and the one before
         self._homed: set[int] = set()
         self._place: path.Place | None = None
         self._reason = NOTHING
@@ -139,7 +141,7 @@ class PrintRecovery:
             self._done = self._certain[-1][1]
             self.journal.write(self._done)
         reported = toolhead.mcu.reported_print_time()
-        while len(self._certain) > 1 and self._certain[1][0] <= reported:
+        while len(self._certain) > 1 and self._certain[1][0] + MARGIN_S <= reported:
             del self._certain[0]
 
     def _checkpoint(self, sdcard: Any, toolhead: Any) -> dict[str, Any]:
@@ -208,9 +210,9 @@ class PrintRecovery:
         if reason != RESET or not self._certain or any(s.get_mcu() is not mcu for s in steppers):
             return
         end, checkpoint = self._certain[0]
-        if end > mcu.reported_print_time():
+        if end + MARGIN_S > mcu.reported_print_time():
             return
-        span_s = mcu.estimated_print_time(now) - end + RESET_MARGIN_S
+        span_s = mcu.estimated_print_time(now) - end + MARGIN_S
         try:
             self.journal.write({**checkpoint, "span_s": span_s})
         except OSError as e:
@@ -294,14 +296,19 @@ class PrintRecovery:
             return
         record = self.journal.record
         other: list[str] = []
+
+        def is_known(command: str) -> bool:
+            if not self._is_known(command):
+                return False
+            other.append(command)
+            return True
+
         try:
             origins = {s.get_name(): s.mcu_to_commanded_position(0) for s in self._steppers()}
             head = self.printer.lookup_object("toolhead").get_kinematics().calc_position(origins)
             full = list(self.full_steps_mm().values())
-            place = path.locate_flat(
-                self._moves(record, lambda name: self._is_known(name) and not other.append(name)),
-                head, record["span_s"], path.Tolerance(max(full[:-1]), full[-1]),
-            )  # fmt: skip
+            tolerance = path.Tolerance(max(full[:-1]), full[-1])
+            place = path.locate_flat(self._moves(record, is_known), head, record["span_s"], tolerance)
             if other:
                 raise Refusal(f"{other[0]} may have moved the head")
             self._place, self._state, self._reason = place, "offered", ""

@@ -66,7 +66,7 @@ def options(
 FILAMENT_STEP_MM = FULL_STEP_MM["extruder"]
 
 
-PART = Path(__file__).resolve().parents[2] / "config" / "studies" / "recovery.gcode"
+PART = Path(__file__).resolve().parents[1] / "data" / "recovery.gcode"
 
 
 class Restarted(Watched):
