@@ -172,7 +172,7 @@ class SerialReader:
             except error:
                 chunk, failures = max(IDENTIFY_CHUNK_MIN, chunk // 2), failures + 1
                 if not data and not failures % RENUMBER_AFTER:
-                    # a block that was on the way to an earlier host may have told a wrong number
+                    # a block that was on the way to an earlier host may have carried a wrong number
                     self._lib.serialqueue_reset(self._sq, False)
                 continue
             if params["offset"] != len(data):

@@ -265,9 +265,9 @@ class PrintRecovery:
                 self._state, self._reason = "offered", ""
         except Refusal as e:
             self._state, self._reason = "refused", str(e)
-        self._tell(record)
+        self._announce(record)
 
-    def _tell(self, record: dict[str, Any]) -> None:
+    def _announce(self, record: dict[str, Any]) -> None:
         offers = {
             "offered": "RECOVER_PRINT resumes it where it stopped; RECOVER_DISCARD forgets it.",
             "home_first": "A board was reset. RECOVER_PRINT homes X and Y to measure where the head stood, and resumes "
@@ -314,7 +314,7 @@ class PrintRecovery:
             self._place, self._state, self._reason = place, "offered", ""
         except Refusal as e:
             self._state, self._reason = "refused", str(e)
-            self._tell(record)
+            self._announce(record)
 
     # --- the place ---
     def _check_unchanged(self, record: dict[str, Any]) -> None:
