@@ -157,6 +157,10 @@ class ClockSync:
     def estimated_print_time(self, eventtime: float) -> float:
         return self.clock_to_print_time(self.get_clock(eventtime))
 
+    def reported_print_time(self) -> float:
+        """Print time that the MCU has reached for certain: that of its last answer."""
+        return self.clock_to_print_time(self._last_clock)
+
     def clock32_to_clock64(self, clock32: int) -> int:
         """The 64-bit clock nearest to the last one known (within 2**31 ticks) that has these low 32 bits."""
         difference = (clock32 - self._last_clock) & 0xFFFFFFFF

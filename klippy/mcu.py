@@ -508,6 +508,10 @@ class MCU:
         """Print time at a system time (s)."""
         return self._clocksync.estimated_print_time(eventtime)
 
+    def reported_print_time(self) -> float:
+        """Print time of the MCU's last answer to a question for its clock."""
+        return self._clocksync.reported_print_time()
+
     def dated(self, eventtime: float) -> tuple[int, float, float]:
         """Clock at a system time, its print time, and the seconds of a tick there."""
         return self._clocksync.dated(eventtime)

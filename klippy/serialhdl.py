@@ -30,6 +30,7 @@ BATCH_MAX = 32
 UNDECODED_BYTES = 4096  # taken at once
 IDENTIFY_CHUNK = 40  # bytes of dictionary asked for at once: the answer fits a block
 IDENTIFY_CHUNK_MIN = 8  # on a line that damages bytes a short answer arrives more often than a long one
+RENUMBER_AFTER = 3  # first questions without an answer, then the numbers of blocks are asked for again
 IDENTIFY_PROGRESS_S = 5.0  # a device that has answered lately is waited for
 CONNECT_TIMEOUT_S = 15.0  # an MCU behind a boot loader starts within a few seconds
 REOPEN_PAUSE_S = 0.5
@@ -170,6 +171,9 @@ class SerialReader:
                 )
             except error:
                 chunk, failures = max(IDENTIFY_CHUNK_MIN, chunk // 2), failures + 1
+                if not data and not failures % RENUMBER_AFTER:
+                    # a block that was on the way to an earlier host may have carried a wrong number
+                    self._lib.serialqueue_reset(self._sq, False)
                 continue
             if params["offset"] != len(data):
                 continue

@@ -11,7 +11,7 @@ from configfile import ConfigWrapper
 from gcode import GCodeCommand
 
 from . import bus, manual_probe
-from .accelerometer.bulk import Batches
+from .accelerometer.bulk import Batches, Subscribers
 from .angles.chips import FRAME_SYNC, KINDS, tle5012b_celsius
 from .angles.table import POINTS, TURN, corrected, make_table, nearest
 
@@ -45,6 +45,7 @@ class Angle:
         self._turns: float | None = None  # the last angle, over many turns
         self._temperature: float | None = None
         self._batches = Batches(self.printer, self._collect, self._start, self._stop, self._report)
+        self._subscribers = Subscribers(self._batches.add_client, lambda: self._batches.is_running)
         self.mcu.register_config_callback(self._build_config)
 
     def register(self) -> None:
@@ -132,17 +133,7 @@ class Angle:
         )
 
     def _on_request(self, request: Any) -> None:
-        template = request.get_dict("response_template", {})
-        connection = request.get_client_connection()
-
-        def send(batch: Batch) -> bool:
-            if connection.is_closed():
-                return False
-            connection.send({**template, "params": batch})
-            return True
-
-        self._batches.add_client(send)
-        request.send({"header": ("time", "angle")})
+        self._subscribers.serve(request, ("time", "angle"))
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
         return {"temperature": self._temperature}

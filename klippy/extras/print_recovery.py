@@ -3,9 +3,12 @@
     while printing, every interval      checkpoint that has been carried out ─► journal (two slots, checksums)
     shutdown, or start after a crash    step counts of the boards ─────────────► journal
     ready                               place of the head ─► its place in the file ─► offered or refused
+    ready after the reset of a board    X and Y are homed: how far the head goes says where it stood ─► as above
 
 The boards keep their step counts while they have power and are not reset. So the place where the head stopped is
-read, not estimated. A board that was reset or lost its power is a reason to refuse.
+read, not estimated. After a board's reset it is measured: the counts begin at 0 where the head stood, and homing says
+where 0 is. That needs a host that saw the reset, and motor drivers that kept their power: one that starts again
+turns its motor by up to two full steps.
 """
 
 from __future__ import annotations
@@ -28,17 +31,21 @@ from .recovery.path import Refusal
 NOTHING = "there is no print to resume"
 PA_FLOW_MM_S = 15.0  # pressure advance moves the filament by that much times its seconds [assumed peak]
 SETTLE_POLL_S, SETTLE_S = 0.25, 5.0  # of motors that still run when a crashed host comes back
+RESET = "spontaneous restart"  # what a board's end is called that has reset itself
+MARGIN_S = 0.1  # of the times of a reset: shapers move the head that much sooner or later than the path
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """`lift_mm`, `speed_mm_s`: of the way back; `z_stays`: Z does not sink without current."""
+    """`lift_mm`, `speed_mm_s`: of the way back; `z_stays`: Z does not sink without current; `drivers_stay_on`: motor
+    drivers keep their power while their board is reset."""
 
     file: str
     interval_s: float
     lift_mm: float
     speed_mm_s: float
     z_stays: bool
+    drivers_stay_on: bool
 
 
 class PrintRecovery:
@@ -54,6 +61,10 @@ class PrintRecovery:
             tuple[float, dict[str, Any]]
         ] = []  # checkpoints not carried out yet, with their times
         self._done: dict[str, Any] | None = None  # the newest that has been
+        self._certain: list[
+            tuple[float, dict[str, Any]]
+        ] = []  # those since the board's last answer, and the one before
+        self._homed: set[int] = set()
         self._place: path.Place | None = None
         self._reason = NOTHING
         self._state = "none"
@@ -70,6 +81,8 @@ class PrintRecovery:
             ("klippy:ready", self._handle_ready),
             ("klippy:shutdown", self._handle_shutdown),
             ("toolhead:set_position", self._forget),
+            ("mcu:explain_shutdown", self._note_reset),
+            ("homing:home_rails_end", self._note_homing),
         ):
             self.printer.register_event_handler(event, handler)
 
@@ -93,6 +106,8 @@ class PrintRecovery:
 
     def _on_timer(self, eventtime: float) -> float:
         try:
+            if not self.gcode.get_mutex().test():  # else homing may be half done
+                self._measure()
             state = self.printer.lookup_object("print_stats").state
             if state == "printing":
                 self._printing_s += self.settings.interval_s
@@ -113,7 +128,7 @@ class PrintRecovery:
         """A checkpoint of now, between two lines; what has been carried out goes into the journal."""
         sdcard, toolhead = (self.printer.lookup_object(name) for name in ("virtual_sdcard", "toolhead"))
         with self.gcode.get_mutex():
-            if not sdcard.is_active() or self.printer.is_shutdown():
+            if not sdcard.is_active() or self.printer.is_shutdown() or "span_s" in self.journal.record:
                 return
             checkpoint = self._checkpoint(sdcard, toolhead)
             if toolhead.lookahead:
@@ -122,8 +137,12 @@ class PrintRecovery:
                 self._waiting.append((toolhead.print_time, checkpoint))
         now = toolhead.mcu.estimated_print_time(self.reactor.monotonic())
         while self._waiting and self._waiting[0][0] <= now:
-            self._done = self._waiting.pop(0)[1]
+            self._certain.append(self._waiting.pop(0))
+            self._done = self._certain[-1][1]
             self.journal.write(self._done)
+        reported = toolhead.mcu.reported_print_time()
+        while len(self._certain) > 1 and self._certain[1][0] + MARGIN_S <= reported:
+            del self._certain[0]
 
     def _checkpoint(self, sdcard: Any, toolhead: Any) -> dict[str, Any]:
         move, eventtime = self.printer.lookup_object("gcode_move"), self.reactor.monotonic()
@@ -169,6 +188,7 @@ class PrintRecovery:
     def _forget(self) -> None:
         """Nothing to resume: the print has ended, or coordinates have changed."""
         self._waiting.clear()
+        self._certain.clear()
         if self._done is not None:
             self._done = None
             self.journal.write({})
@@ -184,8 +204,22 @@ class PrintRecovery:
         return [*toolhead.get_kinematics().get_steppers(), *([motor.stepper] if motor else [])]
 
     # --- after the stop ---
+    def _note_reset(self, mcu: Any, reason: str) -> None:
+        """The board has reset itself: its motors stopped between its last answer and now."""
+        steppers, now = self._steppers(), self.reactor.monotonic()
+        if reason != RESET or not self._certain or any(s.get_mcu() is not mcu for s in steppers):
+            return
+        end, checkpoint = self._certain[0]
+        if end + MARGIN_S > mcu.reported_print_time():
+            return
+        span_s = mcu.estimated_print_time(now) - end + MARGIN_S
+        try:
+            self.journal.write({**checkpoint, "span_s": span_s})
+        except OSError as e:
+            logging.warning("print_recovery: the place of the head is not known: %s", e)
+
     def _handle_shutdown(self) -> None:
-        if self._done is not None:
+        if self._done is not None and "span_s" not in self.journal.record:
             # the answers come through the reactor, which is in the middle of the shutdown
             self.reactor.register_callback(lambda eventtime: self._note_steps(self._steppers()))
 
@@ -221,19 +255,69 @@ class PrintRecovery:
         if not record:
             return
         try:
-            self._place = self.find(record)
-            self._state, self._reason = "offered", ""
+            if self._can_measure(record):
+                self._check_unchanged(record)
+                self._state, self._reason = "home_first", "X and Y are not homed"
+                for stepper in self._steppers():
+                    stepper.add_active_callback(self._note_motion)
+            else:
+                self._place = self.find(record)
+                self._state, self._reason = "offered", ""
         except Refusal as e:
             self._state, self._reason = "refused", str(e)
-        name = os.path.basename(record["file"]["path"])
-        offer = "RECOVER_PRINT resumes it where it stopped; RECOVER_DISCARD forgets it."
-        self.gcode.respond_info(
-            f"The print of {name} was interrupted. "
-            + (offer if self._place else f"It cannot be resumed: {self._reason}.")
-        )
+        self._announce(record)
 
-    def find(self, record: dict[str, Any]) -> path.Place:
-        """The place in the file where the head stopped. Raises Refusal."""
+    def _announce(self, record: dict[str, Any]) -> None:
+        offers = {
+            "offered": "RECOVER_PRINT resumes it where it stopped; RECOVER_DISCARD forgets it.",
+            "home_first": "A board was reset. RECOVER_PRINT homes X and Y to measure where the head stood, and resumes "
+            "if that is one place of the file; RECOVER_DISCARD forgets it.",
+        }
+        name = os.path.basename(record["file"]["path"])
+        offer = offers.get(self._state, f"It cannot be resumed: {self._reason}.")
+        self.gcode.respond_info(f"The print of {name} was interrupted. {offer}")
+
+    # --- after the reset of a board ---
+    def _can_measure(self, record: dict[str, Any]) -> bool:
+        return self.settings.drivers_stay_on and "span_s" in record and "moved" not in record
+
+    def _note_motion(self, print_time: float) -> None:
+        """From now on the counts of a further start do not begin where the head stood."""
+        if self._state == "home_first" and "moved" not in self.journal.record:
+            self.journal.write({**self.journal.record, "moved": True})
+
+    def _note_homing(self, homing_state: Any, rails: Any) -> None:
+        self._homed.update(homing_state.get_axes())
+
+    def _measure(self) -> None:
+        """X and Y have been homed: the place of step count 0 is where the head stood."""
+        homed_axes = self.printer.lookup_object("toolhead").get_status(self.reactor.monotonic())["homed_axes"]
+        if self._state != "home_first" or not self._homed >= {0, 1} or not set(homed_axes) >= {"x", "y"}:
+            return
+        record = self.journal.record
+        other: list[str] = []
+
+        def is_known(command: str) -> bool:
+            if not self._is_known(command):
+                return False
+            other.append(command)
+            return True
+
+        try:
+            origins = {s.get_name(): s.mcu_to_commanded_position(0) for s in self._steppers()}
+            head = self.printer.lookup_object("toolhead").get_kinematics().calc_position(origins)
+            full = list(self.full_steps_mm().values())
+            tolerance = path.Tolerance(max(full[:-1]), full[-1])
+            place = path.locate_flat(self._moves(record, is_known), head, record["span_s"], tolerance)
+            if other:
+                raise Refusal(f"{other[0]} may have moved the head")
+            self._place, self._state, self._reason = place, "offered", ""
+        except Refusal as e:
+            self._state, self._reason = "refused", str(e)
+            self._announce(record)
+
+    # --- the place ---
+    def _check_unchanged(self, record: dict[str, Any]) -> None:
         file = record["file"]
         if record["config"] != self._config_sum():
             raise Refusal("the configuration has changed since")
@@ -244,11 +328,29 @@ class PrintRecovery:
         toolhead = self.printer.lookup_object("toolhead")
         if toolhead.get_extruder().get_name() != record["extruder"]:
             raise Refusal(f"the active extruder was '{record['extruder']}'")
+
+    def _moves(self, record: dict[str, Any], is_known: Any) -> Any:
+        with open(record["file"]["path"], "rb") as source:
+            source.seek(record["offset"])
+            return path.moves(source.read(), record["offset"], path.State(**record["state"]), is_known)
+
+    def _why_lost(self, record: dict[str, Any]) -> str:
+        if "moved" in record:
+            return "; motors have moved since"
+        if "span_s" in record:
+            return "; with drivers_stay_on: True in [print_recovery] homing measures where the head stood"
+        return ""
+
+    def find(self, record: dict[str, Any]) -> path.Place:
+        """The place in the file where the head stopped, by the boards' step counts. Raises Refusal."""
+        self._check_unchanged(record)
+        toolhead = self.printer.lookup_object("toolhead")
         steppers, steps = self._steppers(), record.get("steps", {})
         missing = [s.get_name() for s in steppers if s.get_name() not in steps]
         if missing:
             raise Refusal(
                 f"the step counts of {', '.join(missing)} are lost: a board was reset or lost its power"
+                + self._why_lost(record)
             )
         places = {
             s.get_name(): record["origins"][s.get_name()] + steps[s.get_name()] * s.get_step_dist()
@@ -256,12 +358,9 @@ class PrintRecovery:
         }
         e_mm = places.get(steppers[-1].get_name(), 0.0)
         head = [*toolhead.get_kinematics().calc_position(places), e_mm]
-        with open(file["path"], "rb") as source:
-            source.seek(record["offset"])
-            segments = path.moves(
-                source.read(), record["offset"], path.State(**record["state"]), self._is_known
-            )
-        return path.locate(segments, head, self._tolerance(record["pressure_advance"]))
+        return path.locate(
+            self._moves(record, self._is_known), head, self._tolerance(record["pressure_advance"])
+        )
 
     def _is_known(self, command: str) -> bool:
         return self.gcode.get_handler(command) is not None
@@ -296,31 +395,35 @@ class PrintRecovery:
 
     def cmd_RECOVER_PRINT(self, gcmd: GCodeCommand) -> None:
         """RECOVER_PRINT."""
-        place, record = self._place, self.journal.record
-        if place is None or self._state != "offered":
+        record = self.journal.record
+        if self._state not in ("offered", "home_first"):
             raise gcmd.error(f"RECOVER_PRINT: the print cannot be resumed: {self._reason}")
         if _identity(record["file"]["path"]) != record["file"]:
             raise gcmd.error(f"RECOVER_PRINT: the file {record['file']['path']} has changed since")
         if self.printer.lookup_object("virtual_sdcard").is_active():
             raise gcmd.error("RECOVER_PRINT: a file is being printed")
-        self._check_z(gcmd, place)
+        self._check_z(gcmd)
         self._heat(record)
-        self._go_back(place)
+        place = self._go_back(gcmd)
         self._discard()  # from here on more is printed than the record says
         self._go_on(record, place)
 
-    def _check_z(self, gcmd: GCodeCommand, place: path.Place) -> None:
-        """Z is where it was, or has been homed."""
+    def _is_z_homed(self) -> bool:
         toolhead = self.printer.lookup_object("toolhead")
-        if "z" in toolhead.get_status(self.reactor.monotonic())["homed_axes"]:
-            return
-        if not self.settings.z_stays:
+        return "z" in toolhead.get_status(self.reactor.monotonic())["homed_axes"]
+
+    def _check_z(self, gcmd: GCodeCommand) -> None:
+        """Z is where it was, or has been homed."""
+        if not self._is_z_homed() and not self.settings.z_stays:
             raise gcmd.error(
                 "RECOVER_PRINT: the height of the nozzle is not known. Home Z beside the part, or, if the Z axis does "
                 "not sink without current, set z_stays: True in [print_recovery]."
             )
+
+    def _set_z(self, z: float) -> None:
+        toolhead = self.printer.lookup_object("toolhead")
         position = toolhead.get_position()
-        toolhead.set_position([*position[:2], place.point[2], position[3]], homing_axes="z")
+        toolhead.set_position([*position[:2], z, *position[3:]], homing_axes="z")
 
     def _heat(self, record: dict[str, Any]) -> None:
         heaters = self.printer.lookup_object("heaters")
@@ -328,15 +431,24 @@ class PrintRecovery:
             for name, target_c in record["targets"].items():
                 heaters.set_temperature(heaters.lookup_heater(name), target_c, wait)
 
-    def _go_back(self, place: path.Place) -> None:
+    def _go_back(self, gcmd: GCodeCommand) -> path.Place:
         """Up, home X and Y, over the place, down."""
         toolhead, speed = self.printer.lookup_object("toolhead"), self.settings.speed_mm_s
-        x, y, z = place.point[:3]
-        above = toolhead.get_position()[2] + self.settings.lift_mm
-        toolhead.manual_move([None, None, above], speed)
+        is_z_homed = self._is_z_homed()
+        if not is_z_homed:
+            self._set_z(self._place.point[2] if self._place else self.journal.record["state"]["position"][2])
+        below = toolhead.get_position()[2]
+        toolhead.manual_move([None, None, below + self.settings.lift_mm], speed)
         self.gcode.run_script_from_command("G28 X Y")
+        self._measure()
+        if self._place is None:
+            raise gcmd.error(f"RECOVER_PRINT: the print cannot be resumed: {self._reason}")
+        x, y, z = self._place.point[:3]
+        if not is_z_homed:
+            self._set_z(toolhead.get_position()[2] - below + z)
         toolhead.manual_move([x, y, None], speed)
         toolhead.manual_move([x, y, z], speed)
+        return self._place
 
     def _go_on(self, record: dict[str, Any], place: path.Place) -> None:
         """The modes as they were, the rest of the interrupted move, then the file."""
@@ -388,6 +500,7 @@ def load_config(config: ConfigWrapper) -> PrintRecovery:
             config.getfloat("lift", 2.0, minval=0.0),
             config.getfloat("speed", 50.0, above=0.0),
             config.getboolean("z_stays", False),
+            config.getboolean("drivers_stay_on", False),
         ),
     )
     recovery.register()

@@ -13,7 +13,7 @@ from typing import Any
 from reactor import Reactor
 
 STARTS_MAX = 3  # a board with a session of the host before is reset first
-POLL_S = 0.1
+POLL_S, START_S = 0.1, 15.0  # a shutdown of the board meanwhile is followed by its reset
 
 NEVER = {"state": "none", "reason": "it never stopped", "offered": 0, "off_steps": 0.0, "bytes_per_minute": 0}
 
@@ -33,8 +33,13 @@ def start_again(new_printer: Callable[[], Any], reactors: Callable[[], Reactor])
 
 
 def _wait(printer: Any, reactor: Reactor, eventtime: float) -> None:
-    while printer.get_state_message()[1] == "startup":
+    until = eventtime + START_S
+    while printer.get_state_message()[1] != "ready" and reactor.monotonic() < until:
         reactor.pause(reactor.monotonic() + POLL_S)
+    recovery = printer.lookup_object("print_recovery")
+    if recovery.get_status(0.0)["state"] == "home_first":
+        printer.lookup_object("gcode").run_script("G28 X Y")
+        reactor.pause(reactor.monotonic() + 2.0 * recovery.settings.interval_s)
     printer.request_exit("exit")
 
 

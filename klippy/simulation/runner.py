@@ -157,7 +157,8 @@ class Simulation:
         self.facts.recovery = {**restarted.judge(self.printer, place_mm), "bytes_per_minute": round(written)}
         stop = self.ending.reason
         self.ending.status = PRINTED
-        self.ending.reason = f"{stop}; started again: the print is {self.facts.recovery['state']}"
+        found = ": ".join(filter(None, (self.facts.recovery["state"], self.facts.recovery["reason"])))
+        self.ending.reason = f"{stop}; started again: the print is {found}"
 
     def _new_reactor(self) -> reactor_module.Reactor:
         self.reactor = reactor_module.Reactor(self.time)

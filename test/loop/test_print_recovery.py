@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 
+from extras.print_recovery import PrintRecovery
 from extras.recovery.journal import Journal
 from extras.recovery.path import Refusal
 from simulation.runner import PRINTED, SHUT_DOWN, RunOptions, Simulation
@@ -65,7 +66,7 @@ def options(
 FILAMENT_STEP_MM = FULL_STEP_MM["extruder"]
 
 
-PART = Path(__file__).resolve().parents[2] / "config" / "studies" / "recovery.gcode"
+PART = Path(__file__).resolve().parents[1] / "data" / "recovery.gcode"
 
 
 class Restarted(Watched):
@@ -150,7 +151,7 @@ def test_after_a_shutdown_the_next_start_offers_and_prints_the_rest(tmp_path: Pa
     [
         ("host_kill@13.137", "offered", ""),
         ("host_kill@15.911", "offered", ""),
-        ("mcu_reset@16", "refused", "a board was reset or lost its power"),
+        ("mcu_reset@16", "refused", "with drivers_stay_on: True in [print_recovery] homing measures"),
         ("mcu_reset@16 host_kill@16", "refused", "a board was reset or lost its power"),
     ],
 )
@@ -163,6 +164,46 @@ def test_a_host_started_again_offers_the_place_of_the_boards_counts_or_refuses(
     assert reason in found["reason"]
     assert found["off_steps"] < 1.0
     assert 0.0 < found["bytes_per_minute"] < 200_000
+
+
+STAY_ON = (("print_recovery", "drivers_stay_on", "True"),)
+
+
+@pytest.mark.parametrize("at_s", [13.2, 16.0, 17.77, 19.9])
+def test_after_a_reset_that_the_host_saw_homing_measures_where_the_head_stood(
+    tmp_path: Path, at_s: float
+) -> None:
+    again = (("simulator", "start_again", "True"), ("simulator", "fault", f"mcu_reset@{at_s}"))
+    found = run(tmp_path, [], more=STAY_ON + again).outcome.summary["recovery"]
+    assert (found["state"], found["reason"]) == ("offered", "")
+    assert found["off_steps"] < 1.0
+
+
+def test_recover_print_after_a_reset_homes_and_prints_the_rest(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(PrintRecovery, "_config_sum", lambda self: 0)  # the config says where the axes stand
+    first = run(tmp_path, [], faults=("mcu_reset@16",), more=STAY_ON)
+    assert first.outcome.status == SHUT_DOWN
+    stands = tuple(
+        (f"simulator axis {name}", "start_position", str(first.axis(name)["position_mm"])) for name in "xyz"
+    )
+    second = run(tmp_path, [], script="RECOVER_PRINT", more=STAY_ON + stands)
+    assert second.outcome.status == PRINTED, second.outcome.reason
+    assert second.offer["state"] == "home_first"
+    total = first.axis("extruder")["position_mm"] + second.axis("extruder")["position_mm"]
+    assert abs(total - filament_mm((tmp_path / "part.gcode").read_bytes())) < FILAMENT_STEP_MM
+    end = (tmp_path / "part.gcode").read_text().split("G1 X")[-1].split()
+    assert second.axis("x")["position_mm"] == pytest.approx(float(end[0]), abs=0.05)
+
+
+def test_motors_that_moved_before_another_start_make_it_refuse(tmp_path: Path) -> None:
+    first = run(tmp_path, [], faults=("mcu_reset@16",), more=STAY_ON)
+    assert "span_s" in Journal(str(first.journal)).read()
+    moved = run(tmp_path, [], script="G28 X", more=STAY_ON)
+    assert moved.offer["state"] == "home_first"
+    third = run(tmp_path, [], script="M117", more=STAY_ON)
+    assert third.offer["state"] == "refused" and "motors have moved since" in third.offer["reason"]
 
 
 def test_another_print_discards_the_offer_before_it_moves(tmp_path: Path) -> None:

@@ -100,6 +100,14 @@ def test_a_lossy_line_gives_the_same_motion_as_a_clean_one(simulate: Simulate) -
     assert lossy.summary["heater"]["settled_max_error_c"] <= 3.0
 
 
+def test_a_line_that_damages_one_byte_in_500_is_not_taken_for_a_drift(simulate: Simulate) -> None:
+    hot = "M104 S220\nG28\nG1 X50 Y50 Z5 F6000\nM109 S220\nM83\n" + "G1 X110 E2 F1800\nG1 X50 E2\n" * 15
+    run = simulate(hot, settings=["simulator mcu.corrupt=0.002"])
+    assert run.status == 0, run.stderr
+    assert run.summary["links"]["mcu"]["corrupted"] > 500
+    assert run.summary["messages"] == []
+
+
 @pytest.mark.parametrize("mass", [0.8, 1.2])
 @pytest.mark.parametrize("loss", [0.8, 1.2])
 @pytest.mark.parametrize("efficiency", [0.8, 1.2])

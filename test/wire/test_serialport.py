@@ -29,6 +29,7 @@ TABLES = {
 }
 PARSER = msgproto.MessageParser()
 PARSER.process_identify(json.dumps(TABLES).encode(), decompress=False)
+PING = PARSER.create_command("ping data=aa55")
 IMAGE = zlib.compress(json.dumps(TABLES).encode())
 
 
@@ -50,10 +51,10 @@ def answer(content: bytes) -> list[bytes]:
 class Board(threading.Thread):
     """A reference MCU on a file descriptor."""
 
-    def __init__(self, fd: int) -> None:
+    def __init__(self, fd: int, mcu: ReferenceMcu | None = None) -> None:
         super().__init__(daemon=True)
         self.fd, self.stopping = fd, False
-        self.mcu = ReferenceMcu(answer)
+        self.mcu = mcu or ReferenceMcu(answer)
         self.mcu.emit = lambda data: void(os.write(fd, data))
         self.start()
 
@@ -141,6 +142,25 @@ def test_board_is_identified_and_answers(board_path: str) -> None:
         assert params["data"] == b"\xaa\x55" and params["#receive_time"] <= reactor.monotonic()
 
     in_reactor(body)
+
+
+def test_a_number_meant_for_an_earlier_host_does_not_keep_this_one_out() -> None:
+    class Interrupted(ReferenceMcu):
+        def receive(self, data: bytes, now: float) -> None:
+            if not self.naks:  # still on the way when this host opens the line
+                self.emit(msgproto.encode_block(2, answer(PING)[0]))
+            super().receive(data, now)
+
+    def body(reactor: Reactor, serial: serialhdl.SerialReader) -> None:
+        serial.connect(os.ttyname(slave), 250000)
+        assert serial.get_msgparser().version == "test"
+
+    master, slave = os.openpty()
+    board = Board(master, Interrupted(answer, expected=0))
+    in_reactor(body)
+    board.stop()
+    os.close(master)
+    os.close(slave)
 
 
 @pytest.mark.parametrize("board_path", ["pty"], indirect=True)

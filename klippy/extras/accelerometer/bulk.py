@@ -201,3 +201,33 @@ class Batches:
             problem = problem or e
         if problem is not None:
             self._report_error(problem)
+
+
+class Subscribers:
+    """Clients of the API: each connection gets a batch once, with the template it gave last, however often it asks."""
+
+    def __init__(
+        self, add_client: Callable[[Callable[[Params], bool]], None], is_running: Callable[[], bool]
+    ) -> None:
+        self._add_client, self._is_running = add_client, is_running
+        self._templates: dict[Any, dict[str, Any]] = {}
+
+    def serve(
+        self, request: Any, header: Sequence[str], shape: Callable[[Params], Params] = lambda batch: batch
+    ) -> None:
+        """Endpoint: the header now, `shape` of each batch from now on."""
+        template, connection = request.get_dict("response_template", {}), request.get_client_connection()
+
+        def send(batch: Params) -> bool:
+            if connection.is_closed():
+                self._templates.pop(connection, None)
+                return False
+            connection.send({**self._templates[connection], "params": shape(batch)})
+            return True
+
+        if not self._is_running():
+            self._templates.clear()
+        if connection not in self._templates:
+            self._add_client(send)
+        self._templates[connection] = template
+        request.send({"header": list(header)})

@@ -13,7 +13,7 @@ from roles import Printer
 from .. import bus
 from . import commands, messages
 from .axes import AxesMap, read_axes_map
-from .bulk import Batches, BulkReader, Params, RawHandler
+from .bulk import Batches, BulkReader, Params, RawHandler, Subscribers
 from .chips import CHIPS, Chip, Write, Writes
 from .recording import Recording
 
@@ -85,6 +85,7 @@ class Accelerometer:
         self._query: Any = None
         self._bulk = BulkReader(self._mcu, self._oid, chip.samples_per_message, chip.sample_bytes)
         self._batches = Batches(printer, self._collect, self._start, self._stop, self._report_error)
+        self._subscribers = Subscribers(self.add_client, lambda: self._batches.is_running)
         self._raw_handlers: list[RawHandler] = []
         self._row_clients = 0
         self._rows: list[Row] = []
@@ -291,18 +292,11 @@ class Accelerometer:
     # --- API ---
 
     def _on_request(self, request: Any) -> None:
-        template = request.get_dict("response_template", {})
-        connection = request.get_client_connection()
-
-        def send(batch: Params) -> bool:
-            if connection.is_closed():
-                return False
-            params = {key: value for key, value in batch.items() if key != "fault"}
-            connection.send({**template, "params": params})
-            return True
-
-        self.add_client(send)
-        request.send({"header": BATCH_HEADER})
+        self._subscribers.serve(
+            request,
+            BATCH_HEADER,
+            lambda batch: {key: value for key, value in batch.items() if key != "fault"},
+        )
 
 
 def load(config: ConfigWrapper) -> Accelerometer:

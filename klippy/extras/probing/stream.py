@@ -6,7 +6,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ..accelerometer.bulk import Batches, BulkReader
+from ..accelerometer.bulk import Batches, BulkReader, Subscribers
 
 FAST_S = 0.01  # between two looks, while somebody waits for samples
 WAIT_MAX_S = 1.0  # for samples beyond their time
@@ -90,19 +90,12 @@ class SampleStream:
         if hooks is None:
             return
 
+        subscribers = Subscribers(self.add_client, lambda: self._batches.is_running)
+
         def on_request(request: Any) -> None:
-            template = request.get_dict("response_template", {})
-            connection = request.get_client_connection()
-
-            def send(batch: dict[str, Any]) -> bool:
-                if connection.is_closed():
-                    return False
-                data = [row(sample) for sample in batch["data"]]
-                connection.send({**template, "params": {**batch, "data": data}})
-                return True
-
-            self.add_client(send)
-            request.send({"header": list(header)})
+            subscribers.serve(
+                request, header, lambda batch: {**batch, "data": [row(sample) for sample in batch["data"]]}
+            )
 
         hooks.register_mux_endpoint(path, "sensor", name, on_request)
 

@@ -15,6 +15,7 @@ from itertools import islice
 
 MOVES_MAX = 20_000  # after the checkpoint: more than minutes of any print
 CORNER = 4.0  # places on the path this many tolerances apart are two places
+HEIGHT_MM = 0.02  # less than any layer
 
 _WORD = re.compile(r"([A-Z])\s*([-+]?[0-9]*\.?[0-9]+)")
 # Lines without motion of the head; RECOVER_PRINT runs those between the checkpoint and the stop again.
@@ -79,6 +80,12 @@ class Segment:
 
     def at(self, share: float) -> tuple[float, ...]:
         return tuple(a + (b - a) * share for a, b in zip(self.start, self.state.position, strict=True))
+
+    def min_s(self) -> float:
+        """No printer makes the move in less time."""
+        way = [b - a for a, b in zip(self.start, self.state.position, strict=True)]
+        length = math.hypot(*way[:3]) or abs(way[3])
+        return length / self.state.velocity if self.state.velocity > 0.0 else 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,3 +202,38 @@ def locate(segments: Iterable[Segment], head: Sequence[float], tolerance: Tolera
         if e_max > head[3] + tolerance.filament_mm:
             raise Refusal("the path passes the place of the head more than once")
     return min(found, key=lambda entry: (round(entry[0], 6), entry[1]))[3]
+
+
+def locate_flat(
+    segments: Iterable[Segment], head: Sequence[float], span_s: float, tolerance: Tolerance
+) -> Place:
+    """The place on the path by X and Y alone: what the motors of Z and of the extruder did is not known. The head was
+    stopped within `span_s` of the path's begin. Raises Refusal, also where filament or height are in doubt."""
+    found: list[tuple[float, float, Place]] = []
+    path_mm, time_s = 0.0, 0.0
+    for segment in segments:
+        way = [b - a for a, b in zip(segment.start, segment.state.position, strict=True)]
+        length2 = way[0] ** 2 + way[1] ** 2
+        along = sum(way[i] * (head[i] - segment.start[i]) for i in (0, 1))
+        # without a way in X and Y both ends are places
+        shares = [min(1.0, max(0.0, along / length2))] if length2 else [0.0, 1.0]
+        for share in shares:
+            point = segment.at(share)
+            off_mm = math.dist(point[:2], head[:2])
+            if off_mm <= tolerance.head_mm:
+                found.append((off_mm, path_mm + share * math.hypot(*way), Place(segment, point, off_mm)))
+        path_mm += math.hypot(*way)
+        time_s += segment.min_s()
+        if time_s > span_s:
+            break
+    if not found:
+        raise Refusal("the head does not stand on the path of the file's next moves")
+    best = min(found, key=lambda entry: (round(entry[0], 6), entry[1]))[2]
+    if found[-1][1] - found[0][1] > CORNER * tolerance.head_mm + tolerance.filament_mm:
+        raise Refusal("the path passes the place of the head more than once in the time in question")
+    for _, _, place in found:
+        if abs(place.point[3] - best.point[3]) > tolerance.filament_mm:
+            raise Refusal("the extruder turned where the head stands, and how far is not known")
+        if abs(place.point[2] - best.point[2]) > HEIGHT_MM:
+            raise Refusal("the height changed where the head stands, and how far is not known")
+    return best

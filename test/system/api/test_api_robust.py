@@ -326,6 +326,35 @@ def test_what_a_client_may_send_holds_nobody_up(tmp_path: Path, name: str) -> No
     with_client(tmp_path, config(tmp_path) + macro, body, lambda s: holds.append(longest_hold(s)))
 
 
+SCRIPTS = {
+    "SDCARD_PRINT_FILE FILENAME=none.gcode": "Unable to open file",
+    "M23 none.gcode": "Unable to open file",
+    "M20": "",
+    "SDCARD_PRINT_FILE FILENAME=pipe.gcode": "no plain file",
+    "SDCARD_PRINT_FILE FILENAME=zero.gcode": "outside",
+    "LOOP": "steps of loops",
+}
+
+
+def test_no_script_in_a_folder_of_20000_files_holds_anybody_up(tmp_path: Path) -> None:
+    holds: list[list[float]] = []
+
+    def body(client: Client) -> None:
+        for script, words in SCRIPTS.items():
+            holds[0][0] = 0.0
+            answer = client.request("gcode/script", script=script)
+            assert words in str(answer.get("error", "")) and bool(words) == ("error" in answer), script
+            assert holds[0][0] < 0.050, script  # 10 ms at rest
+
+    rounds = "{% for i in range(99999) %}" * 2 + "{% endfor %}" * 2
+    text = config(tmp_path) + f"[gcode_macro LOOP]\ngcode:\n    {rounds}\n"
+    for number in range(20_000):
+        (tmp_path / "gcodes" / f"{number}.gcode").touch()
+    os.mkfifo(tmp_path / "gcodes" / "pipe.gcode")
+    (tmp_path / "gcodes" / "zero.gcode").symlink_to("/dev/zero")
+    with_client(tmp_path, text, body, lambda s: holds.append(longest_hold(s)))
+
+
 def test_more_clients_than_there_may_be_are_refused_and_the_first_ones_stay(tmp_path: Path) -> None:
     def body(client: Client) -> None:
         path = client.sock.getpeername()

@@ -17,7 +17,7 @@ from configtext import read_main
 from extras.outputs import output_file
 from extras.save_variables import SaveVariables
 
-KILLS = int(os.environ.get("KILLS", "50"))  # of each kind
+KILLS = int(os.environ.get("KILLS", "100"))  # of each kind
 FILLING = "# " + "x" * 76 + "\n"
 CONFIG = "[pause_resume]\n[save_variables]\nfilename: {folder}/variables.cfg\n" + 2000 * FILLING
 FULL = 60_000  # bytes in a file of a full disk: less than the config has, more than the variables

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from extras.recovery.journal import SLOT_BYTES, Journal
-from extras.recovery.path import Refusal, State, Tolerance, locate, moves
+from extras.recovery.path import Refusal, State, Tolerance, locate, locate_flat, moves
 
 KNOWN = {"PARK"}.__contains__
 TOLERANCE = Tolerance(0.2, 0.04)
@@ -80,3 +81,32 @@ def test_of_a_retraction_and_its_end_the_first_is_taken() -> None:
     place = locate(moves(text, 0, state(), KNOWN), (10.0, 0.0, 0.0, 0.3), TOLERANCE)
     assert text[: place.segment.offset].endswith(b"G1 E-2\n")
     assert place.point == pytest.approx((10.0, 0.0, 0.0, 0.3))
+
+
+def flat(text: bytes, x: float, y: float, span_s: float = 9.0) -> Any:
+    return locate_flat(moves(text, 0, state(), KNOWN), (x, y, 0.0), span_s, TOLERANCE)
+
+
+def test_by_x_and_y_alone_one_place_is_found_with_its_filament() -> None:
+    place = flat(b"G1 X10 E1\nG1 Y10 E1\n", 10.01, 4.0)
+    assert place.segment.offset == 20 and place.point == pytest.approx((10.0, 4.0, 0.0, 1.4))
+
+
+def test_what_comes_after_the_time_in_question_is_not_looked_at() -> None:
+    there_and_back = b"G1 X50 E1\nG1 X0 E1\n"  # 2 s each
+    assert flat(there_and_back, 4.0, 0.0, span_s=1.9).point[3] == pytest.approx(0.08)
+    with pytest.raises(Refusal, match="more than once"):
+        flat(there_and_back, 4.0, 0.0, span_s=2.1)
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        (b"G1 X10 E1\nG1 E-0.8\nG1 X20\n", "the extruder turned where the head stands"),
+        (b"G1 X10 E1\nG1 Z0.4\nG1 X20\n", "the height changed where the head stands"),
+        (b"G1 X9 E1\n", "does not stand on the path"),
+    ],
+)
+def test_by_x_and_y_alone_what_they_do_not_show_is_refused(text: bytes, reason: str) -> None:
+    with pytest.raises(Refusal, match=reason):
+        flat(text, 10.0, 0.0)
