@@ -327,6 +327,8 @@ def section_modules() -> set[str]:
 class PrinterConfig:
     """The object `configfile`: loads printer.cfg, reports it, and writes what modules want kept."""
 
+    error = ConfigError
+
     def __init__(self, printer: Any) -> None:
         self.printer = printer
         self._data = ConfigData()
@@ -431,13 +433,18 @@ class PrinterConfig:
         logging.warning(message)
         self.add_warning({"type": "runtime_warning", "message": message})
 
+    @property
+    def status_raw_config(self) -> dict[str, dict[str, str]]:
+        """The text of every option; plugins read it, too."""
+        return {
+            name: {key: option.value for key, option in section.options.items()}
+            for name, section in self._data.sections.items()
+        }
+
     def get_status(self, eventtime: float) -> dict[str, Any]:
         """Raw text, typed settings, warnings and what SAVE_CONFIG would write."""
         return {
-            "config": {
-                name: {key: option.value for key, option in section.options.items()}
-                for name, section in self._data.sections.items()
-            },
+            "config": self.status_raw_config,
             "settings": self._settings,
             "warnings": self._warnings,
             "save_config_pending": bool(self._pending),

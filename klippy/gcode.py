@@ -106,11 +106,12 @@ class GCodeDispatch:
         self.is_fileinput = bool(printer.get_start_args().get("debuginput"))
         self.mutex = printer.get_reactor().mutex()
         self.output_callbacks: list[OutputHandler] = []
-        self._ready_handlers: dict[str, Callable[[GCodeCommand], None]] = {}
-        self._base_handlers: dict[str, Callable[[GCodeCommand], None]] = {}
-        self._handlers = self._base_handlers
+        # plugins look these up, too
+        self.ready_gcode_handlers: dict[str, Callable[[GCodeCommand], None]] = {}
+        self.base_gcode_handlers: dict[str, Callable[[GCodeCommand], None]] = {}
+        self._handlers = self.base_gcode_handlers
         self._mux: dict[str, _MuxCommand] = {}
-        self._help: dict[str, str] = {}
+        self.gcode_help: dict[str, str] = {}
         self._taken_by_macros: set[str] = set()
         self._comment_listeners: list[Callable[[str], None]] = []
         self._rows: RowRunner | None = None
@@ -138,27 +139,27 @@ class GCodeDispatch:
     ) -> Callable[[GCodeCommand], Any] | None:
         """Set the handler of a command; `None` removes it and returns the old one."""
         if func is None:
-            old = self._ready_handlers.pop(cmd, None)
-            self._base_handlers.pop(cmd, None)
-            self._help.pop(cmd, None)
+            old = self.ready_gcode_handlers.pop(cmd, None)
+            self.base_gcode_handlers.pop(cmd, None)
+            self.gcode_help.pop(cmd, None)
             self._taken_by_macros.discard(cmd)
             self._note_commands()
             return old
         if cmd in self._taken_by_macros:
             logging.info(MACRO_INSTEAD, cmd)
             return None
-        if cmd in self._ready_handlers:
+        if cmd in self.ready_gcode_handlers:
             raise self.printer.config_error(f"G-code command {cmd} is already registered")
         if not is_traditional(cmd) and not _EXTENDED_NAME.fullmatch(cmd):
             raise self.printer.config_error(
                 f"'{cmd}' can not be the name of a G-code command: names are upper case letters, digits and '_', "
                 "or one letter and a number"
             )
-        self._ready_handlers[cmd] = func
+        self.ready_gcode_handlers[cmd] = func
         if when_not_ready:
-            self._base_handlers[cmd] = func
+            self.base_gcode_handlers[cmd] = func
         if desc is not None:
-            self._help[cmd] = desc
+            self.gcode_help[cmd] = desc
         self._note_commands()
         return None
 
@@ -195,9 +196,14 @@ class GCodeDispatch:
         """Call `cb(line)` with everything sent to the user."""
         self.output_callbacks.append(cb)
 
+    @property
+    def mux_commands(self) -> dict[str, tuple[str, dict[str | None, Callable[[GCodeCommand], None]]]]:
+        """Parameter, and handlers by its value, of the commands chosen by one; plugins replace handlers there."""
+        return {name: (mux.key, mux.handlers) for name, mux in self._mux.items()}
+
     def get_command_help(self) -> dict[str, str]:
         """Help text by command."""
-        return dict(self._help)
+        return dict(self.gcode_help)
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
         """The commands that can be given now."""
@@ -205,13 +211,14 @@ class GCodeDispatch:
 
     def _note_commands(self) -> None:
         self._status_commands = {
-            name: {"help": self._help[name]} if name in self._help else {} for name in self._handlers
+            name: {"help": self.gcode_help[name]} if name in self.gcode_help else {}
+            for name in self._handlers
         }
 
     # --- printer events ---
     def _handle_ready(self) -> None:
         self.is_printer_ready = True
-        self._handlers = self._ready_handlers
+        self._handlers = self.ready_gcode_handlers
         self._note_commands()
         self.respond_state("Ready")
 
@@ -219,7 +226,7 @@ class GCodeDispatch:
         if not self.is_printer_ready:
             return
         self.is_printer_ready = False
-        self._handlers = self._base_handlers
+        self._handlers = self.base_gcode_handlers
         self._note_commands()
         self.respond_state("Shutdown")
 
@@ -373,6 +380,11 @@ class GCodeDispatch:
         """A command object made by hand, for calling another module's handler."""
         return GCodeCommand(self, command, commandline, {k: str(v) for k, v in params.items()}, False)
 
+    def _get_extended_params(self, gcmd: GCodeCommand) -> GCodeCommand:
+        """A command like T0 with `KEY=value` parameters; plugins call it."""
+        params = parse_extended(gcmd.get_raw_command_parameters())
+        return GCodeCommand(self, gcmd.get_command(), gcmd.get_commandline(), params, False)
+
     # --- answers to the user ---
     def respond_raw(self, msg: str) -> None:
         """Send a line to every output. An output that fails is dropped: the caller may be a heater's control."""
@@ -481,7 +493,11 @@ class GCodeDispatch:
         """List the commands that have a description."""
         lines = [] if self.is_printer_ready else ["Printer is not ready - not all commands available."]
         lines.append("Available extended commands:")
-        lines += [f"{name:<10}: {self._help[name]}" for name in sorted(self._handlers) if name in self._help]
+        lines += [
+            f"{name:<10}: {self.gcode_help[name]}"
+            for name in sorted(self._handlers)
+            if name in self.gcode_help
+        ]
         gcmd.respond_info("\n".join(lines), log=False)
 
 

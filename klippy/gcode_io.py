@@ -48,8 +48,8 @@ class GCodeIO:
         if self.is_fileinput and self._handle is None and self.fd is not None:
             if _is_pollable(self.fd):
                 self._handle = self.reactor.register_fd(self.fd, self._handle_readable)
-            else:
-                self.reactor.register_callback(self._read_file)
+            else:  # after all that the other handlers of this event put off
+                self.reactor.register_callback(lambda _: self.reactor.register_callback(self._read_file))
 
     def _handle_shutdown(self) -> None:
         if self._recent:

@@ -13,14 +13,15 @@ class PrinterFanGeneric:
 
     def __init__(self, config: ConfigWrapper) -> None:
         self.printer = config.get_printer()
+        self.fan_name = config.get_name().split(maxsplit=1)[1]  # as SET_FAN_SPEED names it
         self.fan = fan.Fan(config, default_shutdown_speed=0.0)
         self.get_status = self.fan.get_status
         self._templates = self.printer.load_object(config, "template_evaluator")
 
-    def register(self, name: str) -> None:
+    def register(self) -> None:
         """Make the command known."""
         self.printer.lookup_object("gcode").register_mux_command(
-            "SET_FAN_SPEED", "FAN", name, self.cmd_SET_FAN_SPEED, desc="Sets the speed of a fan"
+            "SET_FAN_SPEED", "FAN", self.fan_name, self.cmd_SET_FAN_SPEED, desc="Sets the speed of a fan"
         )
 
     def cmd_SET_FAN_SPEED(self, gcmd: GCodeCommand) -> None:
@@ -37,5 +38,5 @@ class PrinterFanGeneric:
 def load_config_prefix(config: ConfigWrapper) -> PrinterFanGeneric:
     """Section [fan_generic NAME]."""
     generic = PrinterFanGeneric(config)
-    generic.register(config.get_name().split(maxsplit=1)[1])
+    generic.register()
     return generic

@@ -11,7 +11,7 @@ import math
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypedDict
 
 import chelper
 from configfile import ConfigWrapper
@@ -26,9 +26,8 @@ AXES = "XYZE"
 WORDS = "XYZEF"  # of G1, in the order of struct gcode_words
 
 
-@dataclass(slots=True)
-class SavedState:
-    """What SAVE_GCODE_STATE keeps."""
+class SavedState(TypedDict):
+    """What SAVE_GCODE_STATE keeps. Plugins read and change it."""
 
     absolute_coord: bool
     absolute_extrude: bool
@@ -56,8 +55,22 @@ class _Modes:
     )
 
 
+def _mode(name: str) -> property:
+    """A field of the modes under its own name, for plugins."""
+    return property(
+        lambda move: getattr(move.modes, name), lambda move, value: setattr(move.modes, name, value)
+    )
+
+
 class GCodeMove:
     """Printer object 'gcode_move'."""
+
+    base_position = _mode("base_position")
+    homing_position = _mode("homing_position")
+    absolute_coord = _mode("absolute_coord")
+    absolute_extrude = _mode("absolute_extrude")
+    speed_factor = _mode("speed_factor")
+    extrude_factor = _mode("extrude_factor")
 
     def __init__(self, printer: Printer) -> None:
         self.printer = printer
@@ -305,16 +318,16 @@ class GCodeMove:
     def cmd_SAVE_GCODE_STATE(self, gcmd: GCodeCommand) -> None:
         """SAVE_GCODE_STATE [NAME=]."""
         modes = self.modes
-        self.saved_states[gcmd.get("NAME", "default")] = SavedState(
-            modes.absolute_coord,
-            modes.absolute_extrude,
-            list(modes.base_position),
-            list(self.last_position),
-            list(modes.homing_position),
-            modes.speed,
-            modes.speed_factor,
-            modes.extrude_factor,
-        )
+        self.saved_states[gcmd.get("NAME", "default")] = {
+            "absolute_coord": modes.absolute_coord,
+            "absolute_extrude": modes.absolute_extrude,
+            "base_position": list(modes.base_position),
+            "last_position": list(self.last_position),
+            "homing_position": list(modes.homing_position),
+            "speed": modes.speed,
+            "speed_factor": modes.speed_factor,
+            "extrude_factor": modes.extrude_factor,
+        }
 
     def cmd_RESTORE_GCODE_STATE(self, gcmd: GCodeCommand) -> None:
         """RESTORE_GCODE_STATE [NAME=] [MOVE=1 [MOVE_SPEED=mm/s]]."""
@@ -323,20 +336,20 @@ class GCodeMove:
         if state is None:
             raise gcmd.error(f"Unknown g-code state: {name}")
         modes, move = self.modes, gcmd.get_int("MOVE", 0)
-        speed = gcmd.get_float("MOVE_SPEED", state.speed, **SPEED)
-        target = [*state.last_position[:3], *self.last_position[3:]]
+        speed = gcmd.get_float("MOVE_SPEED", state["speed"], **SPEED)
+        target = [*state["last_position"][:3], *self.last_position[3:]]
         if move:
             self._move(target, speed)
         # the extruder is not moved back: its origin moves with what has been extruded since
-        e_diff = self.last_position[3] - state.last_position[3]
+        e_diff = self.last_position[3] - state["last_position"][3]
         self.modes = _Modes(
-            state.absolute_coord,
-            state.absolute_extrude,
-            state.speed,
-            state.speed_factor,
-            state.extrude_factor,
-            [*state.base_position[:3], state.base_position[3] + e_diff, *modes.base_position[4:]],
-            list(state.homing_position),
+            state["absolute_coord"],
+            state["absolute_extrude"],
+            state["speed"],
+            state["speed_factor"],
+            state["extrude_factor"],
+            [*state["base_position"][:3], state["base_position"][3] + e_diff, *modes.base_position[4:]],
+            list(state["homing_position"]),
             modes.plan_speed_factor,
         )
         if move:

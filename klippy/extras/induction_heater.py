@@ -80,7 +80,7 @@ class InductionHeater:
         self._timer: Any = None
         self._run: Sweep | OutputRun | None = None  # in calibration
         self._view: SweepView | None = None  # the run commands the bridge
-        self._control = parameters.control  # without a run
+        self._before = parameters  # a run
         self.planner: Planner | None = None
         self._quiet_s = -math.inf
         self.notices = Notices(printer, name)
@@ -240,7 +240,8 @@ class InductionHeater:
 
     def _send(self, commands: list[PhaseCommand], now_s: float) -> None:
         # a calibration heats to where it must
-        self.unit.set_ceiling(self.loop.state.target_c if self._run is None else math.inf)
+        state = self.loop.state
+        self.unit.set_ceiling(state.target_c if self._run is None else math.inf, state.drift.applied_c)
         if commands:
             self.unit.queue_plan(commands)
             if self._view is not None:
@@ -306,8 +307,10 @@ class InductionHeater:
             raise self.printer.command_error(f"Turn heater '{self.name}' off before calibrating it")
         if isinstance(run, OutputRun):
             self._refuse_uncalibrated()
-            self._control = self.parameters.control
-            self.use(replace(self.parameters, control=as_control(run, self.output_max)))
+            self._before = self.parameters
+            still = replace(self.parameters.actuator, hold_look_s=0.0)
+            control = as_control(run, self.output_max)
+            self.use(replace(self.parameters, control=control, actuator=still, drift=None))
             self._set_target(run.target_c)
         else:
             self._view = SweepView(run, self.parameters, self._now_s())
@@ -326,7 +329,9 @@ class InductionHeater:
             self.loop.resume(self._now_s())
         else:
             self._set_target(0.0)
-            self.use(replace(self.parameters, control=self._control))
+            before = self._before
+            looks = replace(self.parameters.actuator, hold_look_s=before.actuator.hold_look_s)
+            self.use(replace(self.parameters, control=before.control, actuator=looks, drift=before.drift))
         self._run = None
 
     @property
@@ -421,6 +426,20 @@ class InductionHeater:
         return not self.batch and not is_near and not self.loop.is_settled()
 
     @property
+    def target_temp(self) -> float:
+        """The user's own: a macro that saves it in a pause must not save what a plan wants at that moment."""
+        if self._view is not None:
+            return self._view.run.target_c
+        if self.planner is not None and self.planner.is_on_path():
+            return self.planner.user_target_c()
+        return self.loop.state.target_c
+
+    @property
+    def min_extrude_temp(self) -> float:
+        """min_extrude_c by the name other heaters have."""
+        return self.min_extrude_c
+
+    @property
     def can_extrude(self) -> bool:
         is_measured = self._view is None and self.shown.source == MEASURED
         return self.batch or (is_measured and self.shown.temp_c >= self.min_extrude_c)
@@ -440,17 +459,11 @@ class InductionHeater:
         return self.loop.state.request.power_w, self.loop.state.commanded.phase_ticks
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
-        """The usual heater fields; `power` is the share of max_power_w.
-
-        `target` is the user's own: a macro that saves it in a pause must not save what a plan wants at that moment.
-        """
-        state = self.loop.state
-        planned = self.planner is not None and self.planner.is_on_path()
-        target_c = self.planner.user_target_c() if self.planner is not None and planned else state.target_c
+        """The usual heater fields; `power` is the share of max_power_w."""
         return {
             "temperature": round(self.shown.temp_c, 2),
             "temperature_source": self.shown.source,
-            "target": self._view.run.target_c if self._view is not None else target_c,
+            "target": self.target_temp,
             "power": round(self._given()[0] / self.parameters.control.power_max_w, 4),
         }
 
@@ -489,7 +502,9 @@ class InductionHeater:
             "latency": round(state.latency_s, 4),
             "noise_lsb": _rounded(self.loop.chain.noise_lsb()),
             "drive_offset": round(self.loop.chain.state.drive.full_c, 2),
-            "drift": _rounded(state.heat_balance.drift_c),
+            "drift": round(state.drift.state.drift_c, 2),
+            "drift_sigma": round(state.drift.state.sigma_c, 2),
+            "heat_balance": _rounded(state.heat_balance.drift_c),
             "capacity_ratio": _rounded(state.heat_balance.capacity_ratio),
             "supply": round(self.parameters.estimator.supply, 4),
             **self.unit.get_status(),

@@ -101,7 +101,7 @@ class ModelCalibrate:
     ) -> step_test.StepTestPlan:
         fan = self.printer.lookup_object("fan", None) is not None and gcmd.get_int("FAN", 0)
         if runner.induction:
-            cool_c = max(target_c - COOLER_C, heater_tuning.min_extrude_c(runner.heater) + EXTRUDE_MARGIN_C)
+            cool_c = max(target_c - COOLER_C, runner.heater.min_extrude_temp + EXTRUDE_MARGIN_C)
             return step_test.StepTestPlan(
                 target_c=target_c,
                 high=min(runner.heater.output_max, NOZZLE_POWER_W),
@@ -139,7 +139,7 @@ class ModelCalibrate:
         if not fastest:
             return ""
         extruder, heater = self.printer.lookup_object("toolhead").get_extruder(), runner.heater
-        needed_c = heater_tuning.min_extrude_c(heater)
+        needed_c = heater.min_extrude_temp
         if extruder.get_name() != heater.name:
             raise gcmd.error(f"MODEL_CALIBRATE: FLOW needs the extruder of heater '{heater.name}' in use")
         span_c = COOLER_MIN_C if plan.further else 0.0

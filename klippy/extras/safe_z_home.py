@@ -28,6 +28,7 @@ class SafeZHoming:
     def __init__(self, printer: Printer, options: SafeHome) -> None:
         self.printer = printer
         self.options = options
+        self.home_x_pos, self.home_y_pos = options.x, options.y  # plugins look them up
         self.prev_G28: Any = None
 
     def register_commands(self) -> None:

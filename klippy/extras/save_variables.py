@@ -48,7 +48,12 @@ class SaveVariables:
 
     def get_status(self, eventtime: float) -> dict[str, Any]:
         """All variables."""
-        return {"variables": self.variables}
+        return {"variables": dict(self.variables)}
+
+    @property
+    def allVariables(self) -> dict[str, Any]:
+        """The name plugins know. What they put in is in the file after the next SAVE_VARIABLE."""
+        return self.variables
 
     def _read(self) -> dict[str, Any]:
         data: dict[str, Any] = {}
@@ -88,9 +93,8 @@ class SaveVariables:
             value = lasting_literal(text)
         except ValueError as e:
             raise gcmd.error(f"SAVE_VARIABLE: VALUE: {e}") from None
-        changed = {**self.variables, name: value}
-        self._write(changed)
-        self.variables = changed
+        self._write({**self.variables, name: value})
+        self.variables[name] = value
 
 
 def load_config(config: ConfigWrapper) -> SaveVariables:

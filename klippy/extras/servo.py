@@ -64,6 +64,22 @@ class PrinterServo:
             "SET_SERVO", "SERVO", name, self.cmd_SET_SERVO, desc="Set servo angle"
         )
 
+    @property
+    def max_angle(self) -> float:
+        """maximum_servo_angle."""
+        return self.settings.max_angle
+
+    def _get_pwm_from_angle(self, angle: float) -> float:
+        """Duty cycle; this and the next two are names that plugins call."""
+        return self.settings.width_of(angle) / SERVO_PERIOD_S
+
+    def _get_pwm_from_pulse_width(self, width_s: float) -> float:
+        return self.settings.limit(width_s) / SERVO_PERIOD_S
+
+    def _set_pwm(self, print_time: float, value: float) -> None:
+        self.last_value = value
+        self._output.request(print_time, value)
+
     def get_status(self, eventtime: float) -> dict[str, float]:
         """Duty cycle of the pin."""
         return {"value": self.last_value}

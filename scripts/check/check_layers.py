@@ -44,6 +44,7 @@ ROOMS: tuple[tuple[str, ...], ...] = (
     ("records",),
     ("models",),
     ("sensing",),
+    ("drift",),
     ("control",),
     ("identification", "plan", "recording"),
 )

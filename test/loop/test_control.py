@@ -213,8 +213,7 @@ def test_looks_out_of_a_hold_come_in_turn_and_hardly_move_the_temperature(preset
     seen: list[int] = []
     rig.loop.listeners.append(lambda block, *_: seen.append(block.phase_ticks))
     rig.run(2.0)
-    idle = [phase for phase in seen if phase in looks]
-    assert len(idle) == pytest.approx(4, abs=1)  # the pulses of an idle nozzle come each 0.5 s
+    assert not set(seen) & set(looks)  # an idle nozzle is to be read at rest
     rig.set_target(220.0)
     rig.run(3.0)
     seen.clear()

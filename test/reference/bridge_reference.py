@@ -311,7 +311,7 @@ class Bridge:
         commands = actuate(actuator, self.owed, power_w, at_s, is_on, need)
         if len(commands) == 1 and horizon:
             commands += ahead(actuator, commands[0], horizon)
-        if commands and self.heat is not None:
+        if commands and self.heat is not None and power_w > 0.0:
             rate_k_s = power_w / self.heat.at(request.estimate_c)
             looked = with_look(actuator, self.owed, commands, rate_k_s, self.doubt_c)
             self.line.note(looked, now_s)

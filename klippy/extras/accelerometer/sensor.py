@@ -36,8 +36,10 @@ class Registers:
 
     def read(self, register: int) -> int:
         if self._on_spi:
-            return int(self._device.spi_transfer([register | 0x80, 0x00])["response"][1])
-        return int(self._device.i2c_read([register], 1)["response"][0])
+            answer = self._device.spi_transfer([register | 0x80, 0x00])["response"][1:]
+        else:
+            answer = self._device.i2c_read([register], 1)["response"]
+        return int(answer[0]) if answer else 0  # in batch mode there is none
 
     def write(self, register: int, value: int) -> None:
         if self._on_spi:

@@ -22,6 +22,7 @@ from lookahead import done_in_c
 
 from ..probing import surface_fit
 from ..probing.points import ProbePointsHelper
+from .calibration_names import CalibrationNames
 from .config import (
     MeshOptions,
     Profile,
@@ -61,6 +62,7 @@ class BedMesh:
         ffi, lib = chelper.get_ffi()
         self._stage = ffi.new("struct path_stage *", {"kind": lib.PATH_BED})
         self._status: dict[str, Any] = {}
+        self.bmc = CalibrationNames(self)
         # of the run under way
         self._layout = Layout(shape, ())
         self._profile_to_be = "default"
@@ -228,7 +230,7 @@ class BedMesh:
         )
         return shape, True
 
-    def _plan(self, shape: MeshShape) -> Layout:
+    def plan(self, shape: MeshShape) -> Layout:
         """What to probe for a shape. Raises MeshError."""
         return shape.plan(self.options.faulty, self.options.zero_reference)
 
@@ -239,7 +241,7 @@ class BedMesh:
             raise gcmd.error("PROFILE needs a name")
         try:
             shape, adaptive = self._choose_shape(gcmd)
-            layout = self._plan(shape)
+            layout = self.plan(shape)
         except MeshError as e:
             raise gcmd.error(f"bed_mesh: {e}") from None
         self.points.update_probe_points(layout.places(), 3)
@@ -353,7 +355,7 @@ class BedMesh:
         probe = self.printer.lookup_object("probe", None)
         x_offset, y_offset = probe.get_offsets()[:2] if probe is not None else (0.0, 0.0)
         try:
-            places = self._plan(self.shape).places()
+            places = self.plan(self.shape).places()
         except MeshError as e:
             raise gcmd.error(f"bed_mesh: {e}") from None
         lines = ["bed_mesh: generated points", "Index | Tool Adjusted | Probe"]
@@ -377,7 +379,7 @@ class BedMesh:
         gcmd = gcode.create_gcode_command("BED_MESH_CALIBRATE", "BED_MESH_CALIBRATE", args)
         try:
             shape, _ = self._choose_shape(gcmd)
-            places = self._plan(shape).places()
+            places = self.plan(shape).places()
         except MeshError as e:
             raise gcode.error(f"bed_mesh: {e}") from None
         current = {}

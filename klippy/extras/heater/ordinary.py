@@ -91,6 +91,7 @@ class Heater:
         self.pwm = pwm
         self.min_temp = settings.min_temp_c
         self.max_temp = settings.max_temp_c
+        self.min_extrude_temp = settings.min_extrude_c
         self.can_extrude = settings.min_extrude_c <= 0.0 or is_batch(printer)
         self._target_c = 0.0
         self._temp_c = 0.0
@@ -209,11 +210,11 @@ class Heater:
         """(smoothed temperature, target) in degC; (0, target) if readings have stopped."""
         now_s = self.pwm.get_mcu().estimated_print_time(eventtime)
         if self._read_s < now_s - QUELL_STALE_S:
-            return 0.0, self._shown_target_c
-        return self._smoothed_c, self._shown_target_c
+            return 0.0, self.target_temp
+        return self._smoothed_c, self.target_temp
 
     @property
-    def _shown_target_c(self) -> float:
+    def target_temp(self) -> float:
         """The target for verify_heater and the status: a calibration's while one runs."""
         return self._target_c if self._run is None else self._run.target_c
 
@@ -248,7 +249,7 @@ class Heater:
     def get_status(self, eventtime: float) -> dict[str, Any]:
         return {
             "temperature": round(self._smoothed_c, 2),
-            "target": self._shown_target_c,
+            "target": self.target_temp,
             "power": self._duty,
         }
 

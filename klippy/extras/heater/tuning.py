@@ -61,6 +61,9 @@ class _Overlay:
     def get(self, option: str, *args: Any, **kwargs: Any) -> Any:
         return self._of(option).get(option, *args, **kwargs)
 
+    def getlists(self, option: str, *args: Any, **kwargs: Any) -> Any:
+        return self._of(option).getlists(option, *args, **kwargs)
+
     def getfloat(self, option: str, *args: Any, **kwargs: Any) -> Any:
         return self._of(option).getfloat(option, *args, **kwargs)
 
@@ -117,10 +120,6 @@ def register_commands(printer: Printer, nozzle: Any, commands: Sequence[tuple[st
 
 def is_induction(heater: Any) -> bool:
     return not isinstance(heater, Heater)
-
-
-def min_extrude_c(heater: Any) -> float:
-    return float((heater if is_induction(heater) else heater.settings).min_extrude_c)
 
 
 def refuse_in_calibration(heater: Any) -> None:

@@ -15,6 +15,7 @@ from typing import Any
 
 from gcode import GCodeCommand
 from roles import Printer
+from thermal.drift import correction as drift
 from thermal.identification import sweep
 from thermal.models import heat_loss
 from thermal.sensing import heat_balance_monitor, laws, temperature_filter
@@ -144,7 +145,9 @@ class InductionCalibrate:
 
     def _take(self, result: dict[str, Any]) -> None:
         """Use a fit's result from now on, and offer it to SAVE_CONFIG."""
-        law = laws.law_of(result["law"], result["coefficients"], result["residual_units"])
+        rows = result["table"]
+        table = laws.LawTable.of_rows(rows) if rows else None
+        law = laws.law_of(result["law"], result["coefficients"], result["residual_units"], table)
         self._apply(law, result)
         self._stage(law, result)
         self._say("\n".join(result["report"]))
@@ -180,6 +183,8 @@ class InductionCalibrate:
         options = {"estimator": name, **{f"{name}_{key}": f"{value:.7g}" for key, value in values.items()}}
         options["law_residual"] = f"{law.residual_units:.3g}"
         if result is not None:
+            rows = result["table"] or ()
+            options["tank_table"] = "".join("\n" + ", ".join(f"{value:.6g}" for value in row) for row in rows)
             more = {
                 "heat_capacity_j_per_k": result["capacity_j_k"],
                 "loss_factor": result["loss_factor"],
@@ -206,7 +211,8 @@ class InductionCalibrate:
                 " Run INDUCTION_CALIBRATE"
             )
         law, supply = parameters.estimator.law, parameters.estimator.supply
-        error = law.error(news.temp_c, news.phase_ticks, supply)
+        used = drift.corrected(parameters.estimator, state.drift.applied_c).law
+        error = used.error(news.temp_c, news.phase_ticks, supply)
         law = law.rezeroed(temp_c, error, news.phase_ticks, supply)
         self.heater.use(replace(parameters, estimator=replace(parameters.estimator, law=law)))
         self.heater.loop.restart_filter()

@@ -93,8 +93,8 @@ class InductionUnit:
         self._ask_state: Any = None
         self._on_current: Callable[[bool], None] = lambda flows: None
         self._share = 0xFFFF  # of the rows, as the firmware begins ...
-        # ... and the step of the target, and the target, it is for
-        self._ceiling_c = self._target_c = math.inf
+        # ... and the target and correction that it is for, and their steps
+        self._ceiling_c = self._stepped_c = (math.inf, 0.0)
         self._period_s = math.inf
         self._batch_s = 0.0
         self._stream: convert.Stream | None = None
@@ -199,15 +199,16 @@ class InductionUnit:
 
     # Phases down
 
-    def set_ceiling(self, target_c: float) -> None:
-        """The board trips when the nozzle is driven hard and reads far above this target."""
-        if target_c == self._target_c or self._set_ceiling is None or self._ceiling is None:
+    def set_ceiling(self, target_c: float, drift_c: float) -> None:
+        """The board trips when the nozzle is driven hard and reads far above this target, by a law corrected so."""
+        if (target_c, drift_c) == self._ceiling_c or self._set_ceiling is None or self._ceiling is None:
             return
-        self._target_c, target_c = target_c, guard_limits.stepped(target_c)
-        if target_c == self._ceiling_c:
+        self._ceiling_c = target_c, drift_c
+        stepped_c = guard_limits.stepped(target_c), guard_limits.stepped(drift_c)
+        if stepped_c == self._stepped_c:
             return
-        self._ceiling_c = target_c
-        share = self._ceiling.share(target_c)
+        self._stepped_c = stepped_c
+        share = self._ceiling.share(*stepped_c)
         if share != self._share:
             self._share = share
             self._set_ceiling.send([self._oid, self._ceiling.phase_ticks, share])

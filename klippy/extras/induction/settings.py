@@ -8,9 +8,10 @@ from dataclasses import fields, replace
 from configfile import ConfigWrapper
 from thermal.control import actuator, loop, nozzle_model, predictive, two_period
 from thermal.control import pid as pid_control
+from thermal.drift import observer as drift_observer
 from thermal.models import heat_loss, melt_exchange
 from thermal.models.drive_law import DriveLaw
-from thermal.records import ParameterError
+from thermal.records import PHASE_MAX_TICKS, ParameterError
 from thermal.sensing import (
     block_temperature,
     features,
@@ -25,11 +26,15 @@ from ..heater import laws as heater_laws
 from .mcu import TestSettings, UnitSettings
 
 LOOK_SAMPLES, LONG_LOOK_SAMPLES = 16, 64
+HOLD_LOOK_S = 1.0  # a strong look out of a hold: 21 mJ ...
+HOLD_LOOK_K = 0.05  # ... which warms the reference nozzle by so much ...
+HOLD_LOOK_MIN_TICKS = 28000  # ... and a weaker one shows nothing
+WORKING_C = 220.0  # where a law's error at strong drive is judged
 SETTLE_MARGIN_SAMPLES = 4  # a sensing pulse lasts this much longer than settling plus one block
 # 20 % of the square of the phase, half of full power: no nozzle is held with that.
 CEILING_PHASE_TICKS = 20125
 TEST_INTERVAL_MIN_S = 0.005
-GUARD_LOW_C = -60.0  # below any workshop by more than the law's error
+GUARD_LOW_C = -150.0  # a tank detuned by 0.2 % of C1 reads -90 at full drive; an open coil reads far below
 ADC_MAX_12_BIT = 4095
 UNCALIBRATED = "uncalibrated"
 
@@ -63,12 +68,25 @@ def read_law(config: ConfigWrapper) -> tuple[laws.Law, bool]:
         values = {
             f.name: config.getfloat(f"{name}_{f.name}", getattr(default, f.name))
             for f in fields(kind)
-            if f.name != "residual_units"
+            if f.name not in laws.NO_COEFFICIENTS
         }
         found[name] = replace(default, **values)
     law = found["exp" if choice == UNCALIBRATED else choice]
     residual = config.getfloat("law_residual", law.residual_units, minval=0.0)
-    return laws.law_of(*laws.coefficients_of(law), residual), choice != UNCALIBRATED
+    table = _read_table(config)
+    return laws.law_of(*laws.coefficients_of(law), residual, table), choice != UNCALIBRATED
+
+
+def _read_table(config: ConfigWrapper) -> laws.LawTable | None:
+    rows = config.getlists("tank_table", None, seps=(",", "\n"), parser=float)
+    if not rows:
+        return None
+    try:
+        return laws.LawTable.of_rows(rows)
+    except ValueError as e:
+        raise config.error(
+            f"Option 'tank_table' in section '{config.get_name()}' {e} ({config.where('tank_table')})."
+        ) from None
 
 
 def read_unit(config: ConfigWrapper) -> UnitSettings:
@@ -128,7 +146,9 @@ def look_times_s(unit: UnitSettings) -> tuple[float, float]:
     return short / unit.frequency_hz, long / unit.frequency_hz
 
 
-def _drive(config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings) -> actuator.ActuatorParameters:
+def _drive(
+    config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings, heat: heat_loss.HeatCapacity
+) -> actuator.ActuatorParameters:
     vdc_v = config.getfloat("vdc", 24.0, above=0.0)
     law = DriveLaw(
         config.getfloat("power_full_w", 81.3, above=0.0),
@@ -138,6 +158,7 @@ def _drive(config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings) -> ac
     )
     pulse_s = timing.block_s + timing.settle_s + SETTLE_MARGIN_SAMPLES / unit.frequency_hz
     look_s, long_look_s = look_times_s(unit)
+    hold_ticks = round(law.phase_ticks(HOLD_LOOK_K * heat.at_25c_j_k / look_s)) if look_s else 0
     return actuator.ActuatorParameters(
         law,
         pulse_s,
@@ -147,6 +168,8 @@ def _drive(config: ConfigWrapper, timing: loop.Timing, unit: UnitSettings) -> ac
         look_s=look_s,
         watch_interval_s=timing.control_s,
         long_look_s=long_look_s,
+        hold_look_s=HOLD_LOOK_S if hold_ticks > HOLD_LOOK_MIN_TICKS else 0.0,
+        hold_look_ticks=(hold_ticks,),
     )
 
 
@@ -273,6 +296,31 @@ def _heat_balance(
     )
 
 
+def _drift(
+    config: ConfigWrapper, loss: heat_loss.LossLaw, law: laws.Law, power_max_w: float
+) -> drift_observer.DriftParameters:
+    """What may be wrong by how much; a measured supply is known better."""
+    default = drift_observer.DriftParameters(room_c=loss.ambient_c, power_max_w=power_max_w)
+    if isinstance(law, laws.TankLaw):
+        # A zero at the room's temperature shows the law's own error there, too, and looks that at strong drive.
+        cold_c, strong_c = (
+            law.residual_units * law.invert(law.error(temp_c, phase), phase)[1]
+            for temp_c, phase in (
+                (loss.ambient_c, block_temperature.SENSING_PHASE_TICKS),
+                (WORKING_C, PHASE_MAX_TICKS),
+            )
+        )
+        if law.table is not None:
+            strong_c = 2.0 * law.table.error_c[-1]
+        default = replace(
+            default,
+            ambient_c=math.hypot(default.ambient_c, cold_c),
+            law_c=max(default.law_c, strong_c),
+        )
+    is_measured = config.get("vdc_pin", None, note_valid=False) is not None
+    return replace(default, supply=0.003) if is_measured else default
+
+
 def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParameters:
     """All parameters of the chain of one nozzle."""
     law, calibrated = read_law(config)
@@ -286,9 +334,9 @@ def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParam
     temp_low_c = config.getfloat("min_temp", -10.0, minval=-20.0)
     temp_high_c = config.getfloat("max_temp", above=max(temp_low_c, 0.0), maxval=700.0)
     timing = _timing(config, unit)
-    drive = _drive(config, timing, unit)
     loss = _loss(config)
     heat = heat_loss.HeatCapacity(config.getfloat("heat_capacity_j_per_k", 0.414, above=0.0))
+    drive = _drive(config, timing, unit, heat)
     balance = _heat_balance(config, heat, loss)
     melt = _melt(config)
     return loop.LoopParameters(
@@ -303,6 +351,7 @@ def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParam
         temperature_filter.FilterParameters(loss, heat),
         balance,
         melt,
+        _drift(config, loss, law, drive.law.power_max_w),
     )
 
 

@@ -57,6 +57,7 @@ class StepperDriver:
         self.fields = FieldView(self.values)
         self.mcu_tmc = RegisterView(self.fields, chip.clock_hz, self._read, self._write)
         self.current_helper = CurrentView(self)
+        self.read_registers, self.read_translate = chip.readable, None
         largest = current.largest_a
         self.run_current = config.getfloat("run_current", above=0.0, maxval=largest)
         self.hold_current = self._read_hold_current(config)

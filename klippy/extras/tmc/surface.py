@@ -20,6 +20,19 @@ class FieldView:
     def __init__(self, values: Fields) -> None:
         self._values = values
 
+    @property
+    def registers(self) -> dict[str, int]:
+        """What was last written into each register."""
+        return self._values.words
+
+    @property
+    def all_fields(self) -> dict[str, dict[str, int]]:
+        """The fields of each register and the bits they take."""
+        masks: dict[str, dict[str, int]] = {}
+        for name, field in self._values.fields.items():
+            masks.setdefault(field.register, {})[name] = field.insert(0, -1)
+        return masks
+
     def lookup_register(self, field_name: str, default: Any = None) -> Any:
         """Name of the register that has the field."""
         field = self._values.fields.get(field_name)

@@ -296,7 +296,7 @@ bridge_command(const struct bridge_params *p, struct bridge_state *s, const stru
     if (count == 1)
         count += actuator_ahead(&p->actuator, r->horizon, horizon, out);
     struct phase_command head = out[0];
-    if (count && p->drive) {
+    if (count && p->drive && power_w > 0.0) {
         double heat_j_k = p->heat_25c_j_k * (1.0 + p->heat_slope_per_k * (r->estimate_c - 25.0));
         count = actuator_look(&p->actuator, &s->actuator, power_w / heat_j_k, sqrt(p->drive->variance), out, count);
     }
@@ -312,7 +312,8 @@ bridge_step(const struct bridge_params *p, struct bridge_state *s, const struct 
             struct model_output *found, struct phase_command *out)
 {
     const struct model_sample *newest = in->sample_count ? &in->samples[in->sample_count - 1] : NULL;
-    double since_s = newest ? newest->end_s : s->line.edge_s;
+    // From the newest block's centre on: its end and the command there differ by the rounding of clocks.
+    double since_s = newest ? newest->time_s : s->line.edge_s;
     double apply_s = bridge_slot(p, &s->line, in->now_s, in->apart_s);
     struct model_planned pending[TIMELINE_MAX];
     struct model_inputs inputs = {

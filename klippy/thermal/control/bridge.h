@@ -114,7 +114,7 @@ int actuator_ahead(const struct actuator_params *p, const struct model_planned *
 
 // A strong drive begins with a look at the sensing phase, if one is due: where the reading is true. It shows by how much
 // that of the strong drive is off (thermal/sensing/drive_offset.h). `doubt_c`: 1 sigma of what full drive adds to it.
-// A weaker drive, a pulse also while idle, begins with a look at the next of hold_look_ticks, each hold_look_s. The heat
+// A weaker drive or pulse begins with a look at the next of hold_look_ticks, each hold_look_s, but not while idle. The heat
 // of a look stands in the timeline, where the law's prediction finds it, and in owed_j.
 int actuator_look(const struct actuator_params *p, struct actuator_state *s, double rate_k_s, double doubt_c,
                   struct phase_command *commands, int count);

@@ -65,6 +65,7 @@ class BridgeDriver:
         if parameters.has_looks:
             self._packed.drive = self._ffi.addressof(chain.state, "drive")
         self._commands = self._ffi.new("struct phase_command[]", PLAN_MAX)
+        self._trusted_w = parameters.trusted_w
 
     def step(
         self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf
@@ -89,11 +90,14 @@ class BridgeDriver:
 
     def _approach_w(self, below_c: float) -> float:
         approach, state = self.parameters.approach, self.state
+        if state.is_waiting:
+            return 0.0
+        trusted_w = self._trusted_w
         if below_c < approach.band_c:
             state.arriving = True
         elif below_c > approach.leave_c:
             state.arriving = False
-        return approach.power_w if state.arriving else math.inf
+        return min(trusted_w, approach.power_w) if state.arriving else trusted_w
 
     def _apply(self, inputs: control_api.ControlInput, time_s: float, now_s: float) -> None:
         state, chosen = self.state, self.parameters.control
@@ -192,7 +196,9 @@ class PredictiveDriver(BridgeDriver):
 
     def limit_w(self, below_c: float) -> float:
         # With a sensing law that follows the drive the control law knows when to stop.
-        return self.state.supervise.limit_w if self._follows_drive else super().limit_w(below_c)
+        if not self._follows_drive:
+            return super().limit_w(below_c)
+        return 0.0 if self.state.is_waiting else min(self._trusted_w, self.state.supervise.limit_w)
 
     def step(
         self, before: TempEstimate | None, ahead: Ahead, now_s: float, apart_s: float = math.inf

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
+from thermal.drift import correction as drift
 from thermal.records import PhaseCommand, SampleBlock, TempEstimate
 from thermal.sensing import heat_balance_monitor, laws, supervision
 from thermal.sensing.blocks import Blocks
@@ -25,6 +26,7 @@ from thermal.sensing.pipeline import Chain
 
 from . import control_api
 from .bridge_driver import driver_for
+from .drift_correction import drift_correction
 from .loop_records import (
     CALIBRATION,
     NO_REQUEST,
@@ -88,8 +90,10 @@ class InductionLoop:
     @parameters.setter
     def parameters(self, p: LoopParameters) -> None:
         self._parameters = p
-        self.chain.use(p.front, p.estimator, p.supervise, p.actuator.law, p.filter, p.has_looks)
+        estimator = drift.corrected(p.estimator, self.state.drift.applied_c)
+        self.chain.use(p.front, estimator, p.supervise, p.actuator.law, p.filter, p.has_looks)
         self._driver = driver_for(p, self.state, self.chain)
+        self._drift = drift_correction(p, self.state, self.chain)
 
     @property
     def fault(self) -> str:
@@ -112,6 +116,8 @@ class InductionLoop:
             state.latency_s = now_s - news.time_s
             self._note_settled(news)
             self._note_balance(news)
+        if self._drift is not None:
+            self._drift.on_blocks(blocks, now_s)
         return self._step(before, now_s)
 
     def on_timer(self, now_s: float) -> list[PhaseCommand]:
@@ -159,6 +165,8 @@ class InductionLoop:
         self.reference = None
         state.settled_s = math.inf
         state.arriving = False
+        if self._drift is not None:
+            self._drift.on_target(target_c, now_s)
         if state.estimate.valid:
             return self._driver.step(state.estimate, self._ahead(), now_s, apart_s=0.0)
         return self._driver.command(now_s, apart_s=0.0)
@@ -210,6 +218,8 @@ class InductionLoop:
         self.chain.restart_filter()
         self.state.law = self._parameters.control.law.start
         self.state.heat_balance = heat_balance_monitor.HeatBalanceState()
+        self.state.drift = drift.DriftMemory(is_calibrated=True)
+        self.parameters = self._parameters
         self.state.warning = ""
 
     # Listeners and state
@@ -240,6 +250,8 @@ class InductionLoop:
             return HELD_BATCH_S
         if not self._driver.PLANS or not self.state.bridge.driving or not self.is_settled():
             return 0.0
+        if self.chain.watch.beyond:  # a limit: the next message decides
+            return 0.0
         return HELD_BATCH_S if self._driver.is_held() else PLANNED_BATCH_S
 
     def _note_settled(self, news: TempEstimate) -> None:
@@ -256,6 +268,8 @@ class InductionLoop:
         if news.time_s - state.balanced_s < BALANCE_S or not p.supervise.calibrated:
             return
         heat_j = self.chain.take_heat_j()
+        if self._drift is not None:
+            self._drift.on_balance(news, heat_j)
         heat_balance_monitor.observe(
             p.heat_balance, state.heat_balance, news.time_s, news.temp_c, heat_j, self.quiet
         )
@@ -263,7 +277,9 @@ class InductionLoop:
             self.on_balance(news, heat_j)
         self._inform_witness(news)
         state.balanced_s = news.time_s
-        state.warning = heat_balance_monitor.warning(p.heat_balance, state.heat_balance)
+        state.warning = heat_balance_monitor.warning(p.heat_balance, state.heat_balance) or drift.warning(
+            state.drift
+        )
 
     def _inform_witness(self, news: TempEstimate) -> None:
         """What the heat witness may assume from now on."""

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from functools import partial
 from typing import Any, NamedTuple
 
+from thermal.drift import correction as drift
+from thermal.drift import observer as drift_observer
 from thermal.models import heat_loss
 from thermal.models.melt_exchange import MeltExchange
 from thermal.records import PhaseCommand, Planned, PowerRequest, TempEstimate
@@ -75,12 +77,22 @@ class LoopParameters:
     filter: temperature_filter.FilterParameters
     heat_balance: heat_balance_monitor.HeatBalanceParameters
     melt: MeltExchange = field(default_factory=MeltExchange)
+    drift: drift_observer.DriftParameters | None = None  # None: the law stays as it is
 
     @property
     def has_looks(self) -> bool:
         """Strong drives have looks at the sensing phase: with a calibrated tank law, which follows the drive."""
         calibrated = self.supervise.calibrated and isinstance(self.estimator.law, laws.TankLaw)
         return calibrated and self.actuator.look_s > 0.0
+
+    @property
+    def trusted_w(self) -> float:
+        """The strongest drive at which the reading can be trusted; infinite: any."""
+        law = self.estimator.law
+        if not isinstance(law, laws.TankLaw) or law.table is None:
+            return math.inf
+        ticks = law.table.trusted_ticks()
+        return math.inf if ticks >= self.actuator.law.phase_max_ticks else self.actuator.law.power_w(ticks)
 
 
 class Ahead(NamedTuple):
@@ -113,6 +125,8 @@ class LoopState:
         default_factory=heat_balance_monitor.HeatBalanceState
     )
     balanced_s: float = -math.inf  # when that was
+    drift: drift.DriftMemory = field(default_factory=drift.DriftMemory)
+    is_waiting: bool = False  # no heat before the zero at rest
     warning: str = ""  # plausibility: text for people
     latency_s: float = 0.0  # newest: from the centre of a block to its value here
 

@@ -12,13 +12,15 @@ The printer runs it as a process of its own: a fit of seconds must not hold up t
    start, is near 25 degC, where the gain has no effect. It has to be known (Table 6: 1.0 at half height, 0.94 and 0.86
    at the ends).
 2. Points. Each visit to a power lies between two stretches at the smallest phase. Its temperature is interpolated.
-3. Laws. eq5, exp and tank are fitted to two thirds of the points and judged on the last third.
+3. Laws. eq5, exp, tank and tank with a table (fit_table.py) are fitted to two thirds of the points and judged on the
+   last third.
 4. Heat. Capacity and losses of the two-node model follow from the heat that went in and the temperatures that came out.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import sys
 from dataclasses import dataclass
@@ -32,8 +34,9 @@ from thermal.models import heat_loss
 from thermal.models.drive_law import DriveLaw
 from thermal.sensing import heat_balance_monitor
 from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
+from thermal.sensing.laws import LawTable
 
-from . import fit_sensing
+from . import fit_sensing, fit_table
 from .fit_data import read_columns
 from .fit_sensing import Array, FitError, Points
 from .sweep import COLUMNS, READING_MARK, Recording
@@ -45,6 +48,7 @@ READINGS_MIN, READINGS_FEW = 12, 40  # a person types some twenty, a sensor give
 LAG_LIMITS_S = (0.02, 12.0)
 WORKING_POWER = 0.2015
 HELD_OUT = 3  # every third point
+TABLE_WORTH = 0.7  # the table's held-out error as a share of the plain law's
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +65,15 @@ class LawFigures:
     """One law, fitted to the whole recording; the figures are those of points that were left out of a fit."""
 
     regression: fit_sensing.Regression
+    table: LawTable | None
     held_out_max_c: float  # up to 20 % power, 50-350 degC
     held_out_rms_c: float
+    all_powers_rms_c: float
     all_powers_max_c: float
+
+    def residuals(self, points: Points) -> Array:
+        """Inverted minus reference temperature at each point, degC."""
+        return _residuals(self.regression, self.table, points)
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,21 +182,35 @@ def points_of(recording: Recording, beta: Array, centre: float, half: float, bin
     return Points(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
-def judge(law: str, points: Points) -> LawFigures:
+def _residuals(found: fit_sensing.Regression, table: LawTable | None, points: Points) -> Array:
+    if table is None:
+        return fit_sensing.temperature_residuals(found.law, found.values(), points)
+    return fit_table.residuals(found.values(), table, points)
+
+
+def _fitted(name: str, points: Points) -> tuple[fit_sensing.Regression, LawTable | None]:
+    """`table`: the tank law with a table beside it."""
+    if name != "table":
+        return fit_sensing.FITTERS[name](points), None
+    found = fit_sensing.FITTERS["tank"](points)
+    return found, fit_table.fit(found.values(), points)
+
+
+def judge(name: str, points: Points) -> LawFigures:
     """Fit a law to two thirds of the points for the figures, and to all of them for use."""
     index = np.arange(len(points))
     train, test = points.where(index % HELD_OUT != 0), points.where(index % HELD_OUT == 0)
-    trial = fit_sensing.FITTERS[law](train)
-    residual = fit_sensing.temperature_residuals(law, trial.values(), test)
+    residual = _residuals(*_fitted(name, train), test)
     usable = np.where(np.isfinite(residual), residual, 1e3)
     inside = (test.temp_c >= 50.0) & (test.temp_c <= 350.0)
     work = usable[inside & (test.power <= WORKING_POWER)]
     if not work.size:
         raise FitError("the recording holds no points at up to 20 % power between 50 and 350 C")
     return LawFigures(
-        fit_sensing.FITTERS[law](points),
+        *_fitted(name, points),
         float(np.abs(work).max()),
         float(np.sqrt(np.mean(work**2))),
+        float(np.sqrt(np.mean(usable[inside] ** 2))),
         float(np.abs(usable[inside]).max()),
     )
 
@@ -214,7 +238,8 @@ def fit_heat(
     grid_s = np.arange(time_s[0], time_s[-1] - step_s, step_s)
     wanted = np.interp(grid_s, time_s, skin_c)
     power_w = _mean_power(recording, law, grid_s)
-    ambient_c = float(np.mean(skin_c[: max(4, int(np.sum(time_s < time_s[0] + 2.0)))]))
+    # The reference before the looks have warmed the nozzle.
+    ambient_c = float(np.median([c for t, c in recording.reference if t < recording.reference[0][0] + 1.0]))
 
     def run(x: Array) -> Array:
         heat, loss = (
@@ -269,9 +294,20 @@ def analyse(recording: Recording, drive: DriveLaw, gain: float = 1.0) -> Calibra
     lag, beta, centre, half = estimate_lag(recording, gain)
     points = points_of(recording, beta, centre, half)
     laws = {name: judge(name, points) for name in fit_sensing.FITTERS}
-    best = min(laws, key=lambda name: laws[name].held_out_rms_c)
+    with contextlib.suppress(FitError):
+        laws["table"] = judge("table", points)
+    best = choose(laws)
     capacity, loss_factor, second, ambient_c, residual = fit_heat(recording, drive, beta, centre, half)
     return Calibration(lag, points, laws, best, capacity, loss_factor, second, ambient_c, residual)
+
+
+def choose(laws: dict[str, LawFigures]) -> str:
+    """The law that fits held-out points best; a table must be worth its numbers."""
+    plain = min((name for name in laws if name != "table"), key=lambda name: laws[name].held_out_rms_c)
+    if "table" not in laws:
+        return plain
+    is_worth = laws["table"].held_out_rms_c < TABLE_WORTH * laws[plain].held_out_rms_c
+    return "table" if is_worth else plain
 
 
 def report(result: Calibration) -> list[str]:
@@ -290,8 +326,7 @@ def report(result: Calibration) -> list[str]:
             f"  {name:<6} max {figures.held_out_max_c:6.2f} C  rms {figures.held_out_rms_c:5.2f} C"
             f"   max {figures.all_powers_max_c:6.2f} C{mark}"
         )
-    chosen = result.laws[result.best].regression
-    residual = fit_sensing.temperature_residuals(chosen.law, chosen.values(), points)
+    residual = result.laws[result.best].residuals(points)
     for ticks in np.unique(points.phase_ticks):
         mask = points.phase_ticks == ticks
         power_pct = 100 * float(fit_sensing.power_of_ticks(ticks))
@@ -308,11 +343,15 @@ def report(result: Calibration) -> list[str]:
 
 def summary(result: Calibration) -> dict[str, Any]:
     """The result as plain values."""
-    chosen = result.laws[result.best].regression
+    found = result.laws[result.best]
+    chosen, table = found.regression, found.table
+    low_c = found.residuals(result.points)[result.points.phase_ticks == SENSING_PHASE_TICKS]
+    left_units = float(np.sqrt(np.mean(low_c**2))) if table is not None else chosen.residual_sd
     return {
         "law": chosen.law,
         "coefficients": chosen.values(),
-        "residual_units": max(0.02, chosen.residual_sd),
+        "table": table.rows() if table is not None else None,
+        "residual_units": max(0.02, left_units),
         "capacity_j_k": result.capacity_j_k,
         "loss_factor": result.loss_factor,
         "second_factor": result.second_factor,

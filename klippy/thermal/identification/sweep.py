@@ -32,7 +32,7 @@ from .run import DONE, Run
 COLUMNS = ("t_s", "temp_ref_c", "error", "phase_ticks", "count", "duration_s")
 READING_MARK = "# reference,"  # before a reading as it came; the column is interpolated
 REST, WAIT, HEAT, COOL = "rest", "wait", "heat", "cool"  # stages; DONE follows
-POWERS_PERCENT = (10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0)
+POWERS_PERCENT = (1.0, 2.5, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0)
 
 
 def ticks_of_percent(percent: float) -> int:

@@ -13,6 +13,9 @@ from typing import Any
 import chelper
 from thermal import records
 from thermal.control import actuator, control_api, loop, pid, predictive, timeline, two_period
+from thermal.drift import correction as drift
+from thermal.drift import observer as drift_observer
+from thermal.drift import rest
 from thermal.models import drive_law, heat_loss, heater_model, melt_exchange
 from thermal.sensing import (
     block_temperature,
@@ -28,7 +31,8 @@ Plain = Any  # what json takes: None, bool, int, float, str, list, dict
 _MODULES = (
     *(records, actuator, control_api, loop, pid, predictive, timeline, two_period),
     *(drive_law, heat_loss, heater_model, melt_exchange),
-    *(block_temperature, features, heat_balance_monitor, laws, supervision, temperature_filter),
+    *(block_temperature, drift, drift_observer, features, heat_balance_monitor, laws, rest, supervision),
+    temperature_filter,
 )
 _TYPES = {
     name: kind
@@ -66,12 +70,17 @@ def plain(value: Any) -> Plain:
     raise UnknownType(f"a {type(value).__name__} cannot be recorded")
 
 
-def _is_list(field: Field[Any]) -> bool:
-    return field.default_factory is not MISSING and isinstance(field.default_factory(), list)
+def _as_field(field: Field[Any], value: Any) -> Any:
+    """Lists where the field's default has them."""
+    default = field.default_factory() if field.default_factory is not MISSING else None
+    if not isinstance(default, list):
+        return value
+    return [list(item) if default and isinstance(default[0], list) else item for item in value]
 
 
 def restored(value: Plain) -> Any:
-    """The reverse of plain(); lists come back as tuples, but for fields that are lists. Raises UnknownType."""
+    """The reverse of plain(); lists come back as tuples, but for fields that are lists, or lists of lists. Raises
+    UnknownType."""
     if isinstance(value, list):
         return tuple(restored(item) for item in value)
     if not isinstance(value, dict):
@@ -98,7 +107,7 @@ def _record(name: str, value: dict[str, Plain]) -> Any:
     given = {f.name: f for f in fields(kind) if f.init and f.name in value}
     values = {key: restored(value[key]) for key in given}
     made: Any = kind
-    return made(**{key: list(item) if _is_list(given[key]) else item for key, item in values.items()})
+    return made(**{key: _as_field(given[key], item) for key, item in values.items()})
 
 
 def of_struct(raw: Any) -> Plain:

@@ -8,6 +8,9 @@
 //
 // Between the centres of two blocks the temperature changes by the heat balance; the rest of a step is k's.
 //
+// A supply with ripple moves k from block to block, and looks may keep step with it. Blocks at one strong drive show how far:
+// that is added to the doubt about k and about each block, so strong drives count for little.
+//
 // The actuator puts short looks at the sensing phase into a strong drive, so that there are steps.
 
 struct coil_block;
@@ -16,10 +19,12 @@ struct filter_state;
 
 struct drive_offset {
     double full_c, variance;        // k and its variance, degC at full drive
+    double ripple_c2;               // mean square of how readings at one strong drive differ from block to block
     double time_s;                  // centre of the newest block with a reading; NaN: none yet
     double reading_c, temp_c, noise_c;  // its reading, and corrected
     double lever;                   // its h
-    double strong;                  // h of the newest strong drive
+    double strong, strong_s;        // h of the newest strong drive and its centre
+    double look, look_s;            // h of the strong drive beside the newest look that says much of k, and when
     double heat_w, half_s;          // its heat and half its duration
 };
 

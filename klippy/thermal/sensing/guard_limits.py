@@ -19,12 +19,12 @@ from .laws import Law
 _POWER_PERCENT = (0.2, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0)
 
 
-STEP_C = 5.0  # a target that moves along a plan is not worth a message for less
+STEP_C = 5.0  # a target that moves along a plan, or a correction, is not worth a message for less
 
 
-def stepped(target_c: float) -> float:
-    """The next step from this target on."""
-    return STEP_C * math.ceil(target_c / STEP_C) if target_c < math.inf else math.inf
+def stepped(temp_c: float) -> float:
+    """The next step from this temperature on."""
+    return STEP_C * math.ceil(temp_c / STEP_C) if temp_c < math.inf else math.inf
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,14 +51,18 @@ class Ceiling:
     rows: tuple[LimitRow, ...]
     margin_c: float
 
-    def share(self, target_c: float) -> int:
-        """In 1/65536 of the way from a row's low limit to its high one, the highest of all rows; 65535: all of it."""
+    def share(self, target_c: float, drift_c: float = 0.0) -> int:
+        """In 1/65536 of the way from a row's low limit to its high one, the highest of all rows; 65535: all of it.
+
+        `drift_c`: what the law is corrected by.
+        """
         if target_c == math.inf:
             return 0xFFFF
         temp_c = stepped(target_c) + self.margin_c
+        law = self.law.drifted(stepped(drift_c))
         rows = [row for row in self.rows if row.phase_ticks >= self.phase_ticks]
         reach = max(
-            (_raw(self.law, self.front, temp_c, r.phase_ticks) - r.low_raw) / (r.high_raw - r.low_raw)
+            (_raw(law, self.front, temp_c, r.phase_ticks) - r.low_raw) / (r.high_raw - r.low_raw)
             for r in rows
         )
         return min(0xFFFF, max(0, math.ceil(0x10000 * reach)))

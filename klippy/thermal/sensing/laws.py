@@ -17,6 +17,8 @@ the drive s = sin(phi/2) and with cos(psi):
     S(u)  = exp(-b u - q u^4)                u = (s cos(psi) V/V0)^2
                                              =>  T = t0 + (w tan(psi) - delta) / S(u)
 
+An added table (LawTable) takes what that leaves: T = T_tank + added(phase, T_tank).
+
 psi comes straight from the error, so u is known when T is asked for: no iteration on that side. `delta` is the detuning
 (in degC): what a drifting capacitor or crystal moves, and what a one-point re-zero corrects.
 
@@ -25,7 +27,8 @@ psi comes straight from the error, so u is known when T is asked for: no iterati
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import itertools
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from typing import Any, ClassVar, Self
@@ -33,6 +36,9 @@ from typing import Any, ClassVar, Self
 import chelper
 from thermal.records import PHASE_MAX_TICKS
 
+NO_COEFFICIENTS = ("residual_units", "table")  # of the laws' fields
+TRUSTED_C = 10.0  # a drive at which the law errs by more is not used to heat
+LEVELS_MAX, NODES_MAX = 16, 8  # of a table, as in thermal/sensing/laws.h
 PSI_MAX_RAD = 1.35  # of the tank law, as in thermal/sensing/laws.c; the fits keep inside, too
 
 
@@ -42,7 +48,7 @@ class Law:
     __slots__ = ()
     KIND: ClassVar[int]  # thermal/sensing/laws.h's enum sensing_kind
     DRIFTING: ClassVar[str]  # the one number a one-point correction changes
-    residual_units: float  # standard deviation of the fit, signal units; the last field
+    residual_units: float  # standard deviation of the fit, signal units
 
     def error(self, temp_c: float, phase_ticks: float, supply: float = 1.0) -> float:
         """Forwards: signal units at a temperature and phase."""
@@ -61,16 +67,27 @@ class Law:
         value = lib.sensing_rezeroed(law, temp_c, error, phase_ticks, supply)
         return replace(self, **{self.DRIFTING: value})  # type: ignore[type-var]
 
+    def drifted(self, drift_c: float) -> Self:
+        """This law for a thermometer whose reading at the sensing phase is off by `drift_c`; of the tank only."""
+        return self
+
 
 @lru_cache(maxsize=64)
 def packed(law: Law) -> tuple[Any, Any]:
     """(C's struct sensing_law, the C helper)."""
     ffi, lib = chelper.get_ffi()
-    values = [getattr(law, field.name) for field in fields(law)]  # type: ignore[arg-type]
-    made = ffi.new(
-        "struct sensing_law *", {"kind": law.KIND, "phase_max_ticks": PHASE_MAX_TICKS, "k": values[:-1]}
-    )
-    return made, lib
+    values = {"kind": law.KIND, "phase_max_ticks": PHASE_MAX_TICKS, "k": list(_values(law).values())}
+    table = getattr(law, "table", None)
+    if table is not None:
+        values |= {"levels": len(table.level_ticks), "nodes": len(table.node_c)}
+        values |= {name: getattr(table, name) for name in ("level_ticks", "node_c", "added_c", "error_c")}
+    return ffi.new("struct sensing_law *", values), lib
+
+
+def _values(law: Law) -> dict[str, float]:
+    """The coefficients by name, in C's order."""
+    names = [f.name for f in fields(law) if f.name not in NO_COEFFICIENTS]  # type: ignore[arg-type]
+    return {name: float(getattr(law, name)) for name in names}
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +119,58 @@ class Eq5Law(Law):
 
 
 @dataclass(frozen=True, slots=True)
+class LawTable:
+    """What is added to the tank law's temperature: degC at each level of the drive and each of its temperatures.
+
+    Between them it is bilinear, beyond them constant. Dead time and resistance of the steel bend the signal in
+    ways that no formula of a few numbers follows.
+    """
+
+    level_ticks: tuple[float, ...]
+    node_c: tuple[float, ...]
+    added_c: tuple[tuple[float, ...], ...]
+    error_c: tuple[float, ...]  # what is left at each level, 1 sigma
+
+    def rows(self) -> list[tuple[float, ...]]:
+        """As in the config: the temperatures behind two zeros, then each level with what is left and its values."""
+        levels = zip(self.level_ticks, self.error_c, self.added_c, strict=True)
+        return [(0.0, 0.0, *self.node_c), *((ticks, left, *row) for ticks, left, row in levels)]
+
+    def trusted_ticks(self) -> float:
+        """The strongest drive up to which the law is right within TRUSTED_C."""
+        levels = zip(self.level_ticks, self.error_c, strict=True)
+        return [ticks for ticks, _ in itertools.takewhile(lambda level: level[1] <= TRUSTED_C, levels)][-1]
+
+    @staticmethod
+    def of_rows(rows: Sequence[Sequence[float]]) -> LawTable:
+        """Raises ValueError with a text for people."""
+        widths = {len(row) for row in rows}
+        if len(widths) != 1 or not 3 <= len(rows) <= LEVELS_MAX + 1 or not 4 <= min(widths) <= NODES_MAX + 2:
+            raise ValueError(
+                f"needs 2 to {LEVELS_MAX} rows below the first, of one length with 2 to {NODES_MAX} values each"
+            )
+        first, rest = rows[0], rows[1:]
+        table = LawTable(
+            tuple(row[0] for row in rest),
+            tuple(first[2:]),
+            tuple(tuple(row[2:]) for row in rest),
+            tuple(row[1] for row in rest),
+        )
+        for what in (table.level_ticks, table.node_c):
+            if any(b <= a for a, b in itertools.pairwise(what)):
+                raise ValueError("drives (first column) and temperatures (first row) must ascend")
+        if not 0.0 <= table.error_c[0] <= TRUSTED_C:
+            raise ValueError(
+                f"has an error of {table.error_c[0]:g} C at its smallest drive, where it must be right"
+            )
+        for added in table.added_c:
+            read = [c + a for c, a in zip(table.node_c, added, strict=True)]
+            if any(b <= a for a, b in itertools.pairwise(read)):
+                raise ValueError("makes the reading fall with rising temperature")
+        return table
+
+
+@dataclass(frozen=True, slots=True)
 class TankLaw(Law):
     """The phasor law (docs/theory/Induction.md). Defaults fit Table 1 of Oskolkov 2021: 28 points, s = 1.03 units."""
 
@@ -117,26 +186,38 @@ class TankLaw(Law):
     d: float = 323.045
     m: float = 1.06507
     residual_units: float = 1.03
+    table: LawTable | None = None
+
+    def drifted(self, drift_c: float) -> Self:
+        return replace(self, delta=self.delta + drift_c) if drift_c else self
 
 
 # By the name the config and the fits use.
 LAWS: dict[str, type[ExpLaw] | type[Eq5Law] | type[TankLaw]] = {"exp": ExpLaw, "eq5": Eq5Law, "tank": TankLaw}
 
 
-def law_of(name: str, coefficients: Mapping[str, float], residual_units: float | None = None) -> Law:
+def law_of(
+    name: str,
+    coefficients: Mapping[str, float],
+    residual_units: float | None = None,
+    table: LawTable | None = None,
+) -> Law:
     """The law `name` with fitted coefficients (any letter case); a missing one keeps its default."""
     kind = LAWS[name]
-    known = {field.name for field in fields(kind)}
-    values = {key.lower(): float(value) for key, value in coefficients.items() if key.lower() in known}
+    known = {field.name for field in fields(kind)} - set(NO_COEFFICIENTS)
+    values: dict[str, Any] = {
+        key.lower(): float(value) for key, value in coefficients.items() if key.lower() in known
+    }
     if residual_units is not None:
         values["residual_units"] = residual_units
+    if kind is TankLaw:
+        values["table"] = table
     return kind(**values)
 
 
 def coefficients_of(law: Law) -> tuple[str, dict[str, float]]:
-    """(name, coefficients) of a law, the reverse of `law_of`; the residual is left out."""
+    """(name, coefficients) of a law, the reverse of `law_of`; residual and table are left out."""
     for name, kind in LAWS.items():
         if isinstance(law, kind):
-            values = {f.name: float(getattr(law, f.name)) for f in fields(kind) if f.name != "residual_units"}
-            return name, values
+            return name, _values(law)
     raise TypeError(f"not a sensing law: {law!r}")

@@ -64,8 +64,8 @@ chain_estimate(const struct chain_params *p, struct coil_block *b)
         return;
     }
     b->temp_c = read.temp_c;
-    b->sigma_c = hypot(b->noise_units, p->residual_units) * read.c_per_unit;
-    b->noise_c = b->noise_units * read.c_per_unit;
+    b->sigma_c = hypot(hypot(b->noise_units, p->residual_units) * read.c_per_unit, read.error_c);
+    b->noise_c = hypot(b->noise_units * read.c_per_unit, read.error_c); // the filter trusts drives that the law fits
     b->c_per_unit = read.c_per_unit;
 }
 
@@ -147,8 +147,10 @@ chain_take(const struct chain_params *p, struct chain_state *s, struct coil_bloc
         chain_watch_block(p, &s->watch, b);
         witness_block(&s->witness, &p->filter, p->phase_max_ticks, b);
         chain_note_span(p, s, b);
-        if (filter_block(&p->filter, &s->filter, b))
+        if (filter_block(&p->filter, &s->filter, b)) {
+            b->tracked_sigma_c = hypot(b->tracked_sigma_c, p->drift_sigma_c);
             newest = i;
+        }
         samples[i] = sample_of(p, s, b);
     }
     return newest;

@@ -51,6 +51,7 @@ struct chain_params {
     struct front_params front;
     struct sensing_law law;
     double residual_units, supply;
+    double drift_sigma_c;                           // of the filtered estimate, beside its noise
     double temp_low_c, temp_high_c, empty_c;        // valid; above empty_c the signal is not a nozzle's
     int32_t phase_low_ticks;
     double limit_low_c, limit_high_c;               // watch

@@ -78,6 +78,19 @@ class Chain:
         p.phase_max_ticks = front.phase_max_ticks
         p.step_share, p.usual_s = STEP_SHARE, USUAL_S
 
+    def correct(self, estimator: EstimatorParameters, moved_c: float, drive_moved_c: float) -> None:
+        """A corrected law from now on: readings rise by `moved_c`, those of full drive by `drive_moved_c` more."""
+        self._parameters.law = laws.packed(estimator.law)[0][0]
+        self._filter.temp_c += moved_c
+        self.state.drive.full_c += drive_moved_c
+        self.witness.temp_c += moved_c
+        self.witness.base_c += moved_c
+        self.state.drive.time_s = math.nan  # the newest reading was by the law before
+
+    def set_doubt(self, sigma_c: float) -> None:
+        """1 sigma of what the law may have drifted."""
+        self._parameters.drift_sigma_c = sigma_c
+
     def restart_filter(self) -> None:
         """The filter knows nothing any more."""
         self._lib.filter_reset(self._filter)

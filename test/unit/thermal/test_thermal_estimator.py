@@ -157,6 +157,14 @@ def test_guard_trips_well_above_the_limit_at_low_power() -> None:
     assert 256.0 + law.error(415.0, 2012) > row.high_raw
 
 
+def test_the_ceiling_follows_the_correction_of_the_law() -> None:
+    """C1 -0.1 % reads 15 degC higher at the sensing phase and 44 at full drive."""
+    law, front = laws.TankLaw(), features.FeatureParameters()
+    rows = tuple(guard_limits.guard_limits(law, front, -150.0, 340.0))
+    ceiling = guard_limits.Ceiling(20125, law, front, rows, 40.0)
+    assert ceiling.share(200.0, -15.0) < ceiling.share(200.0) < ceiling.share(200.0, 15.0) < 0xFFFF
+
+
 def test_guard_limits_refuse_a_front_end_that_cannot_show_them() -> None:
     with pytest.raises(ValueError, match="cannot show"):
         guard_limits.guard_limits(laws.ExpLaw(), features.FeatureParameters(-4000.0), -60.0, 390.0)
