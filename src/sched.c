@@ -3,6 +3,9 @@
 #include "board/watchdog.h"
 #include "command.h"
 #include "sched.h"
+#ifdef PORT_TIMER_NEAR
+#include "sched_near.h"
+#endif
 
 #ifdef DICTIONARY_PASS
 #define X(name, text) DICT_ENTRY_SERIES("static_string_id", text, name)
@@ -55,7 +58,6 @@ static struct {
     uint8_t watched;                  /* which must have */
     uint8_t feeds;
     uint8_t dispatching;              /* the head of the list is the timer that runs now */
-    uint16_t intervals_late;          /* since a timer was last in time */
     uint8_t intervals_busy;           /* since tasks have last had a turn */
     volatile uint8_t tasks_waiting;
 } sched;
@@ -67,7 +69,10 @@ static void
 power_on_state(void)
 {
     sched_turn.timers = NULL;
+#ifndef PORT_TIMER_NEAR
     sched_turn.end = 0;
+#endif
+    sched_turn.intervals_late = 0;
     sched.recovery = NULL;
     sched.shutdown_clock = 0;
     sched.pass_ticks = 0;
@@ -79,7 +84,6 @@ power_on_state(void)
     sched.watched = SCHED_TIMERS;
     sched.feeds = 0;
     sched.dispatching = 0;
-    sched.intervals_late = 0;
     sched.intervals_busy = 0;
     sched.tasks_waiting = 0;
     sched_wake_task(&announce_wake);
@@ -135,13 +139,27 @@ still_first(const struct timer *t)
     return !next || timer_is_before(t->waketime, next->waketime);
 }
 
+#ifdef PORT_TIMER_NEAR
+uint8_t
+sched_near_leave(struct timer *t)
+{
+    sched_turn.timers = t;
+    if (!still_first(t))
+        t = sched_put_back(t);
+    if (timer_is_before(t->waketime, timer_read_time() + PORT_TIMER_WAIT_TICKS))
+        return SF_SORTED;
+    sched_turn.intervals_late = 0;
+    return SF_NOTHING_DUE;
+}
+#endif
+
 /* Nothing is due: is it worth waiting for? */
 static uint8_t
 comes_soon(uint32_t late)
 {
     if (!(late >> 31))
         shutdown(SHUTDOWN_RESCHEDULED_IN_PAST);
-    sched.intervals_late = 0;
+    sched_turn.intervals_late = 0;
     if (-late <= PORT_TIMER_WAIT_TICKS)
         return 1;
     sched.intervals_busy = 0;
@@ -155,7 +173,7 @@ run_due_timers(void *unused)
     (void)unused;
     uint_fast8_t left = INTERVAL_EVENTS;
     struct timer *t = sched_turn.timers;
-#ifndef PORT_TIMER_RETURNS
+#ifndef PORT_TIMER_NEAR
     sched_turn.end = timer_read_time() + INTERVAL_TICKS;
 #endif
     while (t) {
@@ -176,7 +194,7 @@ run_due_timers(void *unused)
                 break;
             t = sched_turn.timers;
             if (result != SF_SORTED)
-                sched.intervals_late = 0;
+                sched_turn.intervals_late = 0;
             if (result == SF_NOTHING_DUE) {
                 sched.intervals_busy = 0;
                 return;
@@ -186,12 +204,27 @@ run_due_timers(void *unused)
             break;
     }
     sched.intervals_busy++;
-    if (++sched.intervals_late > INTERVALS_MAX)
+    if (++sched_turn.intervals_late > INTERVALS_MAX)
         shutdown(SHUTDOWN_RESCHEDULED_IN_PAST);
 }
 
+#ifdef PORT_TIMER_NEAR
+/* The steps, most of the time.  Their function never shuts down, so it needs no guard; 1 if nothing else is due. */
+static inline uint8_t
+run_near(void)
+{
+    struct timer *t = sched_turn.timers;
+    if (!t || t->func != sched_turn.near || timer_read_time() - t->waketime > SCHED_NEAR_LATE)
+        return 0;
+    const uint8_t result = t->func(t);
+    if (result == SF_DONE)
+        sched_turn.timers = sched_turn.timers->next;
+    return result == SF_NOTHING_DUE;
+}
+#endif
+
 /* Timers take all the time there is: give the tasks a turn, or no message of the host is ever handled. */
-static uint32_t
+static __attribute__((noinline)) uint32_t
 after_pause(void)
 {
     uint32_t next = sched_next_waketime(), end = timer_read_time() + PAUSE_TICKS;
@@ -203,6 +236,10 @@ uint32_t
 sched_timer_dispatch(void)
 {
     sched_report(SCHED_TIMERS);
+#ifdef PORT_TIMER_NEAR
+    if (run_near())
+        return sched_turn.timers->waketime;
+#endif
     sched.dispatching = sched_turn.timers != NULL;
     sched_guarded(run_due_timers, NULL);
     sched.dispatching = 0;

@@ -46,9 +46,24 @@ struct timer {
 
 /* The timers, and the end of the interval in which they are run.  For sched.c and the inline functions here. */
 extern struct sched_turn {
-    struct timer *timers;  /* ascending waketime; while one runs it is the head */
+    struct timer *timers;     /* ascending waketime; while one runs it is the head */
+#ifdef PORT_TIMER_NEAR
+    uint8_t (*near)(struct timer *);  /* the function of near timers: sched_near.h */
+#else
     uint32_t end;
+#endif
+    uint16_t intervals_late;  /* since a timer was last in time */
 } sched_turn;
+
+static inline uint32_t
+sched_turn_end(void)
+{
+#ifdef PORT_TIMER_NEAR
+    return 0;
+#else
+    return sched_turn.end;
+#endif
+}
 
 /* Into the list from `link` on; behind those of the same clock. */
 static inline void
@@ -74,12 +89,12 @@ sched_put_back(struct timer *t)
 }
 
 /* For a function that runs often and has stored the next waketime of its timer t: the timer it is to run next without
- * leaving, which has this function too, and SF_DUE; or else what to return.  `end` is sched_turn.end.  There is always a timer
+ * leaving, which has this function too, and SF_DUE; or else what to return.  `end` is sched_turn_end().  There is always a timer
  * behind: that of the house-keeping. */
 static inline uint8_t
 sched_next_due(struct timer **t, uint8_t (*func)(struct timer *), uint32_t end)
 {
-#ifdef PORT_TIMER_RETURNS
+#ifdef PORT_TIMER_NEAR
     (void)t, (void)func, (void)end;
     return SF_RESCHEDULE;
 #else

@@ -16,6 +16,8 @@
  *     nominal  |         |         |
  *     pin      /‾‾\______/‾‾\______/‾‾\___
  *
+ * Where PORT_TIMER_NEAR is defined, segments of short intervals are stepped by near_event(), with 16 bits of the clocks.
+ *
  * The direction pin changes when a segment is begun: right after the last edge of the segment before it.
  */
 #include "stepper.h"
@@ -26,10 +28,15 @@
 #include "board/timer.h"
 #include "command.h"
 #include "sched.h"
+#ifdef PORT_TIMER_NEAR
+#include "sched_near.h"
+#endif
 #include "trsync.h"
 
 DECL_CONSTANT("STEPPER_STEP_BOTH_EDGE", 1);
 DECL_RESPONSE(response_stepper_position, "stepper_position oid=%c pos=%i");
+
+typedef uint8_t (*step_event)(struct timer *);
 
 struct segment {
     struct move_node node;
@@ -48,17 +55,53 @@ struct stepper {
     struct move_queue_head queue;
     struct trsync_signal stop_signal;
     uint32_t step_clock;          /* nominal clock of the next step, or of the last one when idle; see timer */
-    uint32_t pulse_ticks;
+    uint32_t pulse_ticks;         /* 0: a step on each edge */
     timer_low_t pulse_end;        /* of the last short pulse */
     int32_t position;             /* where the segment under way ends */
     uint8_t active : 1;           /* the timer is running */
     uint8_t pulse_high : 1;       /* in a pulse; the event to come ends it */
-    uint8_t both_edges : 1;
     uint8_t idle_level : 1;       /* of the step pin between pulses */
     uint8_t dir : 1;              /* of the segment under way = level of the direction pin */
     uint8_t next_dir : 1;         /* of the next queue_step */
     uint8_t deaf : 1;             /* stopped by a trigger: queue_step is ignored until reset_step_clock */
+    uint8_t near : 1;             /* the segment under way is one for near_event() */
 };
+
+#ifdef PORT_TIMER_NEAR
+static uint8_t near_event(struct timer *t);
+
+/* Longer pulses wait for their end, and the next for its begin, in an event of their own: from pulse to pulse near_event()
+ * takes this long without looking at the clock. */
+enum { NEAR_PULSE_TICKS = 32 };
+
+/* A segment is begun; its intervals lie between the first and the last. */
+static void
+note_near(struct stepper *s, const struct segment *m)
+{
+    const uint32_t last = m->interval + (uint32_t)((int32_t)m->add * (int32_t)(m->count - 1));
+    s->near = m->interval < SCHED_NEAR_TICKS && last < SCHED_NEAR_TICKS && s->pulse_ticks <= NEAR_PULSE_TICKS;
+}
+
+/* A step has been made: is the next near it? */
+static inline void
+choose_event(struct stepper *s)
+{
+    if (s->near)
+        s->timer.func = near_event;
+}
+#else
+static inline void
+note_near(struct stepper *s, const struct segment *m)
+{
+    (void)s, (void)m;
+}
+
+static inline void
+choose_event(struct stepper *s)
+{
+    (void)s;
+}
+#endif
 
 /* Begin the next segment; 0 if there is none.  Interrupts disabled. */
 static uint8_t
@@ -75,6 +118,7 @@ begin_segment(struct stepper *s)
     s->interval = m->interval + (uint32_t)(int32_t)m->add;
     s->add = m->add;
     s->left = m->count;
+    note_near(s, m);
     s->position += s->dir ? (int32_t)m->count : -(int32_t)m->count;
     move_free(m);
     return 1;
@@ -114,7 +158,7 @@ segment_ended(struct stepper *s)
 static uint8_t
 both_edges_event(struct timer *t)
 {
-    const uint32_t end = sched_turn.end;
+    const uint32_t end = sched_turn_end();
     uint8_t result;
     do {
         struct stepper *s = container_of(t, struct stepper, timer);
@@ -128,6 +172,7 @@ both_edges_event(struct timer *t)
             t->waketime += s->interval;
             s->interval += (uint32_t)(int32_t)s->add;
         }
+        choose_event(s);
         result = sched_next_due(&t, both_edges_event, end);
     } while (result == SF_DUE);
     return result;
@@ -140,13 +185,13 @@ pulse_event(struct timer *t)
     struct stepper *s = container_of(t, struct stepper, timer);
     gpio_out_toggle(s->step_pin);
     s->pulse_high = !s->pulse_high;
+    const uint32_t earliest = timer_read_time() + s->pulse_ticks;
     if (s->pulse_high) {
-        t->waketime += s->pulse_ticks;
+        t->waketime = earliest;
         return SF_RESCHEDULE;
     }
     if (!next_step(s))
         return idle(s);
-    uint32_t earliest = t->waketime + s->pulse_ticks;
     t->waketime = timer_is_before(s->step_clock, earliest) ? earliest : s->step_clock;
     return SF_RESCHEDULE;
 }
@@ -157,7 +202,7 @@ pulse_event(struct timer *t)
 static uint8_t
 short_pulse_event(struct timer *t)
 {
-    const uint32_t end = sched_turn.end;
+    const uint32_t end = sched_turn_end();
     uint8_t result;
     do {
         struct stepper *s = container_of(t, struct stepper, timer);
@@ -178,6 +223,7 @@ short_pulse_event(struct timer *t)
         s->pulse_end = timer_read_low();
         if (UNLIKELY(!left) && segment_ended(s) == SF_DONE)
             return SF_DONE;
+        choose_event(s);
         result = sched_next_due(&t, short_pulse_event, end);
     } while (result == SF_DUE);
     return result;
@@ -185,6 +231,94 @@ short_pulse_event(struct timer *t)
 #else
 enum { PORT_SHORT_PULSE_TICKS = 0 };
 static uint8_t (*const short_pulse_event)(struct timer *) = pulse_event;
+#endif
+
+/* The function of the stepper's timer, whatever its intervals. */
+static step_event
+own_event(const struct stepper *s)
+{
+    if (!s->pulse_ticks)
+        return both_edges_event;
+    return s->pulse_ticks <= PORT_SHORT_PULSE_TICKS ? short_pulse_event : pulse_event;
+}
+
+#ifdef PORT_TIMER_NEAR
+/* On to the next step of a near segment: 16 bits of the interval, and the carry into the rest of the clock. */
+static inline uint16_t
+near_advance(struct stepper *s, uint16_t interval)
+{
+    timer_half_t *clock = (timer_half_t *)&s->timer.waketime;
+    const uint16_t sum = clock[0] + interval;
+    clock[0] = sum;
+    if (sum < interval)
+        clock[1]++;
+    return sum;
+}
+
+static __attribute__((noinline)) uint8_t
+near_segment_ended(struct stepper *s)
+{
+    if (segment_ended(s) == SF_DONE) {
+        sched_turn.timers = &s->timer;
+        return SF_DONE;
+    }
+    if (!s->near)
+        s->timer.func = own_event(s);
+    return sched_near_leave(&s->timer);
+}
+
+static inline void
+wait_pulse(uint8_t since, uint8_t ticks)
+{
+    while ((uint8_t)(timer_read_byte() - since) < ticks)
+        ;
+}
+
+/* One step, and the low bits of the next one's clock; 0 if it was the segment's last.  The interval is stored after the pulse: it
+ * is part of the time between two pulses. */
+static inline uint8_t
+near_step(struct stepper *s, uint16_t *clock)
+{
+    const uint8_t ticks = (uint8_t)s->pulse_ticks;
+    const struct gpio_out pin = s->step_pin;
+    gpio_out_toggle(pin);
+    const uint8_t begun = timer_read_byte();
+    const uint16_t left = s->left - 1;
+    if (UNLIKELY(!left)) {
+        if (ticks) {
+            wait_pulse(begun, ticks);
+            gpio_out_toggle(s->step_pin);
+        }
+        return 0;
+    }
+    s->left = left;
+    const uint16_t interval = *(timer_half_t *)&s->interval;
+    *clock = near_advance(s, interval);
+    if (LIKELY(ticks)) {
+        wait_pulse(begun, ticks);
+        gpio_out_toggle(pin);
+    }
+    *(timer_half_t *)&s->interval = interval + (uint16_t)s->add;
+    return 1;
+}
+
+/* Timer: steps of either kind, as above, and those that are due after them. */
+static uint8_t
+near_event(struct timer *t)
+{
+    struct sched_near near;
+    uint16_t clock;
+    uint8_t result;
+    if (!near_step(container_of(t, struct stepper, timer), &clock))
+        return near_segment_ended(container_of(t, struct stepper, timer));
+    if (!sched_near_begin(&near, t))
+        return sched_near_leave(t);
+    while ((result = sched_near_next(&near, &t, clock)) == SF_DUE) {
+        if (!near_step(container_of(t, struct stepper, timer), &clock))
+            return near_segment_ended(container_of(t, struct stepper, timer));
+    }
+    return result;
+}
 #endif
 
 /* Drop everything queued and end a pulse under way.  Interrupts disabled. */
@@ -205,14 +339,14 @@ command_config_stepper(const struct command_args *args)
 {
     struct stepper *s = oid_alloc((uint8_t)args->val[0], command_config_stepper, sizeof(*s));
     int8_t invert_step = (int8_t)args->val[3];
-    s->both_edges = invert_step < 0;
     s->idle_level = invert_step > 0;
-    s->pulse_ticks = args->val[4];
+    if (invert_step >= 0)
+        s->pulse_ticks = args->val[4] ? args->val[4] : 1;
+#ifdef PORT_TIMER_NEAR
+    sched_turn.near = near_event;
+#endif
     s->step_pin = gpio_out_setup(args->val[1], s->idle_level);
     s->dir_pin = gpio_out_setup(args->val[2], 0);
-    s->timer.func = s->both_edges ? both_edges_event : pulse_event;
-    if (!s->both_edges && s->pulse_ticks <= PORT_SHORT_PULSE_TICKS)
-        s->timer.func = short_pulse_event;
     move_queue_init(&s->queue);
     move_request_size(sizeof(struct segment));
 }
@@ -233,6 +367,7 @@ start(struct stepper *s)
     if (timer_is_before(s->step_clock, timer_read_time()))
         shutdown(SHUTDOWN_STEPPER_PAST);
     s->active = 1;
+    s->timer.func = own_event(s);
     s->timer.waketime = s->step_clock;
     sched_add_timer(&s->timer);
 }

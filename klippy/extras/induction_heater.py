@@ -570,7 +570,7 @@ def load_config_prefix(config: ConfigWrapper) -> InductionSection:
     unit_settings = settings.read_unit(config)
     parameters = settings.read_parameters(config, unit_settings)
     rows = settings.guard_rows(config, parameters)
-    tests = settings.read_tests(config, parameters.front)
+    tests = settings.read_tests(config, parameters)
     ceiling = settings.ceiling(config, parameters, rows)
     unit = InductionUnit(sense["chip"], sense["pin"], unit_settings, parameters.front, rows, tests, ceiling)
     heater = InductionHeater(

@@ -156,11 +156,11 @@ class ManualStepper:
     def _check_range(self, position: float) -> None:
         low, high = self.position_min, self.position_max
         if (low is not None and position < low) or (high is not None and position > high):
-            raise self.printer.command_error(f"Move out of range: manual_stepper {self.name} {position:.3f}")
+            raise self.printer.command_error(f"Move out of range: {self.get_name()} {position:.3f}")
 
     def _check_way(self, way: float) -> None:
         for motor in self.steppers:
-            check_way(f"manual_stepper {self.name}", way, motor.get_step_dist())
+            check_way(self.get_name(), way, motor.get_step_dist())
 
     # -- the toolhead that homing sees --
 
@@ -204,6 +204,10 @@ class ManualStepper:
 
     # -- an axis of G1 --
 
+    def get_name(self) -> str:
+        """As `toolhead.extra_axes` names it."""
+        return f"manual_stepper {self.name}"
+
     def get_axis_gcode_id(self) -> str:
         return self._axis_letter
 
@@ -213,7 +217,7 @@ class ManualStepper:
     def check_move(self, move: Any, index: int) -> None:
         """Raise if the axis leaves its range; slow the move down to the axis' bounds."""
         way = move.axes_d[index]
-        check_way(f"manual_stepper {self.name}", way)
+        check_way(self.get_name(), way)
         self._check_range(move.end_pos[index])
         bounds = self._limits
         alone = not move.is_kinematic_move and not move.axes_d[3]

@@ -11,11 +11,8 @@
 #define PORT_MOVE_COUNT_MAX 1000  /* never reached: memory ends before */
 
 /* Leaving and entering the timer interrupt costs more than this. */
-#define PORT_TIMER_WAIT_TICKS 160
-/* 50 us for the tasks, if timers leave them none. */
-#define PORT_TIMER_PAUSE_TICKS 800
-
-#define PORT_TIMER_RETURNS
+#define PORT_TIMER_WAIT_TICKS 320
+#define PORT_TIMER_NEAR
 
 /* While timers run no other interrupt reads or writes the timer's wide registers. */
 #define PORT_TIMER_LOW
@@ -25,6 +22,12 @@ timer_read_low(void)
 {
     return TCNT5;
 }
+static inline uint8_t
+timer_read_byte(void)
+{
+    return TCNT5L;
+}
+typedef uint16_t __attribute__((may_alias)) timer_half_t;
 
 /* A driver's shortest pulse is 1 to 2 us: 4 are waited for with interrupts allowed. */
 #define PORT_SHORT_PULSE_TICKS 64

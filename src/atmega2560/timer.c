@@ -17,11 +17,15 @@
 enum {
     HORIZON = 0xff00, /* less than a round, which is when the overflow looks again */
     /* Closer than this the compare register may be passed while it is being written; Origin: the code between reading the
-     * clock and the end of the write is some 40 cycles. */
-    TOO_CLOSE = 96,
+     * clock and the end of the write is some 70 cycles. */
+    TOO_CLOSE = 128,
+    /* If timers leave the tasks nothing, they get 50 us after 8 ms at most; a ring of received bytes is full after 10. */
+    PAUSE = 800,
+    PAUSE_OVERFLOWS = 2,
 };
 
 static volatile uint16_t overflows;
+static uint8_t tasks_ran;   /* low bits of the overflows when tasks have last had so long */
 static uint8_t dispatching;
 
 void
@@ -55,37 +59,56 @@ timer_read_time(void)
     return clock;
 }
 
-/* Interrupts disabled.  Let the compare interrupt come at `wake`, at once if that is past, or look again at the overflow. */
-static void
-set_alarm(uint32_t wake)
+/* Interrupts disabled.  Let the compare interrupt come at `wake`, or look again at the overflow; 0 if it is too close. */
+static uint8_t
+set_alarm(uint32_t wake, uint32_t now)
 {
-    int32_t ahead = (int32_t)(wake - read_clock());
-    if (ahead >= HORIZON) {
-        TIMSK5 = 1 << TOIE5;
-        return;
-    }
-    OCR5A = ahead < TOO_CLOSE ? TCNT5 + TOO_CLOSE : (uint16_t)wake;
+    const int32_t ahead = (int32_t)(wake - now);
+    if (ahead < TOO_CLOSE)
+        return 0;
+    TIMSK5 = 1 << TOIE5;
+    if (ahead >= HORIZON)
+        return 1;
+    OCR5A = (uint16_t)wake;
     TIFR5 = 1 << OCF5A;
     TIMSK5 = 1 << TOIE5 | 1 << OCIE5A;
+    return 1;
 }
 
 /* The list may change while its timers run: the loop in the interrupt looks at it again anyway. */
 void
 timer_kick(void)
 {
-    if (!dispatching)
-        set_alarm(sched_next_waketime());
+    const uint32_t now = read_clock();
+    if (!dispatching && !set_alarm(sched_next_waketime(), now))
+        set_alarm(now + 2 * TOO_CLOSE, now);
 }
 
-ISR(TIMER5_COMPA_vect)
+static __attribute__((noinline)) void
+run_timers(void)
 {
     TIMSK5 = 1 << TOIE5;
     dispatching = 1;
-    irq_enable();
-    uint32_t next = sched_timer_dispatch();
-    irq_disable();
+    uint32_t next, now;
+    do {
+        irq_enable();
+        next = sched_timer_dispatch();
+        irq_disable();
+        now = read_clock();
+        if (!timer_is_before(next, now + PAUSE)) {
+            tasks_ran = (uint8_t)overflows;
+        } else if ((uint8_t)((uint8_t)overflows - tasks_ran) >= PAUSE_OVERFLOWS) {
+            tasks_ran = (uint8_t)overflows;
+            next = now + PAUSE;
+        }
+    } while (!set_alarm(next, now));
     dispatching = 0;
-    set_alarm(next);
+}
+
+/* A function of its own: the handler saves what such may change, and that what else it needs. */
+ISR(TIMER5_COMPA_vect)
+{
+    run_timers();
 }
 
 /* With the alarm set there is nothing to look at: it was less than a round away. */

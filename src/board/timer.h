@@ -19,8 +19,8 @@
  *   PORT_TIMER_PAUSE_TICKS   what tasks get now and then when timers would leave them nothing
  *   PORT_SHORT_PULSE_TICKS   step pulses up to this long are ended within the same event
  *   PORT_TIMER_INTERVAL_TICKS  timers are run for so long, then other interrupts and tasks get their turn; 96 us
- *   PORT_TIMER_RETURNS       defined where a timer function that stays for the next timer costs more than one that returns:
- *                            on few registers
+ *   PORT_TIMER_NEAR          on a processor of 8 bits: sched_near.h.  The port defines PORT_TIMER_LOW with 16 bits,
+ *                            timer_read_byte() (the lowest eight) and timer_half_t (16 bits that may be half of a clock)
  *
  * and, where the compiler makes more than a comparison and a branch of it, PORT_TIMER_IS_BEFORE and that function.
  */

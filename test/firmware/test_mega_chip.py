@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import random
 from itertools import pairwise
 
 import pytest
@@ -29,6 +31,64 @@ def test_steps_come_at_their_clocks_and_never_drift() -> None:
         assert len(edges) == 500
         delays = [late(mega, clock, begin + 3210 * (i + 1)) for i, clock in enumerate(edges)]
         assert min(delays) >= 0 and max(delays) < LATENESS + before * 200
+
+
+Segment = tuple[int, int, int]  # interval, count, add
+
+
+def random_segments(seed: int, intervals: tuple[int, ...], ticks: int) -> list[Segment]:
+    """Some are stepped with 16 bits of the clock and some are not; some grow or shrink from one kind into the other."""
+    rng = random.Random(seed)
+    segments: list[Segment] = []
+    while ticks > 0:
+        first, last = rng.choices(intervals, k=2)
+        count = rng.randint(1, 30)
+        add = max(-32768, min(32767, (last - first) // count)) if rng.random() < 0.6 else 0
+        segments.append((first, count, add))
+        ticks -= nominal_clocks(segments[-1:])[-1]
+    return segments
+
+
+def nominal_clocks(segments: list[Segment]) -> list[int]:
+    steps = (interval + add * i for interval, count, add in segments for i in range(count))
+    return list(itertools.accumulate(steps))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_segments_of_all_intervals_come_at_their_clocks(seed: int) -> None:
+    mega = Mega()
+    kinds = [(BOTH_EDGES, 0), (0, 32), (1, 30), (0, 400)]
+    intervals = (
+        (8150, 8250, 30_000, 70_000),
+        (700, 2500),
+    )  # the last motor ends its pulses in events of their own: slow
+    mega.configure(
+        len(kinds),
+        *(
+            ("config_stepper", {"oid": oid, "step_pin": step, "dir_pin": direction, "invert_step": invert,
+                                "step_pulse_ticks": pulse})
+            for oid, ((step, direction), (invert, pulse)) in enumerate(zip(STEP_PINS, kinds, strict=True))
+        ),
+    )  # fmt: skip
+    plans = [
+        random_segments(10 * seed + oid, intervals[0] + (intervals[1] if pulse < 400 else ()), MEGA_HZ // 2)
+        for oid, (_, pulse) in enumerate(kinds)
+    ]
+    lead_s = 4.0  # they are all sent meanwhile
+    begin = mega.clock_in(lead_s)
+    for oid, plan in enumerate(plans):
+        mega.send("reset_step_clock", oid=oid, clock=begin)
+        for interval, count, add in plan:
+            mega.send("queue_step", oid=oid, interval=interval, count=count, add=add)
+    mega.run(lead_s + 0.01 + max(nominal_clocks(plan)[-1] for plan in plans) / MEGA_HZ)
+    assert mega.shutdown_reason() is None
+    for (pin, _), (invert, pulse), plan in zip(STEP_PINS, kinds, plans, strict=True):
+        edges = [clock for clock, _ in mega.edges(pin)][1:]
+        steps, ends = (edges, edges) if invert == BOTH_EDGES else (edges[::2], edges[1::2])
+        nominal = [begin + clock for clock in nominal_clocks(plan)]
+        delays = [late(mega, clock, wanted) for clock, wanted in zip(steps, nominal, strict=True)]
+        assert min(delays) >= 0 and max(delays) < 3 * LATENESS
+        assert all(end - step >= pulse for step, end in zip(steps, ends, strict=True))
 
 
 def test_alarms_before_at_and_after_the_counter_s_wrap_arrive() -> None:
@@ -101,6 +161,31 @@ def test_pulses_last_as_configured_and_direction_is_set_before() -> None:
     assert all(64 <= down - up < 64 + 600 for up, down in zip(rising, falling, strict=True))
     assert mega.edges(41)[-1][1] == 1 and mega.edges(41)[-1][0] < rising[0]
     assert mega.ask("stepper_get_position", oid=0)["pos"] == 20
+
+
+@pytest.mark.parametrize("steppers", [1, 3])
+def test_pulses_and_the_time_between_last_as_configured_however_fast_they_come(steppers: int) -> None:
+    mega = stepping(steppers, invert_step=0, pulse_ticks=32)
+    run_steps(mega, steppers, 60 * steppers, 1000)  # faster than it can
+    for pin, _ in STEP_PINS[:steppers]:
+        edges = [clock for clock, _ in mega.edges(pin)][1:]
+        assert len(edges) > 500 and mega.shutdown_reason() is None
+        assert min(later - sooner for sooner, later in pairwise(edges)) >= 32
+
+
+@pytest.mark.parametrize("interval", [102, 300, 450, 600, 900])
+def test_tasks_get_their_turn_whatever_the_steps_leave_them(interval: int) -> None:
+    mega = stepping(1, invert_step=0, pulse_ticks=32)
+    clock = mega.clock_in(0.1)
+    mega.send("reset_step_clock", oid=0, clock=clock)
+    count = round(1.2 * MEGA_HZ / interval)  # more than two times the watchdog's
+    for _ in range(4):
+        mega.send("queue_step", oid=0, interval=interval, count=count // 4, add=0)
+    mega.run(0.5)
+    assert mega.ask("get_uptime")["clock"] > 0
+    mega.run(1.0)
+    assert mega.chip.counters()["resets"] == 0 and mega.shutdown_reason() is None
+    assert len(mega.edges(STEP_PINS[0][0])) - 1 == 2 * 4 * (count // 4)
 
 
 def test_bytes_are_not_lost_while_three_motors_step_as_fast_as_they_can() -> None:

@@ -22,6 +22,13 @@ def test_a_step_and_a_command_cost_no_more_than_they_did(chip: str) -> None:
 
 @pytest.mark.parametrize("chip", BENCHES)
 @pytest.mark.parametrize("steppers", [1, 3])
+def test_steps_come_as_fast_as_klipper_publishes_for_a_like_chip(chip: str, steppers: int) -> None:
+    published = BENCHES[chip].published
+    assert completes(BENCHES[chip], steppers, published.ticks[steppers], pulse_ticks=published.pulse_ticks)
+
+
+@pytest.mark.parametrize("chip", BENCHES)
+@pytest.mark.parametrize("steppers", [1, 3])
 def test_steps_a_second_are_reached_and_more_are_refused(chip: str, steppers: int) -> None:
     interval = int(MARGIN * BENCHES[chip].documented.ticks[steppers])
     assert completes(BENCHES[chip], steppers, interval, STEPS)

@@ -48,6 +48,24 @@ def plot(source: Path) -> int:
     return done.returncode
 
 
+def test_a_bridge_whose_dead_time_is_longer_than_the_smallest_pulse_is_measured_at_a_larger_one(
+    simulate: Simulate, tmp_path: Path
+) -> None:
+    """That pulse lasts 186 ns: nothing is left of it."""
+    slow = "[simulator nozzle nozzle]\npreset: real\ndead_time_ns: 300\n"
+    log = tmp_path / "host.log"
+    gcode = "INDUCTION_CALIBRATE HEATER=nozzle REFERENCE=reference WAIT=1\nM109 S230\nG4 P10000\n"
+    run = simulate(gcode, config=machine(tmp_path, slow), more=["--log", str(log)])
+    assert run.status == 0, run.stderr
+    assert "  0.8 %: rms" in log.read_text()
+    held = [
+        true
+        for t, true in zip(run.column("t_s"), run.column("true_c"), strict=True)
+        if t > run.column("t_s")[-1] - 5
+    ]
+    assert all(abs(true - 230.0) < 8.0 for true in held)
+
+
 def test_an_unknown_nozzle_is_calibrated_and_then_holds_its_target(
     simulate: Simulate, tmp_path: Path
 ) -> None:

@@ -19,6 +19,7 @@ from thermal.drift import correction as drift
 from thermal.identification import sweep
 from thermal.models import heat_loss
 from thermal.sensing import heat_balance_monitor, laws, temperature_filter
+from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 
 from ..heater import run as heater_run
 from ..heater import tuning as heater_tuning
@@ -74,6 +75,7 @@ class InductionCalibrate:
             heat_w=gcmd.get_float("POWER", 14.0, minval=6.0, maxval=30.0),
             heat_s=gcmd.get_float("HEAT_TIME", 90.0, minval=10.0, maxval=600.0),
             cool_s=gcmd.get_float("COOL_TIME", 75.0, minval=10.0, maxval=600.0),
+            phase_low_ticks=parameters.estimator.phase_low_ticks,
             lag_s=gcmd.get_float("LAG", 1.5, minval=0.0, maxval=10.0),
             lead_s=parameters.timing.lead_s,
             reference_s=3.0 if sensor is not None else MANUAL_SILENCE_S,
@@ -158,6 +160,7 @@ class InductionCalibrate:
     def _apply(self, law: laws.Law, result: dict[str, Any]) -> None:
         old = self.heater.parameters
         heat = heat_loss.HeatCapacity(result["capacity_j_k"])
+        low_ticks = result["phase_low_ticks"]
         factor, ambient_c = result["loss_factor"], result["ambient_c"]
         base = heat_loss.LossLaw()
         loss = heat_loss.LossLaw(base.conductance_w_k * factor, base.radiation_m2 * factor, ambient_c)
@@ -165,7 +168,8 @@ class InductionCalibrate:
         self.heater.use(
             replace(
                 old,
-                estimator=replace(old.estimator, law=law),
+                estimator=replace(old.estimator, law=law, phase_low_ticks=low_ticks),
+                actuator=replace(old.actuator, phase_low_ticks=low_ticks),
                 supervise=replace(old.supervise, calibrated=True),
                 loss=loss,
                 approach=settings.approach_for(law, old.actuator.law),
@@ -193,6 +197,8 @@ class InductionCalibrate:
                 "loss_uncertainty": LOSS_UNCERTAINTY,
             }
             options |= {key: f"{value:.4g}" for key, value in more.items()}
+            if result["phase_low_ticks"] != SENSING_PHASE_TICKS:
+                options["sensing_phase"] = str(result["phase_low_ticks"])
         heater_tuning.stage(self.printer, self.heater, heater_tuning.Tuning(options))
 
     # One point, and a look

@@ -49,6 +49,7 @@ class TestSettings:
     interval_s: float  # from test to test; 0: none
     gain_units_deg: float | None  # as measured
     front: FeatureParameters
+    phase_ticks: int  # below it nothing is tested
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +156,12 @@ class InductionUnit:
                 "induction unit on mcu '%s': cannot move its sampling instant, no test of gain", name
             )
         limits = signal_limits(
-            tests.front, self.settings.frequency_hz, tests.interval_s, tests.gain_units_deg, moved_s
+            tests.front,
+            self.settings.frequency_hz,
+            tests.interval_s,
+            tests.gain_units_deg,
+            moved_s,
+            tests.phase_ticks,
         )
         mcu.add_config_cmd(
             f"config_induction_test oid={self._oid} moved_low={limits.moved_low} moved_high={limits.moved_high}"

@@ -9,6 +9,7 @@ from configfile import ConfigWrapper
 from thermal.control import actuator, loop, nozzle_model, predictive, two_period
 from thermal.control import pid as pid_control
 from thermal.drift import observer as drift_observer
+from thermal.identification.sweep import LOW_PHASES_TICKS
 from thermal.models import heat_loss, melt_exchange
 from thermal.models.drive_law import DriveLaw
 from thermal.records import PHASE_MAX_TICKS, ParameterError
@@ -113,8 +114,11 @@ def read_unit(config: ConfigWrapper) -> UnitSettings:
     )
 
 
-def read_tests(config: ConfigWrapper, front: features.FeatureParameters) -> TestSettings:
-    """The board's tests of its signal; all of them are off with an interval of 0."""
+def read_tests(config: ConfigWrapper, parameters: loop.LoopParameters) -> TestSettings:
+    """The board's tests of its signal; all of them are off with an interval of 0.
+
+    Before a calibration it is not known yet whether the smallest phase drives a current (sweep.LOW_PHASES_TICKS).
+    """
     interval_s = config.getfloat("signal_test_interval", 0.0084, minval=0.0, maxval=0.1)
     if 0.0 < interval_s < TEST_INTERVAL_MIN_S:
         raise config.error(
@@ -123,7 +127,9 @@ def read_tests(config: ConfigWrapper, front: features.FeatureParameters) -> Test
             f" tests) or {TEST_INTERVAL_MIN_S:g} to 0.1."
         )
     gain = config.getfloat("signal_gain", None, above=0.0)
-    return TestSettings(interval_s, gain, front)
+    known = parameters.supervise.calibrated
+    phase_ticks = parameters.estimator.phase_low_ticks if known else LOW_PHASES_TICKS[1]
+    return TestSettings(interval_s, gain, parameters.front, phase_ticks)
 
 
 def _timing(config: ConfigWrapper, unit: UnitSettings) -> loop.Timing:
@@ -168,6 +174,9 @@ def _drive(
         look_s=look_s,
         watch_interval_s=timing.control_s,
         long_look_s=long_look_s,
+        phase_low_ticks=config.getint(
+            "sensing_phase", LOW_PHASES_TICKS[0], minval=LOW_PHASES_TICKS[0], maxval=LOW_PHASES_TICKS[-1]
+        ),
         hold_look_s=HOLD_LOOK_S if hold_ticks > HOLD_LOOK_MIN_TICKS else 0.0,
         hold_look_ticks=(hold_ticks,),
     )
@@ -297,16 +306,16 @@ def _heat_balance(
 
 
 def _drift(
-    config: ConfigWrapper, loss: heat_loss.LossLaw, law: laws.Law, power_max_w: float
+    config: ConfigWrapper, loss: heat_loss.LossLaw, law: laws.Law, drive: actuator.ActuatorParameters
 ) -> drift_observer.DriftParameters:
     """What may be wrong by how much; a measured supply is known better."""
-    default = drift_observer.DriftParameters(room_c=loss.ambient_c, power_max_w=power_max_w)
+    default = drift_observer.DriftParameters(room_c=loss.ambient_c, power_max_w=drive.law.power_max_w)
     if isinstance(law, laws.TankLaw):
         # A zero at the room's temperature shows the law's own error there, too, and looks that at strong drive.
         cold_c, strong_c = (
             law.residual_units * law.invert(law.error(temp_c, phase), phase)[1]
             for temp_c, phase in (
-                (loss.ambient_c, block_temperature.SENSING_PHASE_TICKS),
+                (loss.ambient_c, drive.phase_low_ticks),
                 (WORKING_C, PHASE_MAX_TICKS),
             )
         )
@@ -341,7 +350,11 @@ def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParam
     melt = _melt(config)
     return loop.LoopParameters(
         front,
-        block_temperature.EstimatorParameters(law, supply=drive.law.vdc_v / drive.law.vdc_reference_v),
+        block_temperature.EstimatorParameters(
+            law,
+            phase_low_ticks=drive.phase_low_ticks,
+            supply=drive.law.vdc_v / drive.law.vdc_reference_v,
+        ),
         _control(config, drive.law, heat, balance.loss, timing, melt, law),
         loss,
         drive,
@@ -351,7 +364,7 @@ def read_parameters(config: ConfigWrapper, unit: UnitSettings) -> loop.LoopParam
         temperature_filter.FilterParameters(loss, heat),
         balance,
         melt,
-        _drift(config, loss, law, drive.law.power_max_w),
+        _drift(config, loss, law, drive),
     )
 
 
@@ -359,13 +372,14 @@ def guard_rows(config: ConfigWrapper, parameters: loop.LoopParameters) -> list[g
     """The MCU's table; without a calibration only the ends of the ADC can be judged."""
     margin_c = config.getfloat("guard_margin", 40.0, minval=5.0, maxval=200.0)
     if not parameters.supervise.calibrated:
-        return [guard_limits.LimitRow(block_temperature.SENSING_PHASE_TICKS, 0, 65535)]
+        return [guard_limits.LimitRow(parameters.estimator.phase_low_ticks, 0, 65535)]
     try:
         return guard_limits.guard_limits(
             parameters.estimator.law,
             parameters.front,
             GUARD_LOW_C,
             parameters.supervise.temp_high_c + margin_c,
+            parameters.estimator.phase_low_ticks,
         )
     except ValueError as e:
         raise config.error(f"Section '{config.get_name()}': {e}") from None

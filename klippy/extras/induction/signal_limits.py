@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 from thermal.sensing.features import FeatureParameters
 
 GAIN_UNITS_DEG = 20.136  # Oskolkov 2021, Table 1
@@ -75,8 +74,11 @@ def signal_limits(
     interval_s: float,
     gain_units_deg: float | None,
     moved_s: float,
+    phase_ticks: int,
 ) -> SignalLimits:
-    """`gain_units_deg`: as measured. `moved_s`: by how much the board moves its sampling instant; 0: it cannot."""
+    """`gain_units_deg`: as measured. `moved_s`: by how much the board moves its sampling instant; 0: it cannot.
+    `phase_ticks`: below it nothing is tested.
+    """
     lsb_per_unit = 1.0 / front.units_per_lsb
     far = moved_lsb(front, frequency_hz, gain_units_deg or GAIN_UNITS_DEG, moved_s)
     low, high = far / GAIN_RANGE, far * GAIN_RANGE
@@ -93,7 +95,7 @@ def signal_limits(
         max(0, math.floor(front.adc_zero_raw - off)),
         math.ceil(front.adc_zero_raw + off),
         round(interval_s * frequency_hz),
-        SENSING_PHASE_TICKS,
+        phase_ticks,
         math.ceil(16.0 * max(JUMP_UNITS * lsb_per_unit, JUMP_LSB)),
         math.ceil(16.0 * RISE_C_S * rate_lsb),
         math.ceil(16.0 * FALL_C_S * rate_lsb),

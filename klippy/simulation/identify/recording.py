@@ -199,13 +199,19 @@ def _merged(header: dict[str, Any], blocks: Array, flow: _Schedules, fan: _Sched
         & (blocks["low"] > 0)
         & (blocks["high"] < header["adc_max"])
     )
+    # The board turns the bridge off for a moment to test it; then the signal settles. Lost blocks are no such moment.
+    discarded_s = blocks["discarded"] * blocks["lasts_s"] / blocks["count"]
+    off_s = np.minimum(gap_s, discarded_s) - parameters.timing.settle_s
+    off_s[np.concatenate([[True], phase[1:] != phase[:-1]]) | (off_s < TINY_S)] = 0.0
     rows, begin = [], 0
     for i in range(1, len(blocks) + 1):
         same = i < len(blocks) and gap_s[i] < TINY_S and usable[i] == usable[begin]
         if same and end_s[i] - time_s[begin] <= MERGED_S and (drive[i] == drive[begin]).all():
             continue
         if gap_s[begin] > 0.0:
-            rows.append((gap_s[begin], *drive[begin], time_s[begin], np.nan, 0))
+            if off_s[begin]:
+                rows.append((off_s[begin], 0.0, *drive[begin, 1:], time_s[begin], np.nan, 0))
+            rows.append((gap_s[begin] - off_s[begin], *drive[begin], time_s[begin], np.nan, 0))
         count = blocks["count"][begin:i]
         mean = np.average(codes[begin:i], weights=count) if usable[begin] else np.nan
         rows.append((end_s[i - 1] - time_s[begin], *drive[begin], end_s[i - 1], mean, count.sum()))

@@ -8,7 +8,6 @@ from thermal.drift import correction as drift
 from thermal.drift import observer as drift_observer
 from thermal.drift.observer import DriftParameters
 from thermal.records import TempEstimate
-from thermal.sensing.block_temperature import SENSING_PHASE_TICKS
 from thermal.sensing.blocks import Blocks
 from thermal.sensing.laws import TankLaw
 from thermal.sensing.pipeline import Chain
@@ -76,7 +75,7 @@ class DriftCorrection:
         m.applied_c = after_c
         temp_c = self.state.estimate.temp_c if self.state.estimate.valid else self.known.room_c
         off = [before_c, *[0.0] * (drift_observer.COUNT - 1)]
-        full, low = p.front.phase_max_ticks, SENSING_PHASE_TICKS
+        full, low = p.front.phase_max_ticks, p.estimator.phase_low_ticks
         added_c = drift_observer.added_c(law, after_c, off, temp_c, full, low, p.estimator.supply)
         moved_c = before_c - after_c
         self.chain.correct(drift.corrected(p.estimator, after_c), moved_c, added_c)

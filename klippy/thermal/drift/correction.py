@@ -16,7 +16,7 @@ from typing import Any
 from thermal.drift import observer
 from thermal.drift.observer import DriftParameters, DriftState
 from thermal.drift.rest import Rest
-from thermal.sensing.block_temperature import SENSING_PHASE_TICKS, EstimatorParameters
+from thermal.sensing.block_temperature import EstimatorParameters
 from thermal.sensing.blocks import Blocks
 from thermal.sensing.heat_balance_monitor import HeatBalanceParameters
 from thermal.sensing.laws import TankLaw
@@ -96,7 +96,7 @@ def note_rest(m: DriftMemory, estimator: EstimatorParameters, raw_blocks: Blocks
     """Blocks with the heater off, or before the first heat. A reading outside the law's range counts, too."""
     law = estimator.law
     for b in raw_blocks.raw[0 : raw_blocks.count]:
-        if b.phase_ticks != SENSING_PHASE_TICKS or b.lost or not 0 < b.min_raw <= b.max_raw < 4095:
+        if b.phase_ticks != estimator.phase_low_ticks or b.lost or not 0 < b.min_raw <= b.max_raw < 4095:
             continue
         temp_c, c_per_unit = law.invert(b.signal_units, b.phase_ticks, estimator.supply)
         if math.isfinite(temp_c):
@@ -170,7 +170,7 @@ def note_looks(
         temp_c=temp_c,
         lever=d.look,
         strong=phase_max * d.look ** (1.0 / LEVER_EXPONENT),
-        weak=SENSING_PHASE_TICKS,
+        weak=estimator.phase_low_ticks,
         supply=estimator.supply,
     )
 

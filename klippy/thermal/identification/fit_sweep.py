@@ -91,8 +91,14 @@ class Calibration:
     heat_residual_c: float
 
 
+def phase_low(recording: Recording) -> int:
+    """Of the looks, ticks."""
+    return min((phase for _, _, phase, _, _ in recording.blocks if phase), default=SENSING_PHASE_TICKS)
+
+
 def _low_rows(recording: Recording) -> tuple[Array, Array]:
-    rows = np.array([(t, e) for t, e, phase, _, _ in recording.blocks if phase == SENSING_PHASE_TICKS])
+    low_ticks = phase_low(recording)
+    rows = np.array([(t, e) for t, e, phase, _, _ in recording.blocks if phase == low_ticks])
     if len(rows) < 200:
         raise FitError("the recording holds too few blocks at the minimum phase")
     return rows[:, 0], rows[:, 1]
@@ -148,6 +154,7 @@ def _visits(recording: Recording) -> list[tuple[float, float, int]]:
     """(time, error, phase) of each visit to a higher power: the mean of its blocks."""
     out: list[tuple[float, float, int]] = []
     held: list[tuple[float, float, int, int, float]] = []
+    low_ticks = phase_low(recording)
 
     def close() -> None:
         count = sum(row[3] for row in held)
@@ -159,7 +166,7 @@ def _visits(recording: Recording) -> list[tuple[float, float, int]]:
     for row in recording.blocks:
         if held and (row[2] != held[0][2] or row[0] - held[-1][0] > 0.005):
             close()
-        if row[2] not in (0, SENSING_PHASE_TICKS):
+        if row[2] not in (0, low_ticks):
             held.append(row)
     close()
     return out
@@ -168,6 +175,7 @@ def _visits(recording: Recording) -> list[tuple[float, float, int]]:
 def points_of(recording: Recording, beta: Array, centre: float, half: float, bin_c: float = 4.0) -> Points:
     """Calibration points: every visit, and the minimum phase in bins of temperature."""
     time_s, error = _low_rows(recording)
+    low_ticks = phase_low(recording)
     skin_c = np.polynomial.polynomial.polyval((error - centre) / half, beta)
     rows = [
         (float(np.interp(at_s, time_s, skin_c)), float(phase), value)
@@ -178,7 +186,7 @@ def points_of(recording: Recording, beta: Array, centre: float, half: float, bin
     bins = np.floor(skin_c / bin_c)
     for index in np.unique(bins):
         mask = bins == index
-        rows.append((float(skin_c[mask].mean()), float(SENSING_PHASE_TICKS), float(error[mask].mean())))
+        rows.append((float(skin_c[mask].mean()), float(low_ticks), float(error[mask].mean())))
     return Points(*(np.array(column) for column in zip(*rows, strict=True)))
 
 
@@ -345,7 +353,7 @@ def summary(result: Calibration) -> dict[str, Any]:
     """The result as plain values."""
     found = result.laws[result.best]
     chosen, table = found.regression, found.table
-    low_c = found.residuals(result.points)[result.points.phase_ticks == SENSING_PHASE_TICKS]
+    low_c = found.residuals(result.points)[result.points.phase_ticks == result.points.phase_ticks.min()]
     left_units = float(np.sqrt(np.mean(low_c**2))) if table is not None else chosen.residual_sd
     return {
         "law": chosen.law,
@@ -357,6 +365,7 @@ def summary(result: Calibration) -> dict[str, Any]:
         "second_factor": result.second_factor,
         "ambient_c": result.ambient_c,
         "lag_s": result.lag.tau_s,
+        "phase_low_ticks": int(result.points.phase_ticks.min()),
         "held_out_max_c": {name: figures.held_out_max_c for name, figures in result.laws.items()},
         "report": report(result),
     }

@@ -32,6 +32,8 @@ from .run import DONE, Run
 COLUMNS = ("t_s", "temp_ref_c", "error", "phase_ticks", "count", "duration_s")
 READING_MARK = "# reference,"  # before a reading as it came; the column is interpolated
 REST, WAIT, HEAT, COOL = "rest", "wait", "heat", "cool"  # stages; DONE follows
+# A bridge whose dead time is as long as the pulse of a phase drives no current: the next one is tried.
+LOW_PHASES_TICKS = (SENSING_PHASE_TICKS, 4025)  # 0.2 and 0.8 % of full power
 POWERS_PERCENT = (1.0, 2.5, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0)
 
 
@@ -59,6 +61,7 @@ class SweepParameters:
     visit_s: float = 0.0062  # settling and some 700 samples
     look_s: float = 0.0038
     pause_s: float = 0.045  # bridge off between looks while cooling
+    phase_low_ticks: int = SENSING_PHASE_TICKS  # of the looks; more, if it shows nothing
     lead_s: float = 0.015
     ahead_s: float = 0.035  # commands are sent this far ahead at most
     refresh_s: float = 0.030  # longest phase without a new command
@@ -92,6 +95,7 @@ class Sweep(Run):
         self.parameters = parameters
         self.recording = Recording()
         self.started_s = self.stage_s = self._watched_s = now_s
+        self._low_ticks = parameters.phase_low_ticks
         self._received_s = now_s  # last blocks
         self._next_s = now_s + parameters.lead_s
         self._plan: Iterator[tuple[int, float]] = self._rest()
@@ -144,9 +148,11 @@ class Sweep(Run):
         for seen, block in zip(features.extract(self.parameters.front, blocks), blocks, strict=True):
             if self.over:
                 break
-            if seen.phase_ticks and seen.fault:
+            if seen.phase_ticks and seen.fault and not self._is_raised(seen.phase_ticks):
                 self.abort(f"{seen.fault} at {100.0 * seen.power_fraction:.1f} % power")
                 break
+            if 0 < seen.phase_ticks < self._low_ticks:
+                continue
             error = seen.signal_units if seen.phase_ticks else 0.0
             record.blocks.append((seen.time_s, error, seen.phase_ticks, seen.count, block.duration_s))
         return self.on_timer(now_s)
@@ -229,6 +235,17 @@ class Sweep(Run):
         elif self.stage == COOL and (temp_c <= p.cool_to_c or since_s >= p.cool_s):
             self.stage = DONE
 
+    def _is_raised(self, phase_ticks: int) -> bool:
+        """A look at rest shows no signal: does a larger phase take its place?"""
+        larger = [ticks for ticks in LOW_PHASES_TICKS if ticks > phase_ticks]
+        if phase_ticks == self._low_ticks:
+            if self.stage != REST or not larger:
+                return False
+            self._low_ticks = larger[0]
+            self._enter(REST, self._rest(), self._watched_s)
+            self.recording.blocks.clear()
+        return phase_ticks < self._low_ticks  # commands of before are under way
+
     def _is_warm(self, temp_c: float) -> bool:
         """The fit takes the temperature at rest for the room's."""
         fell_c = self.recording.reference[0][1] - temp_c
@@ -260,25 +277,25 @@ class Sweep(Run):
     def _rest(self) -> Iterator[tuple[int, float]]:
         """Short looks with long pauses, which do not heat the nozzle."""
         while True:
-            yield SENSING_PHASE_TICKS, self.parameters.look_s
+            yield self._low_ticks, self.parameters.look_s
             yield 0, self.parameters.pause_s
 
     def _heat(self) -> Iterator[tuple[int, float]]:
         p = self.parameters
-        low_w = p.law.power_w(SENSING_PHASE_TICKS)
+        low_w = p.law.power_w(self._low_ticks)
         while True:
             phase = next(self._levels)
             surplus_j = (p.law.power_w(phase) - p.heat_w) * p.visit_s
-            yield from self._stretch(SENSING_PHASE_TICKS, max(0.006, surplus_j / max(1.0, p.heat_w - low_w)))
+            yield from self._stretch(self._low_ticks, max(0.006, surplus_j / max(1.0, p.heat_w - low_w)))
             yield phase, p.visit_s
 
     def _cool(self) -> Iterator[tuple[int, float]]:
         p = self.parameters
         while True:
             for _ in range(20):
-                yield SENSING_PHASE_TICKS, p.look_s
+                yield self._low_ticks, p.look_s
                 yield 0, p.pause_s
-            yield SENSING_PHASE_TICKS, p.look_s
+            yield self._low_ticks, p.look_s
             yield next(self._levels), p.visit_s
-            yield SENSING_PHASE_TICKS, p.look_s
+            yield self._low_ticks, p.look_s
             yield 0, p.pause_s

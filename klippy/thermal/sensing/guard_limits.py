@@ -68,14 +68,21 @@ class Ceiling:
         return min(0xFFFF, max(0, math.ceil(0x10000 * reach)))
 
 
-def guard_limits(law: Law, front: FeatureParameters, temp_low_c: float, temp_high_c: float) -> list[LimitRow]:
-    """Rows of ascending phase. Raises ValueError if the front end cannot show these temperatures at all.
+def guard_limits(
+    law: Law,
+    front: FeatureParameters,
+    temp_low_c: float,
+    temp_high_c: float,
+    phase_low_ticks: int = SENSING_PHASE_TICKS,
+) -> list[LimitRow]:
+    """Rows of ascending phase, from `phase_low_ticks` on. Raises ValueError if the front end cannot show these
+    temperatures at all.
 
     The guard takes a row from its phase up to the next row's, so a row holds the wider of the limits at its
     ends.
     """
     phases = [round(front.phase_max_ticks * math.sqrt(percent / 100.0)) for percent in _POWER_PERCENT]
-    phases[0] = max(SENSING_PHASE_TICKS, phases[0])
+    phases = sorted({phase_low_ticks, *(phase for phase in phases if phase > phase_low_ticks)})
     rows = []
     for phase, end in zip(phases, [*phases[1:], phases[-1]], strict=True):
         low = min(_raw(law, front, temp_low_c, phase), _raw(law, front, temp_low_c, end))

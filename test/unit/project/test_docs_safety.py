@@ -55,7 +55,7 @@ def option(name: str) -> Any:
     fake, config = printer()
     parameters()
     settings.guard_rows(config, parameters())
-    settings.read_tests(config, parameters().front)
+    settings.read_tests(config, parameters())
     return fake._access[SECTION, name]
 
 
