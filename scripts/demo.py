@@ -38,7 +38,7 @@ def parse(argv: Sequence[str]) -> argparse.Namespace:
         "--out", type=Path, default=ROOT / "out" / "demo", help="folder for what the print leaves"
     )
     parser.add_argument("--sample", help="print this sample file (cubhelix, benchy, ...), not the lighthouse")
-    parser.add_argument("--config", type=Path, default=ROOT / "config" / "sim-induction.cfg")
+    parser.add_argument("--config", type=Path, default=ROOT / "config" / "sim-real.cfg")
     return parser.parse_args(argv)
 
 

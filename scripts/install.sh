@@ -77,6 +77,7 @@ by_hand="--no-start writes the files and says what root is to do with them"
 units=/etc/systemd/system
 if [ "$start" = yes ]; then
   command -v systemctl >/dev/null || fail "there is no systemd here (no systemctl), so no service can be set up; $by_hand"
+  [ "$(systemctl is-system-running 2>/dev/null || true)" != offline ] || fail "systemd does not run here (a container or a chroot?), so no service can be started; $by_hand"
   command -v sudo >/dev/null || fail "there is no sudo here, and services belong to root; $by_hand"
   sudo=(sudo -n)
   [ ! -t 0 ] || sudo=(sudo)

@@ -95,7 +95,7 @@ def test_metrics_are_open_metrics_text_and_the_nozzle_s_figures_are_sensors(
     assert [s.value for s in states] == [0.0]
 
     served = {s.name for f in text_string_to_metric_families(whole[-1]) for s in f.samples}
-    for page in ("config/grafana-dashboard.json", "docs/guides/Monitoring.md"):
+    for page in ("docs/guides/grafana-dashboard.json", "docs/guides/Monitoring.md"):
         named = set(re.findall(r"ferrite_\w+", (ROOT / page).read_text()))
         assert named <= served | NOT_KNOWN_YET, page
     in_guide = set(re.findall(r"ferrite_\w+", (ROOT / "docs/guides/Monitoring.md").read_text()))

@@ -244,6 +244,12 @@ def test_install_without_systemd_or_sudo_says_so(
     assert "--no-start" in errors
 
 
+def test_install_where_systemd_is_there_but_does_not_run_says_so(anna: Computer) -> None:
+    anna.program("systemctl", "#!/bin/sh\necho offline\nexit 1\n")
+    errors = refused(anna)
+    assert "systemd does not run here" in errors and "--no-start writes the files" in errors
+
+
 def test_install_without_a_compiler_and_without_the_right_to_install_one_names_it(anna: Computer) -> None:
     anna.program("sudo", '#!/bin/sh\n[ "$2" = true ]\n')
     anna.program("apt-get", "#!/bin/sh\nexit 1\n")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import statistics
 from pathlib import Path
 
 import pytest
 
-from system.conftest import TWO_MCUS, Run, Simulate, square
+from simulation import demo_part
+from system.conftest import CONFIG, TWO_MCUS, Run, Simulate, square
 
 TRACE_COLUMNS = (
     "t_s,target_c,estimate_c,true_c,bore_c,melt_c,phase_ticks,power_w,flow_mm3_s,x_mm,y_mm,z_mm,e_mm"
@@ -72,6 +74,20 @@ def test_the_real_machine_runs_and_its_parameters_may_be_profiles(simulate: Simu
     assert run.status == 0, run.stderr
     assert run.column("true_c")[-1] > 30.01, "the warmer air warms the nozzle"
     assert run.column("mean_c")[-1] == pytest.approx(run.column("true_c")[-1], abs=0.01)
+
+
+@pytest.mark.slow
+def test_the_part_of_the_demo_is_hot_on_a_machine_with_the_faults_of_a_real_one(simulate: Simulate) -> None:
+    run = simulate(demo_part.gcode(), config=CONFIG.with_name("sim-real.cfg"), more=["--until", "330"])
+    assert run.status == 0 and run.summary["faults"] == []
+    columns = (run.column(name) for name in ("flow_mm3_s", "target_c", "true_c"))
+    errors = sorted(
+        abs(true_c - target_c) for flow, target_c, true_c in zip(*columns, strict=True) if flow > 0.5
+    )
+    assert len(errors) > 15_000
+    # four seeds: 1.23 to 1.46 and 1.95 to 2.36
+    assert statistics.fmean(error**2 for error in errors) ** 0.5 < 2.0
+    assert errors[len(errors) * 99 // 100] < 3.5
 
 
 def test_it_stops_at_the_time_given(simulate: Simulate) -> None:
