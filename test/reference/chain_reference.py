@@ -148,7 +148,9 @@ class Chain:
     last: tuple[TempEstimate, float, float, float, float] | None = (
         None  # reading, degC, h, W, half its duration
     )
+    ripple_c2: float = 0.0  # mean square of the differences of readings at one strong drive
     strong: float = 0.0  # h of the newest strong drive
+    strong_s: float = 0.0  # its centre
     noise_lsb: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -199,6 +201,10 @@ class Chain:
         if self.beyond >= self.supervise.limit_blocks:
             self.tripped_c = own.temp_c
 
+    def _ripple_c(self) -> float:
+        """1 sigma of what a ripple of the supply adds to one reading at full drive."""
+        return math.sqrt(max(0.0, self.ripple_c2 - 16.0))
+
     def _without_drive(self, block: SampleBlock, own: TempEstimate, heat_w: float) -> TempEstimate:
         """A step of the reading with the drive, but for what the heat balance explains, is the drive's."""
         h = (block.phase_ticks / self.front.phase_max_ticks) ** 2.6
@@ -213,23 +219,30 @@ class Chain:
             heat_j = before_w * first + heat_w * (dt - first) - max(0.0, lost_w) * dt
             rise_c = heat_j / p.heat.at(temp_c) + self.x[1] * dt
             other = abs(h - self.strong) if h > 0.02 else 0.0
-            walk = (0.25 + 20 * h * h) ** 2 * dt + 0.49 * abs(rise_c) + (9 + k * k / 4) * other
+            since = max(dt, min(1.0, own.time_s - self.strong_s)) if h > 0.02 else dt
+            walk = (0.25 + 20 * h * h) ** 2 * since + 0.49 * abs(rise_c) + (9 + k * k / 4) * other
             variance = min(3600.0, variance + walk)
             step = h - h_before
             if dt < 0.006 and abs(step) > 0.02:
                 off_c = own.temp_c - before.temp_c - rise_c - k * step
                 noise = own.sigma_noise_c**2 + before.sigma_noise_c**2 + (0.15 * rise_c) ** 2
+                noise += (self._ripple_c() * step) ** 2
                 total = step**2 * variance + noise
                 if off_c**2 > 25 * total:
                     variance = min(3600.0, variance + (off_c / step) ** 2)
                 else:
                     k += variance * step / total * off_c
                     variance *= 1 - step**2 * variance / total
+            elif dt < 0.006 and h > 0.25:
+                differs_c = (own.temp_c - before.temp_c - rise_c) / h
+                self.ripple_c2 += (differs_c**2 - self.ripple_c2) * dt / (0.02 + dt)
         self.offset = k, variance
-        self.strong = h if h > 0.02 else self.strong
+        if h > 0.02:
+            self.strong, self.strong_s = h, own.time_s
         corrected = own.temp_c - k * h
         self.last = own, corrected, h, heat_w, block.duration_s / 2
-        doubt = h * math.hypot(math.sqrt(variance), 0.15 * k * (1 - h))
+        full_c = math.hypot(math.sqrt(variance), self._ripple_c())
+        doubt = h * math.hypot(full_c, 0.15 * k * (1 - h))
         sigma_c, noise_c = math.hypot(own.sigma_c, doubt), math.hypot(own.sigma_noise_c, doubt)
         return own._replace(temp_c=corrected, sigma_c=sigma_c, sigma_noise_c=noise_c)
 

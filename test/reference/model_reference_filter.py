@@ -44,7 +44,7 @@ TAKEN_C, TAKEN_GAIN = (
 )  # 1 sigma of nodes, share of the gain's doubt after taking over from another law
 SLANT_WALK_C, SLANT_USUAL_S = 0.3, 0.2  # how the reading's slant walks in a second; memory of the usual drive
 SLANT_GAIN = 0.05  # the slant is learned once the gain is known so well
-COLOURED_GAP_S, SWING_S, SWING_SHARE, SWING_KEEP_S = 0.02, 0.006, 0.25, 1.0
+COLOURED_GAP_S, SWING_S, SWING_SHARE, SWING_KEEP_S, SWING_DOUBT_C = 0.02, 0.006, 0.25, 1.0, 5.0
 GAIN_SHARE, COLOURED_JUMP_C = 0.25, 12.0  # with coloured errors
 SECOND_MARGIN_C = 20.0  # the second mass lies between air and the hottest node, give or take this
 
@@ -400,11 +400,16 @@ def _widened(p: ModelParameters, places: Layout, rows: list[list[float]], run: _
     return lean
 
 
-def _swing(p: ModelParameters, state: ModelState, run: _Run) -> tuple[float, float, float]:
+def _swing(
+    p: ModelParameters, state: ModelState, run: _Run, samples: Sequence[Sample]
+) -> tuple[float, float, float]:
     """swing_c, half_c and before_c after this innovation."""
     if not p.coloured_c2_s:
         return 0.0, 0.0, 0.0
     keep, by_c = math.exp(-(run.time_s - state.time_s) / SWING_KEEP_S), run.innovation_c
+    own = sum(1.0 / (s.sigma_c or p.sigma_c) ** 2 for s in samples if not s.rebased and s.temp_c == s.temp_c)
+    if own * SWING_DOUBT_C**2 < 1.0:
+        by_c = 0.0
     swing_c, half_c, before_c = (keep * v for v in (state.swing_c, state.half_c, state.before_c))
     if by_c * half_c < 0.0:
         if abs(by_c) > SWING_SHARE * abs(half_c):
@@ -460,7 +465,7 @@ def _observe_piece(
         covariance = tuple(map(tuple, rows))
         return state._replace(time_s=run.time_s, nodes=run.nodes, covariance=covariance)
     lean = _widened(p, places, rows, run, state.lean)
-    swing = _swing(p, state, run)
+    swing = _swing(p, state, run, samples)
     spread = _spread_of(places, rows, run)
     column = _column(rows, _looking(places, run))
     gains = [value / spread for value in column]

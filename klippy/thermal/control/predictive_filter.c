@@ -18,6 +18,7 @@ struct run {
     struct model_nodes nodes;
     double time_s;
     double weight;              // sum of 1/variance
+    double own;                 // the same without coloured errors
     double pulled;              // of innovation times that
     double passed;              // of output times time
     double innovation_c;        // weighted mean
@@ -274,6 +275,7 @@ walk_through(const struct model_params *p, const struct model_state *s, const st
             double sigma_c = sample->sigma_c ? sample->sigma_c : p->sigma_c;
             double share = 1.0 / (sigma_c * sigma_c + coloured_variance(p, s, sample, last_s));
             last_s = sample->end_s;
+            run.own += 1.0 / (sigma_c * sigma_c);
             g.weight += share;
             g.heat += share * sample->temp_c;
             g.moment += share * sample->time_s;
@@ -456,7 +458,7 @@ observe_piece(const struct model_params *p, const struct model_places *at, struc
         return;
     widen(p, at, s, &run);
     if (p->coloured_c2_s)
-        follow_swing(s, run.innovation_c, dt_s);
+        follow_swing(s, run.own * SWING_DOUBT_C * SWING_DOUBT_C < 1.0 ? 0.0 : run.innovation_c, dt_s);
     update(p, at, s, &run);
     follow_usual(p, at, s, &run, dt_s);
 }

@@ -42,6 +42,7 @@
 #define SWING_S 0.006
 #define SWING_SHARE 0.25
 #define SWING_KEEP_S 1.0
+#define SWING_DOUBT_C 5.0 // readings of more doubt than this do not show it
 // With coloured errors gain and slant are learned above this share of full drive: below it a swing that moves the drive
 // would pass for one. Then a jump of the thermometer begins at this much, beyond what interference does.
 #define GAIN_SHARE 0.25

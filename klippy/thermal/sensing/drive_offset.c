@@ -8,6 +8,7 @@
 #define START_C 60.0        // 1 sigma of k before any step: what 4 % of supply and 0.1 % of C1 make together
 #define WALK_C 0.25         // of k within a second at little drive ...
 #define STRONG_C 20.0       // ... and at full drive, by h^2: ripple and sag of the supply
+#define STRONG_MAX_S 1.0    // ... since the strong block before; no more after so long
 #define WARM_C 0.7          // ... and while the nozzle warms by a degree: the law's error changes with the temperature
 #define OTHER_C 3.0         // ... and while the strong drive moves by the whole of h: the shape is not quite right ...
 #define OTHER_SHARE 0.5     // ... by this share of k
@@ -15,6 +16,9 @@
 #define GAP_S 0.006         // longer after the block before, too little is known of what happened between
 #define RISE_DOUBT 0.15     // of the temperature's own change between the two blocks
 #define SHAPE_DOUBT 0.15    // of the correction, between drives
+#define RIPPLE_S 0.02       // memory of how readings at one drive differ from block to block
+#define RIPPLE_MIN 0.25     // ... from this h on
+#define RIPPLE_MIN_C 4.0    // differences below this are noise
 #define GATE_SIGMA 5.0      // a reading farther off is a disturbance, or k has jumped: the next step decides
 
 void
@@ -33,11 +37,27 @@ rise_between(const struct drive_offset *s, const struct filter_params *p, double
     return heat_j / (p->capacity_j_k + p->capacity_slope_j_k2 * s->temp_c) + rate_k_s * dt_s;
 }
 
+// 1 sigma of what a ripple of the supply adds to one reading at full drive.
+static double
+ripple_c(const struct drive_offset *s)
+{
+    return sqrt(fmax(0.0, s->ripple_c2 - RIPPLE_MIN_C * RIPPLE_MIN_C));
+}
+
+// Two blocks of one strong drive show the ripple.
+static void
+follow_ripple(struct drive_offset *s, const struct coil_block *b, double h, double rise_c, double dt_s)
+{
+    double off_c = (b->temp_c - s->reading_c - rise_c) / h;
+    s->ripple_c2 += (off_c * off_c - s->ripple_c2) * dt_s / (RIPPLE_S + dt_s);
+}
+
 static void
 learn(struct drive_offset *s, const struct coil_block *b, double step, double rise_c)
 {
     double off_c = b->temp_c - s->reading_c - rise_c - s->full_c * step;
     double noise = b->noise_c * b->noise_c + s->noise_c * s->noise_c + pow(RISE_DOUBT * rise_c, 2.0);
+    noise += pow(ripple_c(s) * step, 2.0);
     double spread = step * step * s->variance + noise;
     if (off_c * off_c > GATE_SIGMA * GATE_SIGMA * spread) {
         s->variance = fmin(START_C * START_C, s->variance + pow(off_c / step, 2.0));
@@ -60,12 +80,15 @@ drive_offset_block(struct drive_offset *s, const struct filter_params *p, double
         double other = h > STEP_MIN ? fabs(h - s->strong) : 0.0;
         double walk_c = WALK_C + STRONG_C * h * h;
         double shape_c = hypot(OTHER_C, OTHER_SHARE * s->full_c);
-        double walk = walk_c * walk_c * dt_s + WARM_C * WARM_C * fabs(rise_c) + shape_c * shape_c * other;
+        double since_s = h > STEP_MIN ? fmax(dt_s, fmin(STRONG_MAX_S, b->centre_s - s->strong_s)) : dt_s;
+        double walk = walk_c * walk_c * since_s + WARM_C * WARM_C * fabs(rise_c) + shape_c * shape_c * other;
         s->variance = fmin(START_C * START_C, s->variance + walk);
         if (dt_s < GAP_S && fabs(h - s->lever) > STEP_MIN)
             learn(s, b, h - s->lever, rise_c);
+        else if (dt_s < GAP_S && h > RIPPLE_MIN)
+            follow_ripple(s, b, h, rise_c, dt_s);
     }
-    double doubt_c = h * hypot(sqrt(s->variance), SHAPE_DOUBT * s->full_c * (1.0 - h));
+    double doubt_c = h * hypot(hypot(sqrt(s->variance), ripple_c(s)), SHAPE_DOUBT * s->full_c * (1.0 - h));
     s->noise_c = b->noise_c;
     b->temp_c -= s->full_c * h;
     b->sigma_c = hypot(b->sigma_c, doubt_c);
@@ -74,7 +97,10 @@ drive_offset_block(struct drive_offset *s, const struct filter_params *p, double
     s->reading_c = reading_c;
     s->temp_c = b->temp_c;
     s->lever = h;
-    s->strong = h > STEP_MIN ? h : s->strong;
+    if (h > STEP_MIN) {
+        s->strong = h;
+        s->strong_s = b->centre_s;
+    }
     s->heat_w = b->heat_w;
     s->half_s = 0.5 * b->duration_s;
 }

@@ -16,10 +16,11 @@ struct filter_state;
 
 struct drive_offset {
     double full_c, variance;        // k and its variance, degC at full drive
+    double ripple_c2;               // mean square of how readings at one strong drive differ from block to block
     double time_s;                  // centre of the newest block with a reading; NaN: none yet
     double reading_c, temp_c, noise_c;  // its reading, and corrected
     double lever;                   // its h
-    double strong;                  // h of the newest strong drive
+    double strong, strong_s;        // h of the newest strong drive and its centre
     double heat_w, half_s;          // its heat and half its duration
 };
 
