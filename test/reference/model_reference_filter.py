@@ -467,6 +467,8 @@ def _observe_piece(
     lean = _widened(p, places, rows, run, state.lean)
     swing = _swing(p, state, run, samples)
     spread = _spread_of(places, rows, run)
+    if p.coloured_c2_s:
+        spread = max(spread, run.innovation_c**2 / SURPRISE)
     column = _column(rows, _looking(places, run))
     gains = [value / spread for value in column]
     learns = _learning(p, places, state, rows, run)

@@ -333,6 +333,16 @@ widen(const struct model_params *p, const struct model_places *at, struct model_
         s->covariance[d][d] += SURPRISED_W * SURPRISED_W;
 }
 
+// With coloured errors an innovation that is far too large is an error of the reading: it counts as much as the largest
+// that is not surprising.
+static void
+doubt_reading(const struct model_params *p, const struct model_places *at, const struct model_state *s, struct run *run)
+{
+    double variance = innovation_variance(s, at, run), shown = square(run->innovation_c) / SURPRISE;
+    if (p->coloured_c2_s && shown > variance)
+        run->weight = 1.0 / (1.0 / run->weight + shown - variance);
+}
+
 // Follow the half waves of the innovations.
 static void
 follow_swing(struct model_state *s, double by_c, double dt_s)
@@ -457,6 +467,7 @@ observe_piece(const struct model_params *p, const struct model_places *at, struc
     if (!run.weight)
         return;
     widen(p, at, s, &run);
+    doubt_reading(p, at, s, &run);
     if (p->coloured_c2_s)
         follow_swing(s, run.own * SWING_DOUBT_C * SWING_DOUBT_C < 1.0 ? 0.0 : run.innovation_c, dt_s);
     update(p, at, s, &run);
