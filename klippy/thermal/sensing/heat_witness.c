@@ -89,7 +89,7 @@ judge(struct witness_state *s, double end_s)
         s->is_tripped = s->missing_c > s->surplus_c ? WITNESS_MISSING : WITNESS_SURPLUS;
 }
 
-// The ratio, from one heat-up.
+// The ratio, from one heat-up so far: an error of the reading weighs less the longer it lasts.
 static void
 learn(struct witness_state *s, double dt_s, double c_j_k, double over_k, double rise_c)
 {
@@ -102,7 +102,6 @@ learn(struct witness_state *s, double dt_s, double c_j_k, double over_k, double 
     if (s->run_rise_k < RUN_K)
         return;
     s->ratio = fmax(RATIO_LOW, fmin(RATIO_HIGH, s->run_rise_k / s->run_heat_k));
-    s->run_heat_k = s->run_rise_k = 0.0;
 }
 
 static void
