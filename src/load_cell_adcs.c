@@ -26,9 +26,9 @@
 #include "trigger_analog.h"
 
 enum adc_kind { HX71X, ADS1220, ADS131 };
-enum adc_failure { FAIL_CONNECTION, FAIL_RESET };
-DECL_ENUMERATION("ads131m0x_error:", "CRC", FAIL_CONNECTION);
-DECL_ENUMERATION("ads131m0x_error:", "RESET", FAIL_RESET);
+enum adc_failure { FAIL_CONNECTION = 1, FAIL_RESET };
+DECL_ENUMERATION("ads131m0x_error:", "SENSOR_ERROR_CRC", FAIL_CONNECTION);
+DECL_ENUMERATION("ads131m0x_error:", "SENSOR_ERROR_RESET", FAIL_RESET);
 
 enum {
     SAMPLE_BYTES = 4,

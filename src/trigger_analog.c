@@ -17,11 +17,11 @@ DECL_ENUMERATION("trigger_analog_type", "gt", GT);
 DECL_ENUMERATION("trigger_analog_type", "diff_peak_gt", DIFF_PEAK_GT);
 
 /* Added to error_reason; those of a sensor follow. */
-enum trigger_error { RAW_RANGE, OVERFLOW_ERROR, MONITOR, SENSOR };
+enum trigger_error { RAW_RANGE, OVERFLOW_ERROR, MONITOR, SENSOR_SPECIFIC };
 DECL_ENUMERATION("trigger_analog_error:", "RAW_RANGE", RAW_RANGE);
 DECL_ENUMERATION("trigger_analog_error:", "OVERFLOW", OVERFLOW_ERROR);
 DECL_ENUMERATION("trigger_analog_error:", "MONITOR", MONITOR);
-DECL_ENUMERATION("trigger_analog_error:", "SENSOR", SENSOR);
+DECL_ENUMERATION("trigger_analog_error:", "SENSOR_SPECIFIC", SENSOR_SPECIFIC);
 
 DECL_RESPONSE(response_trigger_analog_state, "trigger_analog_state oid=%c homing=%c homing_clock=%u");
 
@@ -115,7 +115,7 @@ void
 trigger_analog_fail(struct trigger_analog *t, uint8_t code)
 {
     if (t && t->homing)
-        end_from_task(t, (uint8_t)(t->error_reason + SENSOR + code));
+        end_from_task(t, (uint8_t)(t->error_reason + SENSOR_SPECIFIC + code));
 }
 
 /* ---- commands ------------------------------------------------------------------------------ */

@@ -125,6 +125,33 @@ def test_bytes_are_not_lost_while_three_motors_step_as_fast_as_they_can() -> Non
     assert space / 2 < counters["stack_top"] - counters["stack_low"] < 0.75 * space
 
 
+def test_a_display_s_bytes_hold_up_no_step() -> None:
+    """The longest message of an ST7920 keeps the task busy for 1.4 ms; steps are interrupts."""
+    mega = Mega()
+    steppers = [
+        ("config_stepper", {"oid": oid, "step_pin": step, "dir_pin": direction, "invert_step": BOTH_EDGES,
+                            "step_pulse_ticks": 0})
+        for oid, (step, direction) in enumerate(STEP_PINS[:2])
+    ]  # fmt: skip
+    delay = {"sync_delay_ticks": 1152, "cmd_delay_ticks": 1152}
+    display = {"oid": 2, "cs_pin": 16, "sclk_pin": 17, "sid_pin": 18, **delay}
+    mega.configure(3, *steppers, ("config_st7920", display))
+    clock, interval, count = mega.clock_in(0.05), 2000, 2400  # 16 k steps/s in all, for 0.3 s
+    for oid in range(2):
+        mega.send("reset_step_clock", oid=oid, clock=clock)
+        mega.send("queue_step", oid=oid, interval=interval, count=count, add=0)
+    mega.run(0.06)
+    for value in range(32):  # a quarter of the picture
+        mega.send("st7920_send_data", oid=2, data=bytes([value] * 16))
+    mega.run(0.3)
+    assert len(mega.edges(17)) > 32 * 17 * 16
+    for before, (step, _) in enumerate(STEP_PINS[:2]):
+        edges = [at for at, _ in mega.edges(step)][1:]
+        delays = [late(mega, at, clock + interval * (i + 1) & 0xFFFFFFFF) for i, at in enumerate(edges)]
+        assert len(delays) == count and min(delays) >= 0 and max(delays) < LATENESS + before * 200
+    assert mega.chip.counters()["console_overruns"] == 0
+
+
 # ---------------------------------------------------------------- outputs
 
 

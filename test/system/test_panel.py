@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import cos, sin
 from pathlib import Path
 from typing import Any
 
@@ -184,6 +185,32 @@ def test_the_knob_and_the_picture_can_be_had_by_command(tmp_path: Path) -> None:
             gcode.run_script("SIMULATOR_PANEL PRESS=up")
 
     run(tmp_path, "st7920", body)
+
+
+def test_a_picture_that_always_changes_does_not_delay_a_print(tmp_path: Path) -> None:
+    """Each refresh draws all 64 letters anew, a kilobyte of pixels; the line carries 400 moves a second besides."""
+    busy = "display_group: busy\n[simulator panel display]\n"
+    for row in range(4):
+        number = f"printer.toolhead.estimated_print_time * 7.3**{row + 1}"
+        busy += f"[display_data busy d{row}]\nposition: {row}, 0\ntext: {{ '%016.8f' % ({number}) }}\n"
+    turns = (i * 0.25 / 40.0 for i in range(6000))
+    circle = "".join(f"G1 X{100 + 40 * cos(a):.3f} Y{100 + 40 * sin(a):.3f} F6000\n" for a in turns)
+    durations, written = [], []
+    for more in (busy, PLAIN):
+
+        def body(s: ByHand) -> None:
+            gcode = s.printer.lookup_object("gcode")
+            gcode.run_script("G28\nG1 X140 Y100 F6000\nM400\n")
+            before = s.status("toolhead")["print_time"]
+            gcode.run_script(f"{circle}M400\n")
+            status = s.status("toolhead")
+            assert status["stalls"] == 0
+            durations.append(status["print_time"] - before)
+            written.append(s.printer.lookup_object("mcu").get_status(0)["last_stats"]["bytes_write"])
+
+        run(tmp_path, "uc1701", body, more)
+    assert durations[0] == pytest.approx(durations[1], abs=1e-6) == pytest.approx(15.0, abs=1.0)
+    assert written[0] - written[1] > 15 * 2 * 512, "it was drawn"
 
 
 def test_a_section_without_its_display_is_refused(tmp_path: Path) -> None:

@@ -10,11 +10,15 @@ from .filters import McuFilter
 
 ERROR_REASON = 16  # reasons from here on are errors: of the trigger, then of the sensor
 MONITOR_SAMPLES = 3  # without one for so many periods the head stops
-SENSOR_ERROR = "SENSOR"
+SENSOR_ERROR = "SENSOR_SPECIFIC"
 ERRORS = {
     "RAW_RANGE": "the reading is beyond its safe range",
     "OVERFLOW": "the filter has overflowed",
     "MONITOR": "no data from the sensor in time: check its wiring and grounding",
+}
+SENSOR_ERRORS = {
+    "SENSOR_ERROR_CRC": "damaged data: check its wiring and grounding",
+    "SENSOR_ERROR_RESET": "that it has been reset: check its power",
 }
 TRIGGER = "trigger_analog_set_trigger oid=%c trigger_analog_type=%c trigger_value=%i"
 RAW_RANGE = "trigger_analog_set_raw_range oid=%c raw_min=%i raw_max=%i"
@@ -117,7 +121,8 @@ class AnalogEndstop:
         if code < first:
             return ERRORS.get(names.get(code, ""), f"error {code}")
         of_sensor = {number: name for name, number in known.get(self._sensor_errors, {}).items()}
-        return f"the sensor reports {of_sensor.get(code - first, f'error {code - first}')}"
+        name = of_sensor.get(code - first, f"error {code - first}")
+        return f"the sensor reports {SENSOR_ERRORS.get(name, name)}"
 
     def query_endstop(self, print_time: float) -> int:
         """A sensor that is compared only while homing is open else."""

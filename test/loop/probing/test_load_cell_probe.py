@@ -13,6 +13,13 @@ from simulation.runner import BAD_INPUT, PRINTED
 
 CONFIG = ROOT / "config" / "probes" / "sim-load-cell.cfg"
 SECTION, GAUGE = "load_cell_probe", "simulator gauge load_cell_probe"
+SPI = "cs_pin: PE2\ndata_ready_pin: PE3\nspi_bus: spi0\n"
+CONVERTERS = {  # those the config file does not have: options, samples a second
+    "hx711": ("dout_pin: PE0\nsclk_pin: PE1\n", 80.0),
+    "ads1220": (SPI, 660.0),
+    "ads131m02": (f"{SPI}clock_freq: 8192000\nsample_rate: 1000\n", 1000.0),
+    "ads131m04": (f"{SPI}clock_freq: 8192000\nadc_channel: 2\n", 500.0),
+}
 # Of a contact by the fit: 0.6 um of standard deviation (scripts/bench/probe_figures.py), and steps of 0.6 um.
 FOUND_MM = 0.004
 
@@ -33,6 +40,35 @@ def test_homing_and_probing_find_where_the_nozzle_touches(tmp_path: Path) -> Non
         assert z == pytest.approx(result.bed(x, y) - home, abs=2 * FOUND_MM)
     assert result.status_of("probe")["last_z_result"] == pytest.approx(result.found()[-1][2], abs=1e-6)
     assert result.status_of(SECTION)["last_trigger_time"] > 0.0
+
+
+def test_repeated_probings_agree(tmp_path: Path) -> None:
+    count = 40
+    result = run(tmp_path, f"G28\nPROBE_ACCURACY SAMPLES={count}\n", *FLAT)
+    assert result.status == PRINTED, result.reason
+    heights = [z for _, _, z in result.found()]
+    assert statistics.stdev(heights) < 0.001  # 0.00063, with 0.00007 of standard deviation itself
+    assert (result.times[-1] - result.times[0]) / (count - 1) < 1.0
+
+
+@pytest.mark.parametrize("kind", CONVERTERS)
+def test_each_converter_stops_the_move_at_the_bed(tmp_path: Path, kind: str) -> None:
+    options, rate_hz = CONVERTERS[kind]
+    config = tmp_path / "cell.cfg"
+    config.write_text(
+        CONFIG.read_text().replace(
+            "sensor_type: hx717\ndout_pin: PE0\nsclk_pin: PE1\n", f"sensor_type: {kind}\n{options}"
+        )
+    )
+    speed = 2.0
+    gcode = "G28\nPROBE_ACCURACY SAMPLES=5\nLOAD_CELL_DIAGNOSTIC\n"
+    result = run_probe(tmp_path, gcode, *FLAT, (SECTION, "speed", str(speed)), config=config)
+    assert result.status == PRINTED, result.reason
+    heights = [z for _, _, z in result.found()]
+    assert abs(statistics.fmean(heights)) < speed / rate_hz, "within the way of one sample"
+    assert statistics.pstdev(heights) < 0.002
+    rate = float(result.text.partition("samples per second: ")[2].split()[0])
+    assert rate == pytest.approx(rate_hz * 1.005, rel=0.003)  # the chip's clock is 0.5 % off
 
 
 def test_a_lift_finds_the_contact_as_the_way_down_does(tmp_path: Path) -> None:

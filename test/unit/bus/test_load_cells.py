@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import random
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -15,6 +16,7 @@ from extras.eddy.curve import Curve
 from extras.eddy.drift import Drift, fit, value
 from extras.load_cells.chips import unpack
 from extras.load_cells.contact import find_contact
+from extras.probing.analog_endstop import ERROR_REASON, AnalogEndstop
 from extras.probing.filters import Scale, high_pass, low_pass, notch
 
 HX711 = "[load_cell]\nsensor_type: hx711\ndout_pin: PA1\nsclk_pin: PA2\n"
@@ -248,3 +250,28 @@ def test_drift_is_taken_out_between_the_heights_too() -> None:
         # 50 kHz a millimetre: 5 Hz are 0.1 um
         assert drift.corrected(hz(height, 75.0), 75.0) == pytest.approx(hz(height, 25.0), abs=60.0)
         assert drift.expected(hz(height, 25.0), 75.0) == pytest.approx(hz(height, 75.0), abs=60.0)
+
+
+@pytest.mark.parametrize(
+    ("code", "text"),
+    [
+        (0, "the reading is beyond its safe range"),
+        (1, "the filter has overflowed"),
+        (2, "no data from the sensor in time"),
+        (4, "the sensor reports damaged data"),
+        (5, "the sensor reports that it has been reset"),
+    ],
+)
+def test_what_stops_a_move_is_named_by_the_numbers_of_stock_boards(
+    tmp_path: Path, code: int, text: str
+) -> None:
+    """trigger_analog_error: RAW_RANGE 0 to SENSOR_SPECIFIC 3; ads131m0x_error: CRC 1, RESET 2."""
+
+    def body(s: BusSession) -> None:
+        endstop = AnalogEndstop(s.chip, 4, "ads131m0x_error:")
+        s.chip.callbacks[-1]()
+        endstop._dispatch = SimpleNamespace(wait_end=lambda time: None, stop=lambda: ERROR_REASON + code)  # type: ignore[assignment]
+        with pytest.raises(s.printer.command_error, match=text):
+            endstop.home_wait(1.0)
+
+    run(tmp_path, "", body)

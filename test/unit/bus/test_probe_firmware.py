@@ -282,3 +282,45 @@ def test_an_angle_has_the_time_of_its_reading() -> None:
     # 0x1234 and 0x8001 have an odd and an even number of ones: the first is a broken frame
     assert [row[0] == 0xFF for row in rows[:3]] == [True, False, True]
     assert angles[1] == 0x0001 << 2
+
+
+@pytest.mark.parametrize(
+    ("kind", "mode", "sent", "good", "angle", "bad"),
+    [
+        # the answer comes a frame later; bit 15 is an error
+        (0, 3, ["3200", "3200"], ["0000", "5678"], 0x5678 << 1, ["0000", "d678"]),
+        # the angle in 15 bits, then the safety word: its bit 14 falls with an invalid access
+        (2, 1, ["802100000000"], ["0000d678f0aa"], (0x5678 << 1) & 0xFFFF, ["0000d678b0aa"]),
+        # two registers: 14 bits, no magnet, parity
+        (3, 3, ["830000"], ["001235"], 0x1234, ["001236"]),
+        (3, 3, ["830000"], ["001235"], 0x1234, ["001234"]),
+        # a burst: 15 bits, status (bit 1: weak field), check sum
+        (4, 3, ["a00300000000"], ["0000567901aa"], 0x5678, ["0000567902aa"]),
+    ],
+)
+def test_each_angle_chip_is_read_in_its_own_frames(
+    kind: int, mode: int, sent: list[str], good: list[str], angle: int, bad: list[str]
+) -> None:
+    """types: A1333, TLE5012B, MT6816, MT6826S; the second reading is one that the chip says is none."""
+    mcu = Mcu()
+    mcu.configure(
+        2,
+        ("config_spi", {"oid": 0, "pin": 5, "cs_active_high": 0}),
+        ("spi_set_bus", {"oid": 0, "spi_bus": 0, "mode": mode, "rate": 1_000_000}),
+        ("config_spi_angle", {"oid": 1, "spi_oid": 0, "spi_angle_type": kind}),
+    )
+    frames: list[str] = []
+
+    def reply(_bus: int, data: bytes) -> bytes:
+        frames.append(data.hex())
+        number = len(frames) - 1
+        source = bad if number // len(sent) % 2 else good
+        return bytes.fromhex(source[number % len(sent)])
+
+    mcu.spi_reply = reply
+    mcu.send("query_spi_angle", oid=1, clock=(mcu.now + MS) & 0xFFFFFFFF, rest_ticks=MS, time_shift=4)
+    mcu.run(0.022)
+    assert frames[: 2 * len(sent)] == sent * 2
+    data = b"".join(m["data"] for m in mcu.replies("sensor_bulk_data"))
+    assert int.from_bytes(data[1:3], "little") == angle and data[0] != 0xFF
+    assert data[3] == 0xFF
