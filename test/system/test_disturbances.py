@@ -64,7 +64,6 @@ def test_the_true_temperature_stays_while_the_reading_is_disturbed(
         ("strong", "emi_lsb=5 emi_hz=50"),
         ("strong", "emi_lsb=5 emi_hz=100"),
         ("light", "ripple_v=2 ripple_hz=100"),
-        ("light", "supply_v=25.2"),
         ("light", "supply_v=22.8"),
         ("light", "supply_ohm=0.03"),
     ],
