@@ -346,9 +346,9 @@ def test_an_idle_nozzle_wakes_the_host_once_for_four_messages() -> None:
 
 def test_below_the_lowest_drive_that_measures_each_message_comes_at_once() -> None:
     """A step says how many pulses there are, so it has to come often."""
-    rig = Rig(Plant(3, start_c=60.0), default_parameters(law=true_law()), seed=5, jitter_s=0.0)
+    rig = Rig(Plant(3, start_c=40.0), default_parameters(law=true_law()), seed=5, jitter_s=0.0)
     rig.run(0.5)
-    rig.set_target(60.0)
+    rig.set_target(40.0)
     rig.run(3.0)
     assert not rig.loop.state.bridge.driving
     assert max(sizes_of_messages(rig, 0.2)) <= RECORDS

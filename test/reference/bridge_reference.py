@@ -16,7 +16,7 @@ TIME_SLACK_S = 1e-7
 KEEP_S = 0.4
 LOOK_SHARE = 0.05  # of full power: a weaker drive is read without looks
 # From look to look the nozzle rises by this much, within these times. A look of 0.3 ms each 18 ms costs 1.7 % of power.
-LOOK_C, LOOK_MIN_S, LOOK_MAX_S = 6.0, 0.018, 0.100
+LOOK_C, LOOK_MIN_S, LOOK_MAX_S = 6.0, 0.006, 0.100
 LOOK_RARE_S = 0.050  # so far apart they may be long
 LOOK_DOUBT_C = 20.0  # more doubt about full drive than this: a look at each command
 NOT_COMMANDED = PhaseCommand(-math.inf, 0, 0.0)

@@ -148,7 +148,8 @@ class Chain:
     last: tuple[TempEstimate, float, float, float, float] | None = (
         None  # reading, degC, h, W, half its duration
     )
-    ripple_c2: float = 0.0  # mean square of the differences of readings at one strong drive
+    swing_c: float = 0.0  # of readings at one strong drive, less their slow part ...
+    ripple_c2: float = 100.0  # ... and its mean square
     strong: float = 0.0  # h of the newest strong drive
     strong_s: float = 0.0  # its centre
     noise_lsb: float = field(init=False)
@@ -196,7 +197,10 @@ class Chain:
         if not own.valid:
             return
         self.last_valid_s = end_s
-        within = self.supervise.temp_low_c <= own.temp_c <= self.supervise.temp_high_c + self.supervise.over_c
+        low_c, high_c = self.supervise.temp_low_c, self.supervise.temp_high_c + self.supervise.over_c
+        if own.sigma_c > 5.0 and low_c - 2.0 * own.sigma_c <= own.temp_c <= high_c + 2.0 * own.sigma_c:
+            return
+        within = low_c <= own.temp_c <= high_c
         self.beyond = 0 if within else self.beyond + 1
         if self.beyond >= self.supervise.limit_blocks:
             self.tripped_c = own.temp_c
@@ -235,7 +239,8 @@ class Chain:
                     variance *= 1 - step**2 * variance / total
             elif dt < 0.006 and h > 0.25:
                 differs_c = (own.temp_c - before.temp_c - rise_c) / h
-                self.ripple_c2 += (differs_c**2 - self.ripple_c2) * dt / (0.02 + dt)
+                self.swing_c = (self.swing_c + differs_c) * 0.02 / (0.02 + dt)
+                self.ripple_c2 += (self.swing_c**2 - self.ripple_c2) * dt / (0.02 + dt)
         self.offset = k, variance
         if h > 0.02:
             self.strong, self.strong_s = h, own.time_s

@@ -400,6 +400,11 @@ def _widened(p: ModelParameters, places: Layout, rows: list[list[float]], run: _
     return lean
 
 
+def _is_doubtful(p: ModelParameters, samples: Sequence[Sample]) -> bool:
+    own = sum(1.0 / (s.sigma_c or p.sigma_c) ** 2 for s in samples if not s.rebased and s.temp_c == s.temp_c)
+    return own * SWING_DOUBT_C**2 < 1.0
+
+
 def _swing(
     p: ModelParameters, state: ModelState, run: _Run, samples: Sequence[Sample]
 ) -> tuple[float, float, float]:
@@ -407,8 +412,7 @@ def _swing(
     if not p.coloured_c2_s:
         return 0.0, 0.0, 0.0
     keep, by_c = math.exp(-(run.time_s - state.time_s) / SWING_KEEP_S), run.innovation_c
-    own = sum(1.0 / (s.sigma_c or p.sigma_c) ** 2 for s in samples if not s.rebased and s.temp_c == s.temp_c)
-    if own * SWING_DOUBT_C**2 < 1.0:
+    if _is_doubtful(p, samples):
         by_c = 0.0
     swing_c, half_c, before_c = (keep * v for v in (state.swing_c, state.half_c, state.before_c))
     if by_c * half_c < 0.0:
@@ -467,6 +471,10 @@ def _observe_piece(
     lean = _widened(p, places, rows, run, state.lean)
     swing = _swing(p, state, run, samples)
     spread = _spread_of(places, rows, run)
+    more = run.innovation_c**2 / SURPRISE - spread
+    if p.coloured_c2_s and more > 0.0:
+        rows[places.measured][places.measured] += 0.0 if _is_doubtful(p, samples) else 0.5 * more
+        spread += more
     column = _column(rows, _looking(places, run))
     gains = [value / spread for value in column]
     learns = _learning(p, places, state, rows, run)

@@ -17,15 +17,19 @@
 #define RISE_DOUBT 0.15     // of the temperature's own change between the two blocks
 #define SHAPE_DOUBT 0.15    // of the correction, between drives
 #define LOOK_MIN 0.25       // a step of h that says much of k
-#define RIPPLE_S 0.02       // memory of how readings at one drive differ from block to block
+#define RIPPLE_S 0.02       // memory of how readings at one strong drive swing: from 8 Hz on
+#define RIPPLE_START_C 10.0 // before any of them
 #define RIPPLE_MIN 0.25     // ... from this h on
-#define RIPPLE_MIN_C 4.0    // differences below this are noise
+#define RIPPLE_MIN_C 4.0    // less is noise, and a heating rate that is wrong by a third
 #define GATE_SIGMA 5.0      // a reading farther off is a disturbance, or k has jumped: the next step decides
 
 void
 drive_offset_reset(struct drive_offset *s)
 {
-    *s = (struct drive_offset){.variance = START_C * START_C, .time_s = NAN, .look_s = -INFINITY};
+    *s = (struct drive_offset){.variance = START_C * START_C,
+                               .ripple_c2 = RIPPLE_START_C * RIPPLE_START_C,
+                               .time_s = NAN,
+                               .look_s = -INFINITY};
 }
 
 // The temperature's own change between the two blocks' centres.
@@ -49,8 +53,9 @@ ripple_c(const struct drive_offset *s)
 static void
 follow_ripple(struct drive_offset *s, const struct coil_block *b, double h, double rise_c, double dt_s)
 {
-    double off_c = (b->temp_c - s->reading_c - rise_c) / h;
-    s->ripple_c2 += (off_c * off_c - s->ripple_c2) * dt_s / (RIPPLE_S + dt_s);
+    double off_c = (b->temp_c - s->reading_c - rise_c) / h, share = dt_s / (RIPPLE_S + dt_s);
+    s->swing_c = (s->swing_c + off_c) * (1.0 - share);
+    s->ripple_c2 += (s->swing_c * s->swing_c - s->ripple_c2) * share;
 }
 
 static void

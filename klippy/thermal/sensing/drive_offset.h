@@ -19,7 +19,7 @@ struct filter_state;
 
 struct drive_offset {
     double full_c, variance;        // k and its variance, degC at full drive
-    double ripple_c2;               // mean square of how readings at one strong drive differ from block to block
+    double swing_c, ripple_c2;      // of readings at one strong drive: less their slow part, and its mean square
     double time_s;                  // centre of the newest block with a reading; NaN: none yet
     double reading_c, temp_c, noise_c;  // its reading, and corrected
     double lever;                   // its h

@@ -89,20 +89,20 @@ judge(struct witness_state *s, double end_s)
         s->is_tripped = s->missing_c > s->surplus_c ? WITNESS_MISSING : WITNESS_SURPLUS;
 }
 
-// The ratio, from one heat-up.
+// The ratio, from one heat-up so far: an error of the reading weighs less the longer it lasts.
 static void
 learn(struct witness_state *s, double dt_s, double c_j_k, double over_k, double rise_c)
 {
     if (s->heat_j < RUN_W * dt_s) {
-        s->run_heat_k = s->run_rise_k = 0.0;
+        s->run_heat_k = s->run_rise_k = s->run_known_k = 0.0;
         return;
     }
     s->run_heat_k += s->heat_j / c_j_k;
     s->run_rise_k += rise_c + 0.5 * (s->inputs.loss_low_w_k + s->inputs.loss_high_w_k) * over_k * dt_s / c_j_k;
-    if (s->run_rise_k < RUN_K)
+    if (s->run_rise_k < s->run_known_k + RUN_K)
         return;
+    s->run_known_k = s->run_rise_k;
     s->ratio = fmax(RATIO_LOW, fmin(RATIO_HIGH, s->run_rise_k / s->run_heat_k));
-    s->run_heat_k = s->run_rise_k = 0.0;
 }
 
 static void

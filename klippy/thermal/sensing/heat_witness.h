@@ -32,6 +32,7 @@ struct witness_state {
     double heat_j, peak_w;                  // since then; highest of late
     double ratio;                           // of heat over heat capacity, true over set up; 0: not measured yet
     double run_heat_k, run_rise_k;          // of the heat-up under way: by the heat, and by the reading with its losses
+    double run_known_k;                     // ... rise at which it gave the ratio
     double missing_c, surplus_c, allowed_c;
     double beyond_s;                        // since when one of them is more than allowed; NaN: they are not
     double base_c;                          // target, or the lowest reading on the way down to it

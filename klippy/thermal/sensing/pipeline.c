@@ -5,6 +5,7 @@
 
 #define QUANTISATION_VARIANCE (1.0 / 12.0) // LSB^2, a uniform rounding error
 #define UNKNOWN_S 0.020                    // blocks missing for longer: the heat of that time is not known
+#define LIMIT_DOUBT_C 5.0                  // a reading of more doubt passes a limit if it does by twice that doubt
 #define ALIKE_BLOCKS 6.0                   // neighbours on one code err by the same: a message of them says it once
 
 double
@@ -83,6 +84,9 @@ chain_watch_block(const struct chain_params *p, struct chain_watch *w, const str
     if (b->fault)
         return;
     w->last_valid_s = b->end_s;
+    double doubt_c = 2.0 * b->sigma_c;
+    if (b->sigma_c > LIMIT_DOUBT_C && p->limit_low_c - doubt_c <= b->temp_c && b->temp_c <= p->limit_high_c + doubt_c)
+        return; // looks within this drive decide
     int within = p->limit_low_c <= b->temp_c && b->temp_c <= p->limit_high_c;
     w->beyond = within ? 0 : w->beyond + 1;
     if (w->beyond >= p->limit_blocks) {
