@@ -79,6 +79,7 @@ BY = {  # words of the message that ended a print → short name
     "does not follow": "host: heat without rise",
     "rises by": "host: rise without heat",
     "above its target": "host: above its target",
+    "than any command": "host: drive beyond commands",
 }
 
 
