@@ -23,7 +23,9 @@ RATE_CHANGE = 0.002  # of the chip's clock, until the filters are designed anew
 GRAVITY_M_S2 = 9.80665
 UPRIGHT_MIN = 0.7  # of gravity along z
 SETTLED_RATE_S = 3.0  # until the chip's clock is known
-CLIPPED_MAX = 0.02  # share of samples at the end of the range, or far from the one before: a knock may do that
+CLIPPED_MAX = (
+    0.02  # share of samples at the end of the range, or far from the one before: a knock may do that
+)
 SILENT_BATCHES = 2  # without a sample
 FROZEN_SAMPLES = 200
 UP_S = 3.0  # mean of the acceleration
