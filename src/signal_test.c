@@ -211,6 +211,22 @@ jump_limit(const struct signal_test *t, uint16_t phase)
     return jump + (jump * phase >> RIPPLE_SHIFT) + (jump * hard >> HARD_SHIFT);
 }
 
+static uint8_t
+jumps(const struct signal_test *t, const struct guard_input *block, uint32_t span)
+{
+    uint32_t moved = block->sum < t->jump_sum ? t->jump_sum - block->sum : block->sum - t->jump_sum;
+    if (block->count == t->jump_count && moved <= (uint32_t)t->limits.jump * block->count >> 4)
+        return 0; /* as nearly always: within the limit of a weak drive */
+    if (!t->limits.jump || block->phase < t->limits.phase || !comparable(t, block, span))
+        return 0;
+    uint64_t sum = (uint64_t)block->sum * t->jump_count, before = (uint64_t)t->jump_sum * block->count;
+    uint8_t fell = sum < before;
+    uint32_t limit = jump_limit(t, block->phase);
+    limit += (fell ? t->limits.fall : t->limits.rise) * span >> RATE_SHIFT;
+    uint64_t allowed = (uint64_t)limit * ((uint32_t)block->count * t->jump_count) >> 4;
+    return (fell ? before - sum : sum - before) > allowed;
+}
+
 enum guard_trip
 signal_test_block(struct signal_test *t, const struct guard_input *block, uint32_t first)
 {
@@ -218,14 +234,8 @@ signal_test_block(struct signal_test *t, const struct guard_input *block, uint32
     t->bad_idles = conducts ? (uint8_t)(t->bad_idles + 1) : 0;
     if (t->bad_idles >= SIGNAL_IDLE_BLOCKS)
         return GUARD_TRIP_CONDUCTS;
-    uint32_t end = first + block->count, span = end - t->jump_end;
-    uint8_t judged = t->limits.jump && block->phase >= t->limits.phase && comparable(t, block, span);
-    uint64_t sum = (uint64_t)block->sum * t->jump_count, before = (uint64_t)t->jump_sum * block->count;
-    uint8_t fell = sum < before;
-    uint32_t limit = jump_limit(t, block->phase);
-    limit += (fell ? t->limits.fall : t->limits.rise) * span >> RATE_SHIFT;
-    uint64_t allowed = (uint64_t)limit * ((uint32_t)block->count * t->jump_count) >> 4;
-    if (judged && (fell ? before - sum : sum - before) > allowed)
+    uint32_t end = first + block->count;
+    if (jumps(t, block, end - t->jump_end))
         return ++t->bad_jumps >= SIGNAL_JUMP_BLOCKS ? GUARD_TRIP_JUMP : GUARD_TRIP_NONE;
     t->bad_jumps = 0;
     t->jump_sum = block->sum;

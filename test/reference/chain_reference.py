@@ -149,6 +149,7 @@ class Chain:
         None  # reading, degC, h, W, half its duration
     )
     strong: float = 0.0  # h of the newest strong drive
+    swing: float = 0.0  # mean square of k's jumps between blocks at one drive
     noise_lsb: float = field(init=False)
 
     def __post_init__(self) -> None:
@@ -216,15 +217,23 @@ class Chain:
             walk = (0.25 + 20 * h * h) ** 2 * dt + 0.49 * abs(rise_c) + (9 + k * k / 4) * other
             variance = min(3600.0, variance + walk)
             step = h - h_before
+            noise = own.sigma_noise_c**2 + before.sigma_noise_c**2 + (0.15 * rise_c) ** 2
+            if dt < 0.006 and abs(step) <= 0.02 < h:
+                off_c = own.temp_c - before.temp_c - rise_c
+                moved = min(3600.0, (off_c / h) ** 2)
+                if off_c**2 > 25 * (noise + h * h * walk):
+                    self.swing = max(self.swing, moved)
+                elif self.swing:
+                    self.swing += 0.1 * (moved - self.swing)
             if dt < 0.006 and abs(step) > 0.02:
                 off_c = own.temp_c - before.temp_c - rise_c - k * step
-                noise = own.sigma_noise_c**2 + before.sigma_noise_c**2 + (0.15 * rise_c) ** 2
                 total = step**2 * variance + noise
                 if off_c**2 > 25 * total:
                     variance = min(3600.0, variance + (off_c / step) ** 2)
                 else:
                     k += variance * step / total * off_c
                     variance *= 1 - step**2 * variance / total
+        variance = max(variance, self.swing)
         self.offset = k, variance
         self.strong = h if h > 0.02 else self.strong
         corrected = own.temp_c - k * h

@@ -33,9 +33,10 @@ def climb(simulate: Simulate, *settings: str) -> tuple[float, float, float]:
         ("supply_v=23.5",),
         ("supply_ohm=0.03",),
         ("ripple_v=1", "ripple_hz=100"),
+        ("ripple_v=1", "ripple_hz=120"),
         ("preset=strong", "supply_v=24.5"),
     ],
-    ids=["2 % more", "4 % more", "2 % less", "sag", "ripple", "strong, 2 % more"],
+    ids=["2 % more", "4 % more", "2 % less", "sag", "ripple", "120 Hz", "strong, 2 % more"],
 )
 def test_a_supply_nobody_measures_moves_the_peak_by_less_than_three_degrees(
     simulate: Simulate, changes: tuple[str, ...]

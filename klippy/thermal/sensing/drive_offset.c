@@ -16,6 +16,7 @@
 #define RISE_DOUBT 0.15     // of the temperature's own change between the two blocks
 #define SHAPE_DOUBT 0.15    // of the correction, between drives
 #define GATE_SIGMA 5.0      // a reading farther off is a disturbance, or k has jumped: the next step decides
+#define JUMP_SHARE 0.1      // of a block in the mean square of k's jumps between blocks at one drive
 
 void
 drive_offset_reset(struct drive_offset *s)
@@ -33,12 +34,17 @@ rise_between(const struct drive_offset *s, const struct filter_params *p, double
     return heat_j / (p->capacity_j_k + p->capacity_slope_j_k2 * s->temp_c) + rate_k_s * dt_s;
 }
 
+static double
+noise_between(const struct drive_offset *s, const struct coil_block *b, double rise_c)
+{
+    return b->noise_c * b->noise_c + s->noise_c * s->noise_c + pow(RISE_DOUBT * rise_c, 2.0);
+}
+
 static void
 learn(struct drive_offset *s, const struct coil_block *b, double step, double rise_c)
 {
     double off_c = b->temp_c - s->reading_c - rise_c - s->full_c * step;
-    double noise = b->noise_c * b->noise_c + s->noise_c * s->noise_c + pow(RISE_DOUBT * rise_c, 2.0);
-    double spread = step * step * s->variance + noise;
+    double spread = step * step * s->variance + noise_between(s, b, rise_c);
     if (off_c * off_c > GATE_SIGMA * GATE_SIGMA * spread) {
         s->variance = fmin(START_C * START_C, s->variance + pow(off_c / step, 2.0));
         return;
@@ -46,6 +52,18 @@ learn(struct drive_offset *s, const struct coil_block *b, double step, double ri
     double gain = s->variance * step / spread;
     s->full_c += gain * off_c;
     s->variance -= gain * step * s->variance;
+}
+
+// Between two blocks at one strong drive k should hardly move. Where it jumps it follows the supply's ripple, and looks may
+// keep step with that.
+static void
+note_swing(struct drive_offset *s, const struct coil_block *b, double h, double rise_c, double walk)
+{
+    double off_c = b->temp_c - s->reading_c - rise_c, moved = fmin(START_C * START_C, pow(off_c / h, 2.0));
+    if (off_c * off_c > GATE_SIGMA * GATE_SIGMA * (noise_between(s, b, rise_c) + h * h * walk))
+        s->swing = fmax(s->swing, moved);
+    else if (s->swing)
+        s->swing += JUMP_SHARE * (moved - s->swing);
 }
 
 void
@@ -64,7 +82,10 @@ drive_offset_block(struct drive_offset *s, const struct filter_params *p, double
         s->variance = fmin(START_C * START_C, s->variance + walk);
         if (dt_s < GAP_S && fabs(h - s->lever) > STEP_MIN)
             learn(s, b, h - s->lever, rise_c);
+        else if (dt_s < GAP_S && h > STEP_MIN)
+            note_swing(s, b, h, rise_c, walk);
     }
+    s->variance = fmax(s->variance, s->swing);
     double doubt_c = h * hypot(sqrt(s->variance), SHAPE_DOUBT * s->full_c * (1.0 - h));
     s->noise_c = b->noise_c;
     b->temp_c -= s->full_c * h;

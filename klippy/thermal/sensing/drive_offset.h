@@ -8,6 +8,9 @@
 //
 // Between the centres of two blocks the temperature changes by the heat balance; the rest of a step is k's.
 //
+// A supply with ripple moves k from block to block, and looks may keep step with it. Blocks at one strong drive show how far:
+// the doubt about k is no less than that, so strong drives count for little, and each command begins with a look.
+//
 // The actuator puts short looks at the sensing phase into a strong drive, so that there are steps.
 
 struct coil_block;
@@ -16,6 +19,7 @@ struct filter_state;
 
 struct drive_offset {
     double full_c, variance;        // k and its variance, degC at full drive
+    double swing;                   // mean square of k's jumps between blocks at one strong drive; 0: none yet
     double time_s;                  // centre of the newest block with a reading; NaN: none yet
     double reading_c, temp_c, noise_c;  // its reading, and corrected
     double lever;                   // its h
