@@ -208,7 +208,7 @@ class NozzleMonitor:
                 f"the mount vibrates as with a hole of {diameter_mm:.2f} mm, {percent:.0f} % less than before: the"
                 " nozzle is partly clogged, or too cold for this filament"
             )
-        if self._state is not None and self._state.lost:
+        if self._state is not None and self._state.lost_share:
             percent = 100.0 * self._state.lost_share
             return (
                 f"the melt takes {percent:.0f} % less heat than its planned flow needs: the filament ran"

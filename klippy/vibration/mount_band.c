@@ -43,12 +43,12 @@ static void add(struct mount_band *b, const int32_t counts[3])
     double x = 0;
     int is_clipped = 0;
     b->same = memcmp(counts, b->last, sizeof b->last) ? 0 : b->same + 1;
-    memcpy(b->last, counts, sizeof b->last);
     for (int i = 0; i < 3; i++) {
         x += b->weight[i] * counts[i];
         b->sum[i] += counts[i];
-        is_clipped |= abs(counts[i]) >= b->clip_counts;
+        is_clipped |= abs(counts[i]) >= b->clip_counts || abs(counts[i] - b->last[i]) >= b->clip_counts / 2;
     }
+    memcpy(b->last, counts, sizeof b->last);
     b->clipped += is_clipped;
     if (b->next == 0)
         b->offset = x;

@@ -19,7 +19,7 @@ struct band_window {
     int64_t first;       // number of its first sample
     double power;        // mean square, (m/s^2)^2
     double mean[3];      // counts
-    int32_t clipped;     // samples at the end of the range
+    int32_t clipped;     // samples at the end of the range, or half the range from the one before: damaged data
     int32_t same;        // newest samples that are alike in all bits
     int32_t failures;    // samples that the firmware says are none
     int32_t settled;     // 0: too soon after a gap for `power`

@@ -43,6 +43,11 @@ class SampleClock:
             self._count(*self._points.popleft(), -1)
         self._line = None
 
+    def forget(self) -> None:
+        """Only points from now on count."""
+        self._points.clear()
+        self._sums = [0, 0, 0, 0]
+
     def _count(self, n: int, clock: int, sign: int) -> None:
         for place, value in enumerate((n, clock, n * n, n * clock)):
             self._sums[place] += sign * value
@@ -74,6 +79,7 @@ class BulkReader:
         self._status: Any = None
         self.lost_messages = self.overflows = 0
         self._next_sequence = 0  # 64 bits
+        self._has_gap = False  # since the line's last point
         self._clock = SampleClock(1.0)
 
     def build(self, status: Any) -> None:
@@ -93,10 +99,15 @@ class BulkReader:
         params = self._status.send([self._oid])
         clock = self._mcu.clock32_to_clock64(params["clock"])
         behind = params["next_sequence"] - self._next_sequence & 0xFFFF
-        self.overflows += (params["possible_overflows"] - self.overflows) & 0xFFFF
+        overflows = (params["possible_overflows"] - self.overflows) & 0xFFFF
+        self.overflows += overflows
+        self._has_gap |= overflows > 0
         messages = self._next_sequence + behind
         taken = messages * self._per_message + params["buffered"] // self._sample_bytes
         if params["query_ticks"] <= self._mcu.seconds_to_clock(MAX_QUERY_S):
+            if self._has_gap:  # samples are missing: a line across the gap has another slope
+                self._clock.forget()
+                self._has_gap = False
             self._clock.add(taken, clock)
         return int(taken)
 

@@ -23,12 +23,16 @@ RATE_CHANGE = 0.002  # of the chip's clock, until the filters are designed anew
 GRAVITY_M_S2 = 9.80665
 UPRIGHT_MIN = 0.7  # of gravity along z
 SETTLED_RATE_S = 3.0  # until the chip's clock is known
-CLIPPED_MAX = 0.02  # share of samples at the end of the range: a knock may reach it
+CLIPPED_MAX = (
+    0.02  # share of samples at the end of the range, or far from the one before: a knock may do that
+)
+SILENT_BATCHES = 2  # without a sample
 FROZEN_SAMPLES = 200
 UP_S = 3.0  # mean of the acceleration
 START_S = 1.0  # after ready: clients are connected and see what is wrong
 RATE_MIN = 2.5  # samples a second over the end of the band
 HARMONICS = (1, 2, 3)  # of a motor's steps
+UNPLUGGED = "unplugged: it gives no samples. Check its power and its wires"
 SPEED_CHANGE_MAX_MM_S = 30.0  # of a motor, from a window to the next: more shakes the whole machine
 
 
@@ -85,7 +89,7 @@ class MountVibration:
         self._before: Motion | None = None
         self._seen_s = 0.0
         self._up = [0.0, 0.0, 0.0]
-        self._lost = 0
+        self._silent = 0
 
     def connect(self, where: str) -> None:
         """Raises the printer's config_error if there is no such accelerometer."""
@@ -159,8 +163,10 @@ class MountVibration:
 
     def _on_batch(self, batch: dict[str, Any]) -> bool:
         windows, self._waiting = self._waiting, []
-        self._lost += batch["overflows"]
+        self._silent = 0 if windows else self._silent + 1
         if not windows:
+            if self._silent == SILENT_BATCHES and self.fault is None:
+                self._fail(UNPLUGGED)
             return True
         rate_hz = self.sensor.rate_hz()
         if abs(rate_hz / self._rate_hz - 1.0) > RATE_CHANGE:
@@ -182,9 +188,9 @@ class MountVibration:
     def _find_fault(self, windows: Sequence[SeenWindow], samples: int) -> str | None:
         """Of a second or so."""
         if any(w.failures for w in windows):
-            return "unplugged: it gives no samples. Check its power and its wires"
+            return UNPLUGGED
         if sum(w.clipped for w in windows) > CLIPPED_MAX * samples * len(windows):
-            return "saturated: its samples reach the end of its range. Check that it is fixed, and its wires"
+            return "saturated: its samples reach the end of its range, or jump. Check that it is fixed, and its wires"
         if max(w.same for w in windows) >= FROZEN_SAMPLES:
             return "frozen: its samples do not change. Check its power and its wires"
         if self._seen_s >= UP_S and max(map(abs, self._up)) > 0.5 * GRAVITY_M_S2:
@@ -197,6 +203,7 @@ class MountVibration:
     def _fail(self, fault: str) -> None:
         self.fault = fault
         self.state.recent.clear()
+        self.state.step = mount_witness.Step()
         self._report(
             f"Nozzle monitor: [{self._section}] {fault}. The mount's vibration is not judged, the heat of the melt is."
         )

@@ -204,7 +204,7 @@ def _test(
     state.weighted_share += max(0.0, ratio) * share
     if state.evidence > p.threshold:
         state.lost = not state.lost
-        state.lost_share = state.weighted_share / state.weight if state.lost else 0.0
+        state.lost_share = state.weighted_share / state.weight if state.lost and state.weight else 0.0
         state.evidence = state.alone = state.joint = state.weight = state.weighted_share = 0.0
 
 

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from simulation.runner import RunOptions, Simulation
 from system.conftest import ROOT, Simulate, square
 
 CONFIG = ROOT / "config" / "sim-clog.cfg"
@@ -92,6 +93,48 @@ def test_a_broken_sensor_is_named_and_is_no_clog(simulate: Simulate, setting: st
     assert "The mount's vibration is not judged, the heat of the melt is" in run.summary["messages"][0]
     assert {row["condition"] for row in run.summary["nozzle_monitor"]} == {"unknown", "clear"}
     assert run.summary["nozzle_monitor"][-1]["diameter_mm"] is None
+
+
+class LoosePlug(Simulation):
+    """The sensor has a fault from BEGIN_S on, for ten seconds."""
+
+    fault = "none"
+
+    def _print(self) -> None:
+        begin_s = self.reactor.monotonic()
+        changes = [(begin_s + BEGIN_S, self.fault), (begin_s + BEGIN_S + 10.0, "none")]
+
+        def change(eventtime: float) -> float:
+            assert self.machine is not None
+            self.machine.world.set_accelerometer_fault(0, changes.pop(0)[1])
+            return changes[0][0] if changes else self.reactor.NEVER
+
+        self.reactor.register_timer(change, changes[0][0])
+        super()._print()
+
+
+@pytest.mark.parametrize(
+    ("chip", "fault"),
+    [("adxl345", "unplugged"), ("adxl345", "frozen"), ("adxl345", "saturated"), ("lis2dw", "unplugged")],
+)
+def test_a_sensor_that_breaks_in_a_print_is_named_and_judged_again_after_it(
+    tmp_path: Path, chip: str, fault: str
+) -> None:
+    config, part = tmp_path / "printer.cfg", tmp_path / "part.gcode"
+    part.write_text(square(ROUNDS))
+    text = CONFIG.read_text().replace("include ", f"include {CONFIG.parent}/")
+    if chip != "adxl345":  # 1600 samples a second, on a board of its own
+        text = text.replace("rate: 800\n", "").replace("adxl345", chip).replace("PH1", "toolboard:PH1")
+        text += "[mcu toolboard]\nserial: /tmp/ferrite_toolboard\n[simulator mcu toolboard]\nbaud: 0\n"
+    config.write_text(text)
+    simulation = LoosePlug(RunOptions(config, part))
+    simulation.fault = fault
+    outcome = simulation.run()
+    assert outcome.status == 0, outcome.reason
+    (message,) = outcome.summary["messages"]
+    assert f"[{chip}] {fault}: " in message
+    assert {row["condition"] for row in outcome.summary["nozzle_monitor"]} == {"unknown", "clear"}
+    assert outcome.summary["nozzle_monitor"][-1]["diameter_mm"] == pytest.approx(0.4, rel=0.05)
 
 
 def test_an_accelerometer_that_is_too_slow_is_refused(simulate: Simulate) -> None:

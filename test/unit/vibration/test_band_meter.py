@@ -81,15 +81,28 @@ def test_all_byte_orders_are_the_same_samples() -> None:
 def test_what_shows_a_broken_sensor_is_counted() -> None:
     format_ = SampleFormat(5, False, 4000, (0.0, 0.0, 0.001))
     meter = BandMeter(format_, WINDOW, 100)
-    raw = counts(3 * WINDOW) // 2
+    raw = counts(3 * WINDOW) // 4
     raw[5:8, 1] = 4050
     raw[WINDOW : 2 * WINDOW] = (7, -8, 250)
     first = list(meter.take(0, packed(raw[:WINDOW])))
-    assert (first[0].clipped, first[0].same, first[0].settled) == (3, 0, 0)
+    assert (first[0].clipped, first[0].same, first[0].settled) == (4, 0, 0)  # and the way back
     second = list(meter.take(WINDOW, packed(raw[WINDOW : 2 * WINDOW])))
     assert (second[0].same, list(second[0].mean)) == (WINDOW - 1, [7.0, -8.0, 250.0])
     third = list(meter.take(2 * WINDOW, b"\xff" * 5 + packed(raw[2 * WINDOW : 3 * WINDOW - 1])))
     assert (third[0].failures, third[0].same) == (1, 0)
+
+
+def test_damaged_data_are_counted_and_knocks_are_not() -> None:
+    """At random bytes more than half of the samples jump by half the range; a knock rings for some samples."""
+    meter = BandMeter(LITTLE, WINDOW, 0)
+    meter.set_sections([])
+    random = np.random.default_rng(1).integers(-32000, 32000, (400, 3)).astype("<i2").tobytes()
+    assert all(window.clipped > WINDOW // 2 for window in meter.take(0, random))
+    ringing = 12000.0 * np.exp(-np.arange(400) / 20.0) * np.sin(2.0 * np.pi * 0.25 * np.arange(400))
+    meter = BandMeter(LITTLE, WINDOW, 0)
+    meter.set_sections([])
+    knock = np.stack([ringing, 0.5 * ringing, 4000 + ringing], axis=1).astype("<i2").tobytes()
+    assert [window.clipped for window in meter.take(0, knock)] == [0] * 10
 
 
 def test_after_a_gap_the_filters_settle_first() -> None:
