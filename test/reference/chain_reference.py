@@ -207,7 +207,7 @@ class Chain:
 
     def _ripple_c(self) -> float:
         """1 sigma of what a ripple of the supply adds to one reading at full drive."""
-        return math.sqrt(max(0.0, self.ripple_c2 - 16.0))
+        return math.sqrt(max(0.0, self.ripple_c2 - 6.25))
 
     def _without_drive(self, block: SampleBlock, own: TempEstimate, heat_w: float) -> TempEstimate:
         """A step of the reading with the drive, but for what the heat balance explains, is the drive's."""
@@ -241,6 +241,7 @@ class Chain:
                 differs_c = (own.temp_c - before.temp_c - rise_c) / h
                 self.swing_c = (self.swing_c + differs_c) * 0.02 / (0.02 + dt)
                 self.ripple_c2 += (self.swing_c**2 - self.ripple_c2) * dt / (0.02 + dt)
+        variance = max(variance, self._ripple_c() ** 2)
         self.offset = k, variance
         if h > 0.02:
             self.strong, self.strong_s = h, own.time_s

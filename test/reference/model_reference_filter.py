@@ -472,8 +472,7 @@ def _observe_piece(
     swing = _swing(p, state, run, samples)
     spread = _spread_of(places, rows, run)
     more = run.innovation_c**2 / SURPRISE - spread
-    if p.coloured_c2_s and more > 0.0:
-        rows[places.measured][places.measured] += 0.0 if _is_doubtful(p, samples) else 0.5 * more
+    if p.coloured_c2_s and more > 0.0 and _is_doubtful(p, samples):
         spread += more
     column = _column(rows, _looking(places, run))
     gains = [value / spread for value in column]

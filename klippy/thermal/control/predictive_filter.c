@@ -340,16 +340,13 @@ is_doubtful(const struct run *run)
     return run->own * SWING_DOUBT_C * SWING_DOUBT_C < 1.0;
 }
 
-// With coloured errors, an innovation that surprises is an error of the reading, and of the temperature as much.
+// With coloured errors, what surprises about readings in doubt is their error, not the temperature's.
 static void
-doubt_both(const struct model_params *p, const struct model_places *at, struct model_state *s, struct run *run)
+doubt_reading(const struct model_params *p, const struct model_places *at, struct model_state *s, struct run *run)
 {
     double more = square(run->innovation_c) / SURPRISE - innovation_variance(s, at, run);
-    if (!p->coloured_c2_s || more <= 0.0)
-        return;
-    double both = is_doubtful(run) ? 0.0 : 0.5 * more;
-    s->covariance[at->measured][at->measured] += both;
-    run->weight = 1.0 / (1.0 / run->weight + more - both);
+    if (p->coloured_c2_s && more > 0.0 && is_doubtful(run))
+        run->weight = 1.0 / (1.0 / run->weight + more);
 }
 
 // Follow the half waves of the innovations.
@@ -476,7 +473,7 @@ observe_piece(const struct model_params *p, const struct model_places *at, struc
     if (!run.weight)
         return;
     widen(p, at, s, &run);
-    doubt_both(p, at, s, &run);
+    doubt_reading(p, at, s, &run);
     if (p->coloured_c2_s)
         follow_swing(s, is_doubtful(&run) ? 0.0 : run.innovation_c, dt_s);
     update(p, at, s, &run);

@@ -20,7 +20,7 @@
 #define RIPPLE_S 0.02       // memory of how readings at one strong drive swing: from 8 Hz on
 #define RIPPLE_START_C 10.0 // before any of them
 #define RIPPLE_MIN 0.25     // ... from this h on
-#define RIPPLE_MIN_C 4.0    // less is noise, and a heating rate that is wrong by a third
+#define RIPPLE_MIN_C 2.5    // less is noise, and a heating rate that is wrong by a third
 #define GATE_SIGMA 5.0      // a reading farther off is a disturbance, or k has jumped: the next step decides
 
 void
@@ -98,6 +98,7 @@ drive_offset_block(struct drive_offset *s, const struct filter_params *p, double
         else if (dt_s < GAP_S && h > RIPPLE_MIN)
             follow_ripple(s, b, h, rise_c, dt_s);
     }
+    s->variance = fmax(s->variance, pow(ripple_c(s), 2.0)); // looks may keep step with the ripple
     double doubt_c = h * hypot(hypot(sqrt(s->variance), ripple_c(s)), SHAPE_DOUBT * s->full_c * (1.0 - h));
     s->noise_c = b->noise_c;
     b->temp_c -= s->full_c * h;
