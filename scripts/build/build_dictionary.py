@@ -441,6 +441,7 @@ def main(argv: list[str]) -> int:
     parser.add_argument("--version", default="unknown", help="version text for the dictionary")
     parser.add_argument("--license", default="GPL-3.0-or-later", help="licence name for the dictionary")
     parser.add_argument("sources", nargs="+")
+    parser.add_argument("--round-up", type=int, default=1, help="bytes the identify data is a multiple of")
     options = parser.parse_args(argv)
     compiler = shlex.split(options.cc)
     try:
@@ -451,7 +452,9 @@ def main(argv: list[str]) -> int:
     dictionary = make_dictionary(found, options.version, compiler_version(compiler), options.license)
     text = json.dumps(dictionary, separators=(",", ":"), sort_keys=True)
     options.out.mkdir(parents=True, exist_ok=True)
-    write_if_changed(options.out / "compile_time.c", make_c_text(found, zlib.compress(text.encode(), 9)))
+    identify = zlib.compress(text.encode(), 9)
+    identify += bytes(-len(identify) % options.round_up)
+    write_if_changed(options.out / "compile_time.c", make_c_text(found, identify))
     write_if_changed(options.out / "ferrite.dict", text)
     return 0
 
