@@ -46,7 +46,7 @@ class DriftParameters:
     copper_walk: float = 2e-4
     warmth_per_j: float = 6e-4  # 6 % in a cold start, which warms the coil by 20 to 80 K
     power_max_w: float = 81.3
-    balance_c: float = 10.0
+    balance_c: float = 30.0  # losses that are a sixth wrong, at 200 K above the room
     balance_walk_c: float = 0.1
     law_c: float = 6.0
     law_walk_c: float = 0.05
