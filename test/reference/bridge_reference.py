@@ -309,8 +309,12 @@ class Bridge:
         need = "watch" if request.target_c > 0.0 else need
         is_on = self.line.is_on_from(max(at_s, self.owed.last_excited_s))
         commands = actuate(actuator, self.owed, power_w, at_s, is_on, need)
-        if len(commands) == 1 and horizon:
-            commands += ahead(actuator, commands[0], horizon)
+        if len(commands) == 1:
+            late = Planned(at_s + self.timing.control_s, power_w)  # between pulses, if the host is late
+            is_planned = bool(horizon) and horizon[0].time_s <= late.time_s
+            if self.plans and power_w > 0.0 and not commands[0].phase_ticks and not is_planned:
+                commands += ahead(actuator, commands[0], [late])
+            commands += ahead(actuator, commands[-1], horizon)
         if commands and self.heat is not None and power_w > 0.0:
             rate_k_s = power_w / self.heat.at(request.estimate_c)
             looked = with_look(actuator, self.owed, commands, rate_k_s, self.doubt_c)

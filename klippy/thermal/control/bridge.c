@@ -306,8 +306,13 @@ bridge_command(const struct bridge_params *p, struct bridge_state *s, const stru
     // A horizon may turn on again a bridge that is off; a pulse ends by itself and stays.
     int is_on = timeline_is_on_from(&s->line, greater(at_s, s->actuator.last_excited_s));
     int count = actuator_act(&p->actuator, &s->actuator, power_w, at_s, is_on, need, out);
-    if (count == 1)
-        count += actuator_ahead(&p->actuator, r->horizon, horizon, out);
+    if (count == 1) {
+        struct model_planned late = {at_s + p->timing.control_s, power_w}; // between pulses, if the host is late
+        int is_planned = horizon && r->horizon[0].time_s <= late.time_s;
+        if (p->plans && power_w > 0.0 && !out[0].phase_ticks && !is_planned)
+            count += actuator_ahead(&p->actuator, &late, 1, out);
+        count += actuator_ahead(&p->actuator, r->horizon, horizon, out + count - 1);
+    }
     struct phase_command head = out[0];
     if (count && p->drive && power_w > 0.0) {
         double heat_j_k = p->heat_25c_j_k * (1.0 + p->heat_slope_per_k * (r->estimate_c - 25.0));

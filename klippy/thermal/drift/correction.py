@@ -15,7 +15,7 @@ from typing import Any
 
 from thermal.drift import observer
 from thermal.drift.observer import DriftParameters, DriftState
-from thermal.drift.rest import Rest
+from thermal.drift.rest import NEAR_C, NEAR_SIGMA_C, Rest
 from thermal.sensing.block_temperature import EstimatorParameters
 from thermal.sensing.blocks import Blocks
 from thermal.sensing.heat_balance_monitor import HeatBalanceParameters
@@ -28,8 +28,7 @@ BALANCE_EACH_S, BALANCE_SIGMA_C = 12.0, 2.0  # the heat balance averages over th
 CALIBRATED_C = 1.0  # what a calibration leaves
 ZERO_SIGMA_C = 1.5  # the excess at rest must be known so well
 ZERO_EACH_S = 60.0
-WAIT_S, WAIT_C = 3.0, 2.5
-GLANCE_SIGMA_C = 1.0
+WAIT_S = 3.0
 LOOKS_EACH_S = 0.1
 LOOKS_SIGMA_C = 8.0  # k in more doubt says nothing
 WAY_C = 20.0  # farther from the target than this is the way to it
@@ -114,7 +113,7 @@ def zero(p: DriftParameters, m: DriftMemory, balance: HeatBalanceParameters, tim
     if sigma_c == math.inf:
         return False
     off_c = m.rest.mean_c() - p.room_c - excess_c
-    if not (sigma_c <= ZERO_SIGMA_C or is_late or off_c < -WAIT_C):  # so cold a reading is no warm nozzle's
+    if not (sigma_c <= ZERO_SIGMA_C or is_late or off_c < -NEAR_C):  # so cold a reading is no warm nozzle's
         return False
     if not ZERO_LOW_C <= off_c <= ZERO_HIGH_C:
         return False
@@ -127,8 +126,8 @@ def glance(p: DriftParameters, m: DriftMemory) -> None:
     """Heat goes in before the rest is known: a reading near the room's is that of a cold nozzle."""
     if m.zeroed_s == -math.inf and m.rest.has_any():
         off_c = m.rest.mean_c() - p.room_c
-        if abs(off_c) <= WAIT_C:
-            observer.cold_zero(m.state, off_c, GLANCE_SIGMA_C)
+        if abs(off_c) <= NEAR_C:
+            observer.cold_zero(m.state, off_c, NEAR_SIGMA_C)
 
 
 def waits(p: DriftParameters, m: DriftMemory, time_s: float) -> bool:
@@ -138,7 +137,7 @@ def waits(p: DriftParameters, m: DriftMemory, time_s: float) -> bool:
     if not m.rest.has_any():
         return True
     off_c = m.rest.mean_c() - p.room_c
-    return ZERO_LOW_C < off_c < -WAIT_C or WAIT_C < off_c < ZERO_HIGH_C
+    return ZERO_LOW_C < off_c < -NEAR_C or NEAR_C < off_c < ZERO_HIGH_C
 
 
 def is_detuned(m: DriftMemory, low_c: float) -> bool:

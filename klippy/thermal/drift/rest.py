@@ -17,6 +17,8 @@ PULSE_DOUBT = 0.15  # of the heat of the pulses
 TAU_DOUBT = 0.3  # of the excess: the second mass cools at another rate
 USUAL_C = 6.0  # a nozzle at rest is that much warmer than the room, 1 sigma, before the slope says more
 BELOW_C = 3.0  # one that reads less than the room's temperature is nearly as cold
+NEAR_C, NEAR_SIGMA_C = 2.5, 1.0  # one that reads so near to it is as cold, unless the slope says otherwise by ...
+SLOPE_SIGMA = 2.0  # ... so much of its noise
 
 
 @dataclass(slots=True)
@@ -78,6 +80,8 @@ class Rest:
         left = math.fsum((c - mean_c - slope * (t - mean_s)) ** 2 for t, c, _ in readings)
         noise_c = math.sqrt(max(math.fsum(self.noise_c2) / count, left / (count - 2)))
         noise_c = math.hypot(tau_s * noise_c / math.sqrt(spread), tau_s * PULSE_DOUBT * heated)
+        if abs(mean_c - room_c) <= NEAR_C and excess_c < SLOPE_SIGMA * noise_c:
+            return 0.0, NEAR_SIGMA_C
         # Starts are usually cold: what the slope does not show for sure is noise.
         excess_c = max(0.0, excess_c) * USUAL_C**2 / (USUAL_C**2 + noise_c**2)
         max_c = max(0.0, mean_c - room_c) + BELOW_C
