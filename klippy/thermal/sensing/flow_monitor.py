@@ -11,7 +11,7 @@ of the share `lost_share` of the flow, d = lost_share gain e (log-likelihood rat
     sum = max(0, sum + (-nu d - d^2/2)/S)                      alarm above h = ln(mean steps between false alarms)
 
 The bound is Lorden's (1971): with independent Gaussian noise the mean run to a false alarm is at least exp(h) steps.
-The same ratio with its sign turned ends an alarm. The ratio of another, independent witness is added in a second sum;
+The same ratio with its sign turned ends an alarm; no step has more than a share of h in it. The ratio of another, independent witness is added in a second sum;
 then h is greater by ln 2. While a sum is above a quarter of h nothing is learned.
 """
 
@@ -193,7 +193,7 @@ def _test(
     share = max(0.0, min(1.0, missing_j / (state.unknowns[0] * planned_j)))
     if state.lost:
         state.lost_share += LOST_WEIGHT * (share - state.lost_share)
-        ratio, other = -ratio, -other
+        ratio, other = min(-ratio, END_SHARE * p.threshold), -other
     state.alone = max(0.0, state.alone + ratio)
     state.joint = max(0.0, state.joint + ratio + other)
     state.evidence = max(state.alone, state.joint)
@@ -208,6 +208,7 @@ def _test(
         state.evidence = state.alone = state.joint = state.weight = state.weighted_share = 0.0
 
 
+END_SHARE = 0.25  # of the threshold, from one step: a reading that jumped once ends no alarm
 LEARN_SIGMA = 3.0  # a step that misses more may be the first of a loss
 LOST_WEIGHT = 0.2  # of a step, in the share that is lost
 WALK = (5e-4, 1e-5, 3e-3)  # of the unknowns, in a second
