@@ -17,7 +17,10 @@ PULSE_DOUBT = 0.15  # of the heat of the pulses
 TAU_DOUBT = 0.3  # of the excess: the second mass cools at another rate
 USUAL_C = 6.0  # a nozzle at rest is that much warmer than the room, 1 sigma, before the slope says more
 BELOW_C = 3.0  # one that reads less than the room's temperature is nearly as cold
-NEAR_C, NEAR_SIGMA_C = 2.5, 1.0  # one that reads so near to it is as cold, unless the slope says otherwise by ...
+NEAR_C, NEAR_SIGMA_C = (
+    2.5,
+    1.0,
+)  # one that reads so near to it is as cold, unless the slope says otherwise by ...
 SLOPE_SIGMA = 2.0  # ... so much of its noise
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from statistics import mean
 
 import pytest
 
@@ -41,10 +42,11 @@ def test_diameters_of_the_source_are_found_within_five_percent_in_a_prints_motio
     assert found and found == pytest.approx([hole_mm] * len(found), rel=0.05)
 
 
-def test_a_diameter_is_found_within_five_percent_in_the_motion_of_the_benchy(
+def test_the_mean_of_the_diameters_is_within_five_percent_in_the_motion_of_the_benchy(
     simulate: Simulate, benchy: Path
 ) -> None:
-    """Clear until BEGIN, then Table 2's fifth; a diameter's own standard deviation is 1.1 %."""
+    """Clear until BEGIN, then Table 2's fifth. One diameter has a standard deviation of 1.6 %; after a change of the
+    flow they read 2 % low."""
     begin_s, hole_mm = 480.0, 0.3659
     run = simulate(
         benchy.read_text(),
@@ -56,8 +58,9 @@ def test_a_diameter_is_found_within_five_percent_in_the_motion_of_the_benchy(
     rows = [row for row in run.summary["nozzle_monitor"] if row["diameter_mm"] is not None]
     before = [row["diameter_mm"] for row in rows if row["t_s"] < begin_s]
     after = [row["diameter_mm"] for row in rows if row["t_s"] > begin_s + 40.0]
-    assert len(before) >= 2 and before == pytest.approx([0.4] * len(before), rel=0.05)
-    assert len(after) >= 3 and after == pytest.approx([hole_mm] * len(after), rel=0.05)
+    assert len(before) >= 2 and mean(before) == pytest.approx(0.4, rel=0.05)
+    assert len(after) >= 3 and mean(after) == pytest.approx(hole_mm, rel=0.05)
+    assert [*before, *after] == pytest.approx([0.4] * len(before) + [hole_mm] * len(after), rel=0.10)
 
 
 @pytest.mark.parametrize("fault", ["grind:0.3", "runout"])

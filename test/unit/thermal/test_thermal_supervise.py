@@ -27,9 +27,9 @@ class Watched:
         self.chain = c_params(new_chain(watch=self.parameters))
         supervision.start(self.state, self.seen, 0.0)
 
-    def block(self, end_s: float, temp_c: float = 0.0, reason: str = "") -> None:
+    def block(self, end_s: float, temp_c: float = 0.0, reason: str = "", sigma_c: float = 0.0) -> None:
         raw = FFI.new("struct coil_block *")
-        raw.end_s, raw.temp_c, raw.fault = end_s, temp_c, blocks.REASONS.index(reason)
+        raw.end_s, raw.temp_c, raw.fault, raw.sigma_c = end_s, temp_c, blocks.REASONS.index(reason), sigma_c
         LIB.chain_watch_block(self.chain, self.seen, raw)
 
     def watch(self, time_s: float, temp_c: float, target_c: float, power: float) -> str:
@@ -115,6 +115,19 @@ def test_limits_trip_on_the_sixth_block_in_a_row(within: float, beyond: float, w
     on.block(0.1, beyond)
     on.block(0.1, 100.0)  # comes too late
     assert words in on.watch(0.1, 100.0, 200.0, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("temp_c", "sigma_c", "trips"),
+    [(320.0, 11.0, False), (-20.0, 11.0, False), (320.0, 9.0, True), (-20.0, 9.0, True), (307.0, 4.9, True)],
+)
+def test_a_reading_in_doubt_passes_a_limit_by_twice_its_doubt(
+    temp_c: float, sigma_c: float, trips: bool
+) -> None:
+    on = Watched()
+    for _ in range(20):
+        on.block(0.1, temp_c, sigma_c=sigma_c)
+    assert on.seen.is_tripped == trips
 
 
 def test_the_temperature_that_tripped_is_kept_and_blocks_still_count() -> None:
@@ -273,7 +286,8 @@ def test_a_drive_beyond_all_commands_is_a_fault_once_it_may_warm_by_eight_degree
         if watched.state.fault:
             break
     assert time_s == pytest.approx(after_s, abs=0.0051)
-    assert f"driven with {over_w:.0f} W more than any command" in watched.state.fault
+    supervision.watch_drive(watched.parameters, watched.state, time_s + 1.0, 2.0 * over_w, 0.4)
+    assert f"driven with {over_w:.0f} W more than any command" in watched.state.fault, "the first fault stays"
 
 
 def test_a_late_command_or_one_that_is_not_known_is_no_drive_beyond_commands() -> None:
