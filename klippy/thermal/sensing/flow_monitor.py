@@ -11,8 +11,9 @@ of the share `lost_share` of the flow, d = lost_share gain e (log-likelihood rat
     sum = max(0, sum + (-nu d - d^2/2)/S)                      alarm above h = ln(mean steps between false alarms)
 
 The bound is Lorden's (1971): with independent Gaussian noise the mean run to a false alarm is at least exp(h) steps.
-The same ratio with its sign turned ends an alarm; no step has more than a share of h in it. The ratio of another, independent witness is added in a second sum;
-then h is greater by ln 2. While a sum is above a quarter of h nothing is learned.
+The same ratio with its sign turned ends an alarm; no step has more than a share of h in it. The ratio of another,
+independent witness is added in a second sum; then h is greater by ln 2. While a sum is above a quarter of h nothing is
+learned.
 """
 
 from __future__ import annotations

@@ -119,7 +119,7 @@ def test_limits_trip_on_the_sixth_block_in_a_row(within: float, beyond: float, w
 
 @pytest.mark.parametrize(
     ("temp_c", "sigma_c", "trips"),
-    [(320.0, 11.0, False), (-20.0, 11.0, False), (320.0, 9.0, True), (-20.0, 9.0, True), (307.0, 4.9, True)],
+    [(320.0, 11.0, False), (-20.0, 11.0, False), (325.0, 9.0, True), (-25.0, 9.0, True), (307.0, 4.9, True)],
 )
 def test_a_reading_in_doubt_passes_a_limit_by_twice_its_doubt(
     temp_c: float, sigma_c: float, trips: bool
