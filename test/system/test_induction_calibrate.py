@@ -48,22 +48,23 @@ def plot(source: Path) -> int:
     return done.returncode
 
 
-def test_a_bridge_whose_dead_time_is_longer_than_the_smallest_pulse_is_measured_at_a_larger_one(
-    simulate: Simulate, tmp_path: Path
+@pytest.mark.parametrize(("dead_ns", "low"), [(120, "0.2"), (170, "0.8"), (200, "0.8"), (300, "0.8")])
+def test_a_bridge_whose_dead_time_takes_the_smallest_pulse_is_measured_at_a_larger_one(
+    simulate: Simulate, tmp_path: Path, dead_ns: int, low: str
 ) -> None:
-    """That pulse lasts 186 ns: nothing is left of it."""
-    slow = "[simulator nozzle nozzle]\npreset: real\ndead_time_ns: 300\n"
+    """That pulse lasts 186 ns. The nozzle cools down, waits and is heated again: most trips came there."""
+    slow = f"[simulator nozzle nozzle]\npreset: real\ndead_time_ns: {dead_ns}\n"
     log = tmp_path / "host.log"
-    gcode = "INDUCTION_CALIBRATE HEATER=nozzle REFERENCE=reference WAIT=1\nM109 S230\nG4 P10000\n"
+    gcode = (
+        "INDUCTION_CALIBRATE HEATER=nozzle REFERENCE=reference WAIT=1\nM109 S230\nG4 P10000\nM104 S0\nG4 P20000\n"
+        "M109 S230\nG4 P10000\n"
+    )
     run = simulate(gcode, config=machine(tmp_path, slow), more=["--log", str(log)])
     assert run.status == 0, run.stderr
-    assert "  0.8 %: rms" in log.read_text()
-    held = [
-        true
-        for t, true in zip(run.column("t_s"), run.column("true_c"), strict=True)
-        if t > run.column("t_s")[-1] - 5
-    ]
-    assert all(abs(true - 230.0) < 8.0 for true in held)
+    assert f"    {low} %: rms" in log.read_text()
+    times_s, true_c = run.column("t_s"), run.column("true_c")
+    held = [true for t, true in zip(times_s, true_c, strict=True) if t > times_s[-1] - 5]
+    assert all(abs(true - 230.0) < 4.0 for true in held)
 
 
 def test_an_unknown_nozzle_is_calibrated_and_then_holds_its_target(

@@ -18,6 +18,7 @@ import itertools
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from statistics import fmean
 from typing import TextIO
 
 from thermal.models import heat_loss
@@ -32,8 +33,13 @@ from .run import DONE, Run
 COLUMNS = ("t_s", "temp_ref_c", "error", "phase_ticks", "count", "duration_s")
 READING_MARK = "# reference,"  # before a reading as it came; the column is interpolated
 REST, WAIT, HEAT, COOL = "rest", "wait", "heat", "cool"  # stages; DONE follows
-# A bridge whose dead time is as long as the pulse of a phase drives no current: the next one is tried.
+# A bridge whose dead time is as long as the pulse of a phase drives no current, and little if it is almost as long.
+# Then the next phase is taken. At weak drive the signal is nearly linear in the phase. 200 ns of dead time move that of
+# the smallest phase by 60 units away from the line through two larger ones, 120 ns by 20.
 LOW_PHASES_TICKS = (SENSING_PHASE_TICKS, 4025)  # 0.2 and 0.8 % of full power
+LINE_TICKS = (4025, 7115)
+LINE_LOOKS = 10  # at each of them
+LINE_UNITS = 30.0
 POWERS_PERCENT = (1.0, 2.5, 5.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0, 100.0)
 
 
@@ -99,6 +105,7 @@ class Sweep(Run):
         self._received_s = now_s  # last blocks
         self._next_s = now_s + parameters.lead_s
         self._plan: Iterator[tuple[int, float]] = self._rest()
+        self._at_rest: dict[int, list[float]] = {}  # signals by phase
         self._has_waited = False  # for a warm nozzle to cool
         self._rise = (now_s, -math.inf)  # when the reference had risen enough, and to what
         self._levels = itertools.cycle([ticks_of_percent(p) for p in parameters.powers_percent])
@@ -153,6 +160,10 @@ class Sweep(Run):
                 break
             if 0 < seen.phase_ticks < self._low_ticks:
                 continue
+            if seen.phase_ticks and self.stage in (REST, WAIT):
+                self._at_rest.setdefault(seen.phase_ticks, []).append(seen.signal_units)
+                if seen.phase_ticks > self._low_ticks:
+                    continue
             error = seen.signal_units if seen.phase_ticks else 0.0
             record.blocks.append((seen.time_s, error, seen.phase_ticks, seen.count, block.duration_s))
         return self.on_timer(now_s)
@@ -211,7 +222,9 @@ class Sweep(Run):
             self.abort(f"the reference reads {temp_c:.0f} C, far above the limit of this run")
         elif self.stage == REST and since_s >= p.rest_s:
             self._rise = (now_s, temp_c)
-            if self._is_warm(temp_c):
+            if self._is_beside_line():
+                self._raise_low()
+            elif self._is_warm(temp_c):
                 self._enter(WAIT, self._rest(), now_s)
             else:
                 self._enter(HEAT, self._heat(), now_s)
@@ -237,14 +250,25 @@ class Sweep(Run):
 
     def _is_raised(self, phase_ticks: int) -> bool:
         """A look at rest shows no signal: does a larger phase take its place?"""
-        larger = [ticks for ticks in LOW_PHASES_TICKS if ticks > phase_ticks]
         if phase_ticks == self._low_ticks:
-            if self.stage != REST or not larger:
+            if self.stage != REST or phase_ticks == LOW_PHASES_TICKS[-1]:
                 return False
-            self._low_ticks = larger[0]
-            self._enter(REST, self._rest(), self._watched_s)
-            self.recording.blocks.clear()
+            self._raise_low()
         return phase_ticks < self._low_ticks  # commands of before are under way
+
+    def _raise_low(self) -> None:
+        self._low_ticks = min(ticks for ticks in LOW_PHASES_TICKS if ticks > self._low_ticks)
+        self._enter(REST, self._rest(), self._watched_s)
+        self.recording.blocks.clear()
+
+    def _is_beside_line(self) -> bool:
+        """Does the dead time take most of the smallest phase's pulse?"""
+        low, (near, far) = LOW_PHASES_TICKS[0], LINE_TICKS
+        if self._low_ticks != low or not all(self._at_rest.get(ticks) for ticks in (low, near, far)):
+            return False
+        at_low, at_near, at_far = (fmean(self._at_rest[ticks]) for ticks in (low, near, far))
+        line = at_near + (at_near - at_far) * (near - low) / (far - near)
+        return abs(at_low - line) > LINE_UNITS
 
     def _is_warm(self, temp_c: float) -> bool:
         """The fit takes the temperature at rest for the room's."""
@@ -275,7 +299,10 @@ class Sweep(Run):
             duration_s -= part_s
 
     def _rest(self) -> Iterator[tuple[int, float]]:
-        """Short looks with long pauses, which do not heat the nozzle."""
+        """Short looks with long pauses, which do not heat the nozzle; the first ones at several phases."""
+        for phase in (self._low_ticks, *LINE_TICKS) * LINE_LOOKS:
+            yield phase, self.parameters.look_s
+            yield 0, self.parameters.pause_s
         while True:
             yield self._low_ticks, self.parameters.look_s
             yield 0, self.parameters.pause_s

@@ -72,7 +72,7 @@ def thermometer_rows() -> Iterator[str]:
     yield f"smallest phase that measures | {SENSING_PHASE_TICKS} ticks, {share:.1f} % of full power"
     larger = LOW_PHASES_TICKS[-1]
     share = 100.0 * features.power_fraction(larger)
-    yield f"the same with a dead time as long as its pulse | {larger} ticks, {share:.1f} % of full power"
+    yield f"the same with a dead time that takes most of its pulse | {larger} ticks, {share:.1f} % of full power"
     yield f"range of a valid temperature | −{-span.temp_low_c:g} °C to {span.temp_high_c:g} °C"
     yield f"coefficients of `exp` | a {exp.a}, b {exp.b}, c {exp.c}, d {exp.d}"
     names = {"A": eq5.a, "B": eq5.b, "AB": eq5.ab, "BB": eq5.bb, "ABB": eq5.abb, "C": eq5.c}
