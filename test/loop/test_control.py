@@ -15,6 +15,7 @@ import hotend_bench as hotend
 import peers
 from induction_rig import PERIOD_S, Plant, Rig, default_parameters, true_law
 from thermal.control.control_api import Reference, Schedule
+from thermal.records import TempEstimate
 from thermal.sensing.features import FeatureParameters
 
 
@@ -224,4 +225,22 @@ def test_looks_out_of_a_hold_come_in_turn_and_hardly_move_the_temperature(preset
     assert set(held) == set(looks)
     trace = rig.trace.arrays()
     assert np.abs(trace["skin_c"][trace["t_s"] > begin_s] - 220.0).max() < 0.3
+    assert not rig.loop.fault
+
+
+def test_what_follows_the_heat_balance_and_fails_is_left_out_and_the_nozzle_is_held() -> None:
+    rig = Rig(Plant(4), default_parameters(law=true_law()), 4)
+    calls: list[float] = []
+    problems: list[Exception] = []
+
+    def fails(news: TempEstimate, heat_j: float) -> None:
+        calls.append(news.time_s)
+        raise ValueError("of the monitor")
+
+    rig.loop.on_balance = fails
+    rig.loop.on_listener_error = problems.append
+    rig.set_target(220.0)
+    rig.run(3.0)
+    assert len(calls) == 1 and [str(problem) for problem in problems] == ["of the monitor"]
+    assert rig.loop.state.estimate.temp_c == pytest.approx(220.0, abs=1.0)
     assert not rig.loop.fault

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import math
 
 from roles import Printer
 
 KIND_LENGTH = 20  # texts that begin alike are of one kind: their numbers change
 KEPT_MAX = 8
+AGAIN_S = 60.0  # a kind that was away for less is not news
 
 
 class Notices:
@@ -17,7 +19,7 @@ class Notices:
         self.printer = printer
         self.section_name = section_name
         self.kept: list[str] = []  # until INDUCTION_STATUS shows them
-        self._kind = ""
+        self._seen_s: dict[str, float] = {}  # by kind
 
     def keep(self, text: str) -> None:
         """A fault, which the stop of the printer reports."""
@@ -34,10 +36,13 @@ class Notices:
 
     def warn_once(self, text: str) -> None:
         """To be called regularly; "": all is well."""
-        kind = text[:KIND_LENGTH]
-        if text and kind != self._kind:
+        if not text:
+            return
+        now_s, kind = self.printer.get_reactor().monotonic(), text[:KIND_LENGTH]
+        before_s = self._seen_s.get(kind, -math.inf)
+        self._seen_s[kind] = now_s
+        if now_s - before_s > AGAIN_S:
             self.warn(text)
-        self._kind = kind
 
     def read(self) -> list[str]:
         """A person has seen them."""

@@ -289,7 +289,11 @@ class InductionLoop:
             p.heat_balance, state.heat_balance, news.time_s, news.temp_c, heat_j, self.quiet
         )
         if self.on_balance is not None:
-            self.on_balance(news, heat_j)
+            try:
+                self.on_balance(news, heat_j)
+            except Exception as problem:
+                self.on_balance = None
+                self.on_listener_error(problem)
         self._inform_witness(news)
         state.balanced_s = news.time_s
         state.warning = heat_balance_monitor.warning(p.heat_balance, state.heat_balance) or drift.warning(
