@@ -113,7 +113,8 @@ def zero(p: DriftParameters, m: DriftMemory, balance: HeatBalanceParameters, tim
     if sigma_c == math.inf:
         return False
     off_c = m.rest.mean_c() - p.room_c - excess_c
-    if not (sigma_c <= ZERO_SIGMA_C or is_late or off_c < -NEAR_C):  # so cold a reading is no warm nozzle's
+    is_colder = off_c < -NEAR_C and m.rest.is_still()  # so cold a reading is no warm nozzle's
+    if not (sigma_c <= ZERO_SIGMA_C or is_late or is_colder):
         return False
     if not ZERO_LOW_C <= off_c <= ZERO_HIGH_C:
         return False

@@ -17,11 +17,9 @@ PULSE_DOUBT = 0.15  # of the heat of the pulses
 TAU_DOUBT = 0.3  # of the excess: the second mass cools at another rate
 USUAL_C = 6.0  # a nozzle at rest is that much warmer than the room, 1 sigma, before the slope says more
 BELOW_C = 3.0  # one that reads less than the room's temperature is nearly as cold
-NEAR_C, NEAR_SIGMA_C = (
-    2.5,
-    1.0,
-)  # one that reads so near to it is as cold, unless the slope says otherwise by ...
-SLOPE_SIGMA = 2.0  # ... so much of its noise
+NEAR_C, NEAR_SIGMA_C = 2.5, 1.0  # one that reads so near to it is as cold, unless the slope says else ...
+SLOPE_SIGMA, SLOPE_S = 2.0, 2.0  # ... by so much of its noise, for so long: a swing has slopes, too
+STILL_C = 3.0  # readings that differ by more swing
 
 
 @dataclass(slots=True)
@@ -69,6 +67,11 @@ class Rest:
             return self.sums[1] / self.count
         return math.fsum(c for _, c, _ in self.readings) / len(self.readings)
 
+    def is_still(self) -> bool:
+        """Do the readings agree?"""
+        shown_c = [c for _, c, _ in self.readings]
+        return max(shown_c) - min(shown_c) <= STILL_C
+
     def excess_c(self, tau_s: float, capacity_j_k: float, room_c: float) -> tuple[float, float]:
         """(Nozzle above the room, its standard deviation); infinite with too few readings."""
         readings = self.readings
@@ -83,7 +86,8 @@ class Rest:
         left = math.fsum((c - mean_c - slope * (t - mean_s)) ** 2 for t, c, _ in readings)
         noise_c = math.sqrt(max(math.fsum(self.noise_c2) / count, left / (count - 2)))
         noise_c = math.hypot(tau_s * noise_c / math.sqrt(spread), tau_s * PULSE_DOUBT * heated)
-        if abs(mean_c - room_c) <= NEAR_C and excess_c < SLOPE_SIGMA * noise_c:
+        is_short = readings[-1][0] - readings[0][0] < SLOPE_S
+        if abs(mean_c - room_c) <= NEAR_C and (is_short or excess_c < SLOPE_SIGMA * noise_c):
             return 0.0, NEAR_SIGMA_C
         # Starts are usually cold: what the slope does not show for sure is noise.
         excess_c = max(0.0, excess_c) * USUAL_C**2 / (USUAL_C**2 + noise_c**2)

@@ -202,7 +202,7 @@ def check_cancel_while_heating(printer: SimulatedPrinter) -> None:
         job = printer.wait("history", lambda: finished_job(printer, "cold bed.gcode"))
         assert job["status"] == "cancelled"
     print(took_s)
-    # Of three, since other programs share the computer. The macro's moves of 1.1 s wait 0.2 s for room in the look-ahead.
+    # Of three, since other programs share the computer. The moves of the macro take 1.1 s and wait 0.2 s for room.
     assert min(took_s["pause"]) < 0.5 and min(took_s["cancel"]) < 0.2, took_s
     assert max(map(max, took_s.values())) < 5.0, took_s
 
