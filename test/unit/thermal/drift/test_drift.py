@@ -97,6 +97,24 @@ def test_the_slope_of_the_reading_shows_how_warm_a_nozzle_at_rest_is(excess_c: f
     assert abs(found_c - middle_c) < 2.0 * sigma_c < 3.0 + middle_c
 
 
+@pytest.mark.parametrize("hz", [0.3, 2.0, 10.0])
+def test_a_swing_of_the_reading_is_no_warm_nozzle(hz: float) -> None:
+    """Half a second of a sine of 0.25 degC has slopes that many degrees above the room would have."""
+    rest = Rest()
+    for i in range(60):
+        rest.note(0.01 * i, 20.0 + 0.25 * math.sin(2.0 * math.pi * hz * 0.01 * i), 0.1, 0.0)
+    found_c, sigma_c = rest.excess_c(TAU_S, HEAT_J_K, 20.0)
+    assert found_c <= sigma_c <= 1.0
+    assert rest.is_still()
+
+
+def test_readings_that_swing_do_not_agree() -> None:
+    rest = Rest()
+    for i in range(60):
+        rest.note(0.01 * i, 10.0 + 4.0 * math.sin(2.0 * math.pi * 2.0 * 0.01 * i), 0.1, 0.0)
+    assert not rest.is_still()
+
+
 def test_the_heat_of_the_pulses_is_no_rest_of_a_colder_nozzle() -> None:
     rest = Rest()
     for i in range(41):
