@@ -52,7 +52,7 @@ def plot(source: Path) -> int:
 def test_a_bridge_whose_dead_time_takes_the_smallest_pulse_is_measured_at_a_larger_one(
     simulate: Simulate, tmp_path: Path, dead_ns: int, low: str
 ) -> None:
-    """That pulse lasts 186 ns. The nozzle cools down, waits and is heated again: most trips came there."""
+    """That pulse lasts 186 ns. The nozzle cools down, waits and is heated again: that tripped."""
     slow = f"[simulator nozzle nozzle]\npreset: real\ndead_time_ns: {dead_ns}\n"
     log = tmp_path / "host.log"
     gcode = (
